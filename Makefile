@@ -1,0 +1,29 @@
+# Two commands: `make solvers` runs the comparison, `make test` passes the tests.
+PYTHON ?= python3
+VENV := .venv
+RUN := $(VENV)/bin/python
+READY := $(VENV)/.ready
+
+.PHONY: setup solvers test lint clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+	$(RUN) -m pip install --quiet --editable '.[solvers,dev]' --constraint constraints.txt
+	touch $(READY)
+
+solvers: setup
+	$(RUN) -m benchmarks.solvers
+
+test: setup lint
+	$(RUN) -m pytest -n auto
+
+lint: setup
+	$(RUN) -m ruff check .
+	$(RUN) -m mypy
+
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache results
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

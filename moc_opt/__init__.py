@@ -1,0 +1,45 @@
+"""moc_opt: manipulability optimization control of a surgical arm, with every solver judged by one measure.
+
+The public names load when they are first used: ``import moc_opt`` itself imports no solver, no
+simulator and no compiler.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from moc_opt import solvers
+    from moc_opt.errors import MocOptError
+    from moc_opt.metrics import summarize
+    from moc_opt.model import RobotModel, RobotState, load_robot
+    from moc_opt.scenario import Scenario, run
+    from moc_opt.subproblem import NullSpaceQP
+    from moc_opt.trace import Trace
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "MocOptError": "errors", "NullSpaceQP": "subproblem", "RobotModel": "model", "RobotState": "model",
+    "Scenario": "scenario", "Trace": "trace", "load_robot": "model", "run": "scenario", "summarize": "metrics",
+}  # fmt: skip
+
+__all__ = [
+    "MocOptError", "NullSpaceQP", "RobotModel", "RobotState", "Scenario", "Trace", "load_robot", "run", "solvers",
+    "summarize",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name == "solvers":
+        return importlib.import_module("moc_opt.solvers")
+    if name not in _HOMES:
+        raise AttributeError(
+            f"module 'moc_opt' has no attribute {name!r}; public names: {', '.join(__all__)}"
+        )
+    return getattr(importlib.import_module(f"moc_opt.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

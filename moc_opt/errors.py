@@ -1,0 +1,60 @@
+"""The errors a user can meet. Each names the field, the value and the cure."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MocOptError(Exception):
+    """Base of every error that moc_opt raises on purpose."""
+
+
+class SubproblemError(MocOptError, ValueError):
+    """The data of a null-space subproblem are not usable."""
+
+
+class RobotError(MocOptError, ValueError):
+    """A robot description is missing, incomplete or inconsistent."""
+
+
+class TaskError(MocOptError, ValueError):
+    """A path, time law or trocar cannot be built from these numbers."""
+
+
+class ControlError(MocOptError, ValueError):
+    """A controller setting is not usable."""
+
+
+class PlantError(MocOptError, ValueError):
+    """A plant, sensor or contact setting is not usable."""
+
+
+class SolverError(MocOptError, ValueError):
+    """A solver cannot be built or run with these settings here."""
+
+
+class ScenarioError(MocOptError, ValueError):
+    """A scenario file or field is not usable."""
+
+
+class TraceError(MocOptError, ValueError):
+    """A trace file or its columns are not usable."""
+
+
+class UnknownNameError(MocOptError, LookupError):
+    """A name that is in no list; the message holds the nearest valid ones."""
+
+    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+        """Build the message.
+
+        Args:
+            kind: what was asked for, in the user's words ("solver", "robot").
+            name: what the user wrote.
+            valid: every name that would have worked.
+        """
+        names = sorted(valid)
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        super().__init__(f"unknown {kind} {name!r}: {hint}valid names: {', '.join(names)}")
+        self.kind, self.name, self.valid = kind, name, names
