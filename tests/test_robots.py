@@ -1,0 +1,248 @@
+"""Robot files: the LWR4+ says what its data sheet says, and bad files are told what is wrong with them."""
+
+from __future__ import annotations
+
+import pickle
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.robots import available_robots, load_data, loader
+
+FOLDER = Path(loader.__file__).parent
+URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
+TOML = (FOLDER / "lwr4.toml").read_text(encoding="utf-8")
+
+
+def write(folder: Path, toml: str = TOML, urdf: str = URDF) -> Path:
+    (folder / "lwr4.urdf").write_text(urdf, encoding="utf-8")
+    path = folder / "my_arm.toml"
+    path.write_text(toml, encoding="utf-8")
+    return path
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+def test_lwr4_holds_the_published_numbers() -> None:
+    data = load_data("lwr4")
+    assert data.n == 7
+    np.testing.assert_allclose(np.degrees(data.q_max), [170, 120, 170, 120, 170, 120, 170])
+    np.testing.assert_array_equal(data.q_min, -data.q_max)
+    np.testing.assert_allclose(np.degrees(data.v_max), [110, 110, 128, 128, 204, 184, 184])
+    np.testing.assert_array_equal(data.tau_max, [176, 176, 100, 100, 100, 38, 38])
+    np.testing.assert_array_equal(data.rotor_inertia, np.full(7, 0.2))
+    assert (data.tool_length, data.tool_mass) == (0.30, 0.3)
+    root = ET.fromstring(data.urdf)
+    masses = [float(m.get("value", "")) for m in root.iterfind("link/inertial/mass")]
+    assert masses == [2.0, 2.7, 2.7, 2.7, 2.7, 1.7, 1.1, 0.25, 0.3]
+
+
+def test_gains_are_those_of_table_one() -> None:
+    gains = load_data().gains
+    assert {"K_X": 2000.0, "K_N": 600.0}.items() <= gains["dcac"].items()
+    assert {"K_X": 3000.0, "K_N": 800.0, "K_N2": 80.0, "D_N2": 1.0}.items() <= gains["moc"].items()
+
+
+def test_limits_of_both_files_agree() -> None:
+    data = load_data()
+    limits = [joint.find("limit") for joint in ET.fromstring(URDF).iterfind("joint")]
+    for key, vector in (
+        ("lower", data.q_min),
+        ("upper", data.q_max),
+        ("velocity", data.v_max),
+        ("effort", data.tau_max),
+    ):
+        written = [float(limit.get(key, "")) for limit in limits if limit is not None]
+        np.testing.assert_allclose(written, vector, rtol=1e-12)
+
+
+def test_limits_of_the_toml_win_and_are_written_into_the_urdf(tmp_path: Path) -> None:
+    data = load_data(write(tmp_path, changed(TOML, "q_max_deg = [170, 120", "q_max_deg = [150, 120")))
+    first = ET.fromstring(data.urdf).find("joint[@name='joint_1']/limit")
+    assert first is not None
+    assert float(first.get("upper", "")) == data.q_max[0] == pytest.approx(np.radians(150))
+
+
+def test_limits_come_from_the_urdf_where_the_toml_has_none(tmp_path: Path) -> None:
+    start, end = TOML.index("[limits]"), TOML.index("[joints]")
+    data = load_data(write(tmp_path, TOML[:start] + TOML[end:]))
+    np.testing.assert_allclose(data.q_max, load_data().q_max)
+
+
+@pytest.mark.parametrize(("length", "mass"), [(0.30, 0.3), (0.45, 0.8)])
+def test_tool_is_a_slender_rod_on_the_flange(length: float, mass: float) -> None:
+    data = load_data(tool_length=length, tool_mass=mass)
+    root = ET.fromstring(data.urdf)
+    inertial = root.find("link[@name='tool']/inertial")
+    assert inertial is not None
+    moments = {k: float(v) for k, v in inertial.find("inertia").attrib.items()}  # type: ignore[union-attr]
+    assert moments["ixx"] == moments["iyy"] == pytest.approx(mass * length**2 / 12, rel=1e-3)
+    assert 0 < moments["izz"] < 0.01 * moments["ixx"]
+    assert inertial.find("origin").get("xyz") == f"0.0 0.0 {length / 2}"  # type: ignore[union-attr]
+    for name, z in (("tip_frame", length), ("wrist_frame", -0.078)):
+        origin = root.find(f"joint[@name='{name}']/origin")
+        assert origin is not None
+        assert [float(x) for x in origin.get("xyz", "").split()] == [0.0, 0.0, z]
+    assert root.find("joint[@name='tool_mount']/parent").get("link") == "link_7"  # type: ignore[union-attr]
+
+
+def test_home_is_well_inside_the_limits() -> None:
+    data = load_data()
+    assert np.all(np.abs(data.q_home) < data.q_max - np.radians(30))
+
+
+def test_data_cannot_be_changed_and_can_be_pickled() -> None:
+    data = load_data()
+    for copy in (data, pickle.loads(pickle.dumps(data))):
+        np.testing.assert_array_equal(copy.q_home, data.q_home)
+        assert copy.gains == data.gains
+        with pytest.raises(ValueError, match="read-only"):
+            copy.q_home[0] = 1.0
+        with pytest.raises(AttributeError):
+            copy.name = "other"  # type: ignore[misc]
+        with pytest.raises(TypeError):
+            copy.gains["moc"]["K_X"] = 0.0  # type: ignore[index]
+
+
+def test_files_by_path(tmp_path: Path) -> None:
+    path = write(tmp_path)
+    (tmp_path / "lwr4.toml").write_text(TOML, encoding="utf-8")
+    expected = load_data("lwr4").urdf
+    for given in (path, str(path), tmp_path / "lwr4.toml", tmp_path / "lwr4.urdf"):
+        assert load_data(given).urdf == expected
+
+
+def test_every_shipped_robot_loads() -> None:
+    assert "lwr4" in available_robots()
+    for name in available_robots():
+        assert load_data(name).name == name
+
+
+def test_unknown_robot_names_the_nearest() -> None:
+    with pytest.raises(UnknownNameError, match="unknown robot 'lwr': did you mean 'lwr4'"):
+        load_data("lwr")
+
+
+def test_missing_files(tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="cannot be read"):
+        load_data(tmp_path / "none.toml")
+    with pytest.raises(RobotError, match=r"none\.toml.*does not exist"):
+        load_data(tmp_path / "none.urdf")
+    with pytest.raises(RobotError, match="neither"):
+        load_data(tmp_path / "none.xml")
+    with pytest.raises(RobotError, match=r"urdf .* cannot be read"):
+        load_data(write(tmp_path, changed(TOML, '"lwr4.urdf"', '"gone.urdf"')))
+
+
+BAD_TOML = {
+    "not TOML": ('name = "lwr4"', "name = ", "not valid TOML"),
+    "unknown table": ("[frames]", "[framse]\nx = 1\n[frames]", "unknown key 'framse': did you mean 'frames'"),
+    "unknown key": (
+        "last_link",
+        "last_lnk = 1\nlast_link",
+        "'frames.last_lnk': did you mean 'last_link'",
+    ),
+    "missing table": ("[home]\nq_rad", "[gains.x]\nq_rad", "home is missing"),
+    "no such link": ('"link_7"', '"link_9"', r"frames\.last_link = 'link_9'.*did you mean.*link_7"),
+    "wrist off the shaft": ("[0.0, 0.0, -0.078]", "[0.0, 0.01, -0.078]", r"wrist_xyz_m.*0\.01 m off"),
+    "wrist beyond tip": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, 0.5]", "wrist_xyz_m"),
+    "no length": ("length_m = 0.30", "length_m = 0.0", r"tool\.length_m = 0\.0"),
+    "negative mass": ("mass_kg = 0.3", "mass_kg = -0.3", r"tool\.mass_kg = -0\.3"),
+    "nan": ("length_m = 0.30", "length_m = nan", r"tool\.length_m"),
+    "short vector": ("tau_max_Nm = [176, ", "tau_max_Nm = [", r"limits\.tau_max_Nm has 6 entries.*give 7"),
+    "reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
+    "zero speed": ("v_max_deg_per_s = [110", "v_max_deg_per_s = [0", "v_max of joint 'joint_1' = 0"),
+    "negative friction": ("coulomb_friction_Nm = [1.0", "coulomb_friction_Nm = [-1.0", "coulomb_friction_Nm"),
+    "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
+    "home too long": ("q_rad = [0.595", "q_rad = [0.1, 0.595", r"home\.q_rad has 8 entries"),
+    "gain not a number": ("K_N2 = 80.0", 'K_N2 = "eighty"', r"gains\.moc\.K_N2"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TOML)
+def test_bad_toml_is_explained(case: str, tmp_path: Path) -> None:
+    old, new, message = BAD_TOML[case]
+    with pytest.raises(RobotError, match=message):
+        load_data(write(tmp_path, changed(TOML, old, new)))
+
+
+BAD_URDF = {
+    "not XML": ("</robot>", "", "not well-formed"),
+    "not a robot": ('<robot name="lwr4">', "<sdf>", "not well-formed|<sdf>"),
+    "entities": ('<robot name="lwr4">', '<!DOCTYPE x [<!ENTITY a "b">]><robot name="lwr4">', "document type"),
+    "planar joint": ('"joint_3" type="revolute"', '"joint_3" type="planar"', "joint_3.*'planar'"),
+    "missing parent": ('<parent link="link_3"/>', "", "joint_4.*no <parent"),
+    "loop": ('<parent link="link_0"/>', '<parent link="link_7"/>', "loop"),
+    "branch": (
+        "</robot>",
+        '<link name="x"/><joint name="side" type="revolute"><parent link="link_1"/><child link="x"/></joint>'
+        "</robot>",
+        "'side' moves",
+    ),
+    "mimic": ('<child link="link_4"/>', '<child link="link_4"/><mimic joint="joint_1"/>', "mimics"),
+    "zero mass": ('<mass value="1.7"/>', '<mass value="0"/>', "link_5.*mass 0"),
+    "mass not a number": ('<mass value="1.7"/>', '<mass value="heavy"/>', "mass of link 'link_5' is 'heavy'"),
+    "no mass": ('<mass value="1.7"/>', "", "link_5.*without <mass>"),
+    "infinite": ('<mass value="1.7"/>', '<mass value="inf"/>', "link_5.*finite"),
+    "indefinite": ('ixx="0.010753"', 'ixx="-0.010753"', "link_5.*positive definite"),
+    "name taken": (
+        '<link name="link_0">',
+        '<link name="tip"/><link name="link_0">',
+        "has links.*tip",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_URDF)
+def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
+    old, new, message = BAD_URDF[case]
+    with pytest.raises(RobotError, match=message):
+        load_data(write(tmp_path, urdf=changed(URDF, old, new)))
+
+
+def test_entities_are_refused_before_they_are_expanded(tmp_path: Path) -> None:
+    rows = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10}">' for i in range(1, 12))
+    bomb = f'<?xml version="1.0"?><!DOCTYPE r [<!ENTITY e0 "x">{rows}]><robot name="&e11;"/>'
+    with pytest.raises(RobotError, match="entities"):
+        load_data(write(tmp_path, urdf=bomb))
+
+
+def test_limits_in_neither_file(tmp_path: Path) -> None:
+    start, end = TOML.index("[limits]"), TOML.index("[joints]")
+    urdf = URDF.replace(' velocity="1.9198621771937625"', "")
+    with pytest.raises(RobotError, match=r"v_max: joints \['joint_1', 'joint_2'\].*limits\.v_max_deg_per_s"):
+        load_data(write(tmp_path, TOML[:start] + TOML[end:], urdf))
+
+
+def test_a_continuous_joint_gets_the_limits_of_the_toml(tmp_path: Path) -> None:
+    data = load_data(
+        write(tmp_path, urdf=changed(URDF, '"joint_7" type="revolute"', '"joint_7" type="continuous"'))
+    )
+    assert data.urdf == load_data().urdf
+
+
+def test_degrees_do_not_fit_a_prismatic_joint(tmp_path: Path) -> None:
+    urdf = changed(URDF, '"joint_1" type="revolute"', '"joint_1" type="prismatic"')
+    with pytest.raises(RobotError, match=r"limits\.q_min_deg is in degrees, but a joint is prismatic"):
+        load_data(write(tmp_path, urdf=urdf))
+
+
+def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:
+    start = URDF.index("<inertial>", URDF.index('<link name="link_6">'))
+    end = URDF.index("</inertial>", start) + len("</inertial>")
+    with pytest.raises(RobotError, match=r"joint_6.*moves no mass"):
+        load_data(write(tmp_path, urdf=URDF[:start] + URDF[end:]))
+
+
+@pytest.mark.parametrize("bad", [0.0, -0.1, float("nan"), float("inf"), "long"])
+def test_bad_tool_arguments(bad: float) -> None:
+    with pytest.raises(RobotError, match="tool_length"):
+        load_data(tool_length=bad)
+    with pytest.raises(RobotError, match="tool_mass"):
+        load_data(tool_mass=bad)

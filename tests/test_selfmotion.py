@@ -1,0 +1,171 @@
+"""The self-motion keeps tip, wrist and limits, and its best pose is no worse than any other on the curve."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt import selfmotion_kernels as kernels
+from moc_opt.errors import RobotError
+from moc_opt.model import RobotModel, load_robot
+from moc_opt.robots import loader
+from moc_opt.selfmotion import SelfMotion, self_motion
+from tests.conftest import Array, Draw
+
+
+def check(robot: RobotModel, start: Array, motion: SelfMotion, poses: Array) -> None:
+    """The promises every pose on a curve must keep."""
+    s = robot.state(start)
+    for q in poses:
+        there = robot.state(q)
+        np.testing.assert_allclose(there.tip, s.tip, atol=1e-9)
+        np.testing.assert_allclose(there.wrist, s.wrist, atol=1e-9)
+        assert np.all(q >= robot.q_min)
+        assert np.all(q <= robot.q_max)
+        np.testing.assert_array_equal(q[list(motion.held)], start[list(motion.held)])
+
+
+def test_tip_wrist_and_limits_are_kept(robot: RobotModel, regular_poses: Draw) -> None:
+    rng = np.random.default_rng(5)
+    for start in regular_poses(15, seed=4):
+        motion = self_motion(robot, start)
+        check(robot, start, motion, motion.q[::7])
+        check(robot, start, motion, np.array([motion.at(f) for f in (0.0, *rng.uniform(size=4), 1.0)]))
+        assert motion.held == (6,)
+        here = int(np.flatnonzero(motion.s == 0.0)[0])
+        np.testing.assert_array_equal(motion.q[here], start)
+
+
+def test_samples_are_evenly_spaced_and_end_on_a_limit(robot: RobotModel, regular_poses: Draw) -> None:
+    for start in regular_poses(10, seed=6):
+        motion = self_motion(robot, start)
+        gaps = np.linalg.norm(np.diff(motion.q, axis=0), axis=1)
+        np.testing.assert_allclose(gaps, np.diff(motion.s), atol=1e-12)
+        assert 0 < gaps.min() <= gaps.max() < 0.021
+        for end, why in zip((motion.q[0], motion.q[-1]), motion.ends, strict=True):
+            if why == "limit":
+                assert np.min(np.minimum(end - robot.q_min, robot.q_max - end)) < 1e-8
+
+
+def test_mu_is_the_models_and_best_beats_the_start(robot: RobotModel, regular_poses: Draw) -> None:
+    for start in regular_poses(15, seed=8):
+        motion = self_motion(robot, start)
+        np.testing.assert_allclose(motion.mu, [robot.state(q).mu for q in motion.q], atol=1e-12)
+        check(robot, start, motion, motion.best[None])
+        assert motion.mu_best == pytest.approx(robot.state(motion.best).mu, abs=1e-12)
+        assert motion.mu_best >= motion.mu.max() >= robot.state(start).mu - 1e-12
+        assert motion.mu_best == pytest.approx(self_motion(robot, start, step=0.005).mu_best, abs=1e-6)
+
+
+def test_the_same_curve_from_any_of_its_poses(robot: RobotModel) -> None:
+    motion = self_motion(robot, robot.data.q_home)
+    again = self_motion(robot, motion.at(0.8))
+    assert again.s[-1] - again.s[0] == pytest.approx(motion.s[-1] - motion.s[0], abs=1e-3)
+    assert again.mu_best == pytest.approx(motion.mu_best, abs=1e-6)
+    from_end = self_motion(robot, motion.q[-1])
+    assert 0.0 in (from_end.s[0], from_end.s[-1])
+    assert from_end.s[-1] - from_end.s[0] == pytest.approx(motion.s[-1] - motion.s[0], abs=1e-3)
+
+
+def test_mu_is_stationary_at_an_inner_best(robot: RobotModel) -> None:
+    motion = self_motion(robot, robot.data.q_home)
+    s = robot.state(motion.best)
+    assert 0 < np.argmax(motion.mu) < len(motion.mu) - 1
+    along = np.linalg.svd(s.A[:, :6])[2][-1]
+    assert abs(along @ s.grad_mu[:6]) < 1e-4
+    assert motion.mu_best > robot.state(robot.data.q_home).mu + 0.03
+
+
+def test_a_full_turn_closes(tmp_path: Path) -> None:
+    folder = Path(loader.__file__).parent
+    toml = (folder / "lwr4.toml").read_text(encoding="utf-8")
+    start, end = toml.index("q_min_deg"), toml.index("v_max_deg")
+    wide = f"q_min_deg = {[-1000] * 7}\nq_max_deg = {[1000] * 7}\n"
+    (tmp_path / "lwr4.urdf").write_text((folder / "lwr4.urdf").read_text(encoding="utf-8"), encoding="utf-8")
+    (tmp_path / "wide.toml").write_text(toml[:start] + wide + toml[end:], encoding="utf-8")
+    robot = load_robot(tmp_path / "wide.toml")
+    q = np.array([0.2, -1.0, 0.3, 1.5, -0.4, -0.6, 0.1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        motion = self_motion(robot, q)
+        assert motion.closed
+        turns = (motion.q[-1] - motion.q[0]) / (2 * np.pi)
+        np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+        check(robot, q, motion, motion.q[::9])
+        check(robot, q, motion, np.array([motion.at(f) for f in np.linspace(0, 1, 11)]))
+        swivel = np.unwrap([np.arctan2(*_elbow(robot, p)) for p in motion.q])
+    assert abs(swivel[-1] - swivel[0]) == pytest.approx(2 * np.pi, abs=1e-6)
+
+
+def _elbow(robot: RobotModel, q: Array) -> tuple[float, float]:
+    """The elbow's place on its circle about the line from shoulder to wrist."""
+    s = robot.state(q)
+    shoulder = np.array([0.0, 0.0, 0.3105])
+    lean = np.array([np.sin(-q[1]) * -1.0, 0.0, np.cos(q[1])])
+    turn = np.array([[np.cos(q[0]), -np.sin(q[0]), 0], [np.sin(q[0]), np.cos(q[0]), 0], [0, 0, 1]])
+    upper_arm = turn @ (lean * np.array([-1.0, 1.0, 1.0]))
+    line = (s.wrist - shoulder) / np.linalg.norm(s.wrist - shoulder)
+    side = np.cross(line, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    return float(upper_arm @ side), float(upper_arm @ np.cross(line, side))
+
+
+def test_a_tool_off_the_last_axis_leaves_a_curve(odd_robot: RobotModel) -> None:
+    q = odd_robot.data.q_home
+    motion = self_motion(odd_robot, q)
+    assert motion.held == (6,)
+    assert len(motion.s) > 10
+    check(odd_robot, q, motion, motion.q)
+
+
+def test_forward_kernel_is_the_model(odd_robot: RobotModel) -> None:
+    chain, rng = odd_robot.chain, np.random.default_rng(2)
+    arm = kernels.Constraint(
+        chain.rotations,
+        chain.origins,
+        chain.axes,
+        chain.prismatic,
+        chain.offsets,
+        odd_robot.moves,
+        odd_robot.q_min,
+        odd_robot.q_max,
+        np.arange(7),
+        np.zeros((2, 3)),
+    )
+    assert chain.prismatic.tolist() == [False, False, True, False, False, False, False]
+    for _ in range(5):
+        s = odd_robot.state(rng.uniform(odd_robot.q_min, odd_robot.q_max))
+        error, a = np.empty(6), np.empty((6, 7))
+        mu = kernels.evaluate(arm, s.q.copy(), error, a)
+        np.testing.assert_allclose(-error, np.r_[s.tip, s.wrist], atol=1e-13)
+        np.testing.assert_allclose(a, s.A, atol=1e-13)
+        assert mu == pytest.approx(s.mu, rel=1e-11)
+
+
+def test_bordered_solve_against_lstsq() -> None:
+    rng = np.random.default_rng(3)
+    for m in (2, 6, 7):
+        a, t, b, x = rng.normal(size=(6, m)), rng.normal(size=m), rng.normal(size=6), np.empty(m)
+        kernels.bordered(a, t, b, 0.7, x)
+        expected = np.linalg.lstsq(np.vstack([a, t]), np.r_[b, 0.7], rcond=None)[0]
+        np.testing.assert_allclose(x, expected, atol=1e-9)
+
+
+def test_bad_input_is_named(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    for step in (0.0, -0.1, float("nan")):
+        with pytest.raises(RobotError, match="step = "):
+            self_motion(robot, q, step=step)
+    with pytest.raises(RobotError, match=r"joints \[2\] are outside"):
+        self_motion(robot, q + np.array([0, 3, 0, 0, 0, 0, 0]))
+    with pytest.raises(RobotError, match="singular"):
+        self_motion(robot, np.zeros(7))
+    motion = self_motion(robot, q)
+    for fraction in (-0.1, 1.1, float("nan")):
+        with pytest.raises(RobotError, match="fraction"):
+            motion.at(fraction)
+    with pytest.raises(ValueError, match="read-only"):
+        motion.q[0, 0] = 0.0
