@@ -1,0 +1,133 @@
+"""The trocar: the point of the body wall the shaft must pass through, and how far the shaft is from it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks.checks import TimeLike, Vector, direction3, number, positive, sampled, vector3
+
+
+@dataclass(frozen=True, eq=False)
+class Trocar:
+    """A trocar point that may move slowly, as with breathing.
+
+    P(t) = point + amplitude (1 - cos(2 pi t / period)) / 2 * direction: it starts at `point`, at rest, and is
+    `breathing_amplitude_m` away from it half a period later.
+
+    Args:
+        point: at t = 0, (3,) [m].
+        breathing_amplitude_m: largest distance from `point` [m], zero or above.
+        breathing_period_s: time of one breath [s].
+        direction: of the motion, (3,), any length above zero.
+
+    Raises:
+        TaskError: one of them is not usable.
+    """
+
+    point: ArrayLike
+    breathing_amplitude_m: float = 0.0
+    breathing_period_s: float = 4.0
+    direction: ArrayLike = (0.0, 0.0, 1.0)
+    _axes: tuple[tuple[float, float], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        amplitude = number("breathing_amplitude_m", self.breathing_amplitude_m)
+        if amplitude < 0.0:
+            raise TaskError(
+                f"breathing_amplitude_m = {amplitude!r} is negative: give zero or more (or turn direction)"
+            )
+        point, direction = vector3("point", self.point), direction3("direction", self.direction)
+        period = positive("breathing_period_s", self.breathing_period_s)
+        object.__setattr__(self, "point", point)
+        object.__setattr__(self, "direction", direction)
+        object.__setattr__(self, "breathing_amplitude_m", amplitude)
+        object.__setattr__(self, "breathing_period_s", period)
+        object.__setattr__(self, "_axes", tuple(zip(point.tolist(), direction.tolist(), strict=True)))
+
+    def at(self, t: TimeLike) -> tuple[Vector, Vector]:
+        """Position and velocity of the trocar.
+
+        Args:
+            t: time [s], a number or a vector (k,).
+
+        Returns:
+            p [m], dp [m/s]; each (3,), or (k, 3) for a vector, with the same bits either way.
+
+        Raises:
+            TaskError: t is no number or vector, or not finite.
+        """
+        p, dp = sampled("t", t, self.rows)
+        return p, dp
+
+    def rows(self, t: float) -> Vector:
+        """P_t and dP_t as the rows of one (2, 3) array, for one time [s].
+
+        Raises:
+            TaskError: t is not finite.
+        """
+        if not math.isfinite(t):
+            raise TaskError(f"t = {t!r} is not a time: give seconds")
+        amplitude, rate = self.breathing_amplitude_m, 2.0 * math.pi / self.breathing_period_s
+        away = amplitude * 0.5 * (1.0 - math.cos(rate * t))
+        speed = amplitude * 0.5 * rate * math.sin(rate * t)
+        (x, a), (y, b), (z, c) = self._axes
+        return np.array(((x + away * a, y + away * b, z + away * c), (speed * a, speed * b, speed * c)))
+
+
+def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
+    """RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
+
+    u = (X - N)/|X - N| is the tool's direction.
+
+    Args:
+        tip: X, (3,) or (k, 3) [m].
+        wrist: N, (3,) or (k, 3) [m].
+        p: P, (3,) or (k, 3) [m]; a single point serves for all rows.
+
+    Returns:
+        d, (k,), or of shape () where all three are single points.
+
+    Raises:
+        TaskError: shapes do not fit, or tip and wrist coincide.
+    """
+    to_trocar, u = _shaft(tip, wrist, p)
+    # Written out: np.cross costs ten times as much on rows of three.
+    (a, b, c), (d, e, f) = np.moveaxis(to_trocar, -1, 0), np.moveaxis(u, -1, 0)
+    return np.asarray(np.sqrt((b * f - c * e) ** 2 + (c * d - a * f) ** 2 + (a * e - b * d) ** 2))
+
+
+def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
+    """How far the tip is beyond the trocar along the shaft, (X - P)^T u [m]; negative while outside the body.
+
+    Arguments, shapes and errors as for `shaft_distance`.
+    """
+    to_trocar, u = _shaft(tip, wrist, p)
+    return np.asarray(-(to_trocar * u).sum(axis=-1))
+
+
+def _shaft(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """P - X and u, broadcast against each other, (..., 3)."""
+    rows = []
+    for name, value in (("tip", tip), ("wrist", wrist), ("p", p)):
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise TaskError(f"{name} = {value!r} is not usable: give (3,) or (k, 3) numbers") from error
+        if array.ndim not in (1, 2) or array.shape[-1] != 3:
+            raise TaskError(f"{name} has shape {array.shape}: give (3,) or (k, 3)")
+        rows.append(array)
+    try:
+        x, n, trocar = np.broadcast_arrays(*rows)
+    except ValueError as error:
+        shapes = ", ".join(str(array.shape) for array in rows)
+        raise TaskError(f"tip, wrist and p have shapes {shapes}: give the same number of rows") from error
+    tool = x - n
+    length = np.sqrt((tool * tool).sum(axis=-1, keepdims=True))
+    if (length == 0.0).any():
+        raise TaskError("tip and wrist coincide: the shaft has no direction there")
+    return trocar - x, tool / length

@@ -1,0 +1,242 @@
+"""Metrics: each against a number worked out by hand, and what is left out or refused."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from moc_opt import metrics
+from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.metrics import METRICS, metric, summarize
+from moc_opt.trace import MissingDataError, Trace
+
+NAN = math.nan
+
+
+def run(**changed: object) -> Trace:
+    """Four ticks with round numbers."""
+    columns: dict[str, object] = {
+        "t_s": [0.0, 0.002, 0.004, 0.006],
+        "tau_Nm": [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [3.0, 14.0]],
+        "mu": [0.1, 0.2, 0.3, 0.4],
+        "mu_bound": [0.2, NAN, 0.4, NAN],
+        "tip_error_m": [0.001, 0.003, 0.001, 0.003],
+        "rcm_error_m": [0.0, 0.0, 0.0, 0.004],
+        "trocar_force_N": [[3.0, 4.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]],
+        "status": ["solved", "solved", "infeasible", "solved"],
+        "verified": [True, False, False, True],
+        "solve_us": [10.0, 20.0, NAN, 30.0],
+        "tick_us": [50.0, 100.0, 150.0, 100.5],
+        "primal": [1e-9, 1e-3, NAN, -0.0],
+        "natural": [1e-8, 2e-3, NAN, 0.0],
+        "loss": [0.0, 0.5, NAN, 0.25],
+        "travelling": [True, False, True, False],
+    }
+    columns.update({name: value for name, value in changed.items() if name != "meta"})
+    present = {name: np.asarray(value) for name, value in columns.items() if value is not None}
+    return Trace(present, changed.get("meta", {"deadline_us": 100}))  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def own_metrics() -> Iterator[None]:
+    """Take out what a test registers."""
+    before = dict(METRICS)
+    yield
+    METRICS.clear()
+    METRICS.update(before)
+
+
+def test_every_metric_by_hand() -> None:
+    summary = summarize(run(), baseline=run(mu=[0.2, 0.2, 0.2, 0.2]))
+    expected = {
+        "mu_mean": 0.25,
+        "mu_final": 0.4,
+        "mu_gain_percent": 25.0,
+        "mu_fraction_of_bound": 0.2 / 0.3,
+        "tip_error_mean_mm": 2.0,
+        "tip_error_max_mm": 3.0,
+        "rcm_error_mean_mm": 1.0,
+        "rcm_error_max_mm": 4.0,
+        "trocar_force_mean_N": 2.0,
+        "trocar_force_max_N": 5.0,
+        # Steps of 5, 0 and 10 Nm in 2 ms.
+        "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
+        "solve_p50_us": 20.0,
+        "solve_p99_us": 29.8,
+        "tick_p50_us": 100.25,
+        "tick_p99_us": float(np.percentile([50.0, 100.0, 150.0, 100.5], 99)),
+        "deadline_misses": 2.0,
+        "claimed_solved": 3.0,
+        "verified_solved": 2.0,
+        "silently_wrong": 1.0,
+        "primal_max": 1e-3,
+        "natural_max": 2e-3,
+        "loss_max": 0.5,
+    }
+    assert list(summary) == list(expected) == list(METRICS)
+    assert summary == pytest.approx(expected, rel=1e-12)
+    assert all(type(value) is float for value in summary.values())
+
+
+@pytest.mark.parametrize(
+    ("column", "gone"),
+    [
+        ("mu", "mu_mean mu_final mu_gain_percent mu_fraction_of_bound"),
+        ("mu_bound", "mu_fraction_of_bound"),
+        ("tip_error_m", "tip_error_mean_mm tip_error_max_mm"),
+        ("rcm_error_m", "rcm_error_mean_mm rcm_error_max_mm"),
+        ("trocar_force_N", "trocar_force_mean_N trocar_force_max_N"),
+        ("t_s", "torque_rate_rms_Nm_per_s"),
+        ("tau_Nm", "torque_rate_rms_Nm_per_s"),
+        ("solve_us", "solve_p50_us solve_p99_us"),
+        ("tick_us", "tick_p50_us tick_p99_us deadline_misses"),
+        ("status", "claimed_solved silently_wrong"),
+        ("verified", "verified_solved silently_wrong"),
+        ("primal", "primal_max"),
+        ("natural", "natural_max"),
+        ("loss", "loss_max"),
+    ],
+)
+def test_metrics_without_their_column_are_left_out(column: str, gone: str) -> None:
+    summary = summarize(run(**{column: None}), baseline=run())
+    assert set(METRICS) - set(summary) == set(gone.split())
+
+
+def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
+    nothing = [NAN] * 4
+    trace = run(meta={}, solve_us=nothing, primal=nothing, natural=nothing, loss=nothing, mu_bound=nothing)
+    gone = {"mu_gain_percent", "deadline_misses", "solve_p50_us", "solve_p99_us", "primal_max"}
+    gone |= {"natural_max", "loss_max", "mu_fraction_of_bound"}
+    assert set(METRICS) - set(summarize(trace)) == gone
+    with pytest.raises(MissingDataError, match="give the trace of DCAC"):
+        METRICS["mu_gain_percent"](trace)
+    with pytest.raises(MissingDataError, match="'loss' is NaN at every tick"):
+        METRICS["loss_max"](trace)
+    singular = run(mu=[0.0] * 4)
+    assert "mu_gain_percent" not in summarize(trace, baseline=singular)
+
+
+def test_a_diverged_run_does_not_look_good() -> None:
+    # NaN means "no subproblem" in the solver's columns only.
+    summary = summarize(run(mu=[0.1, NAN, 0.3, 0.4], tip_error_m=[NAN] * 4, primal=[0.0, math.inf, NAN, 0.0]))
+    assert math.isnan(summary["mu_mean"])
+    assert math.isnan(summary["tip_error_max_mm"])
+    assert summary["primal_max"] == math.inf
+
+
+def test_phases_are_the_ticks_by_travelling() -> None:
+    baseline = run(mu=[0.1, 0.4, 0.1, 0.2])
+    travelling = summarize(run(), baseline, "travelling")
+    settled = summarize(run(), baseline, phase="settled")
+    assert (travelling["mu_mean"], settled["mu_mean"]) == pytest.approx((0.2, 0.3))
+    assert travelling["mu_final"] == 0.3
+    assert (travelling["tip_error_max_mm"], settled["tip_error_max_mm"]) == pytest.approx((1.0, 3.0))
+    # The baseline is read at the same ticks.
+    assert travelling["mu_gain_percent"] == pytest.approx(100.0)
+    assert settled["mu_gain_percent"] == pytest.approx(0.0)
+    assert (travelling["silently_wrong"], settled["silently_wrong"]) == (0.0, 1.0)
+
+
+def test_torque_rate_does_not_reach_across_a_gap() -> None:
+    alternating = run()
+    assert "torque_rate_rms_Nm_per_s" not in summarize(alternating, phase="settled")
+    ends = run(travelling=[False, True, False, False])
+    assert summarize(ends, phase="settled")["torque_rate_rms_Nm_per_s"] == pytest.approx(5000.0)
+
+
+def test_phase_without_ticks_is_an_empty_summary() -> None:
+    assert summarize(run(travelling=[True] * 4), phase="settled") == {}
+
+
+def test_phase_needs_its_column_name_and_baseline() -> None:
+    with pytest.raises(TraceError, match="no column 'travelling'"):
+        summarize(run(travelling=None), phase="settled")
+    with pytest.raises(UnknownNameError, match="did you mean 'settled'"):
+        summarize(run(), phase="setled")  # type: ignore[arg-type]
+    with pytest.raises(TraceError, match="baseline has 3 ticks where the trace has 4"):
+        summarize(run(), run().select([True, True, True, False]), phase="settled")
+
+
+def test_empty_traces_are_refused() -> None:
+    empty = Trace({"mu": np.empty(0)})
+    for call in (
+        lambda: summarize(empty),
+        lambda: summarize(Trace({})),
+        lambda: summarize(run(), empty),
+        lambda: METRICS["mu_mean"](empty),
+    ):
+        with pytest.raises(TraceError, match="is empty"):
+            call()
+
+
+def test_unusable_times_and_deadlines_are_refused() -> None:
+    with pytest.raises(TraceError, match="'t_s' does not increase"):
+        summarize(run(t_s=[0.0, 0.002, 0.002, 0.004]))
+    for bad in (0, -1.0, "fast", True):
+        with pytest.raises(TraceError, match="deadline_us"):
+            summarize(run(meta={"deadline_us": bad}))
+
+
+@given(arrays(np.float64, st.tuples(st.integers(2, 20), st.just(3)), elements=st.floats(-100, 100)))
+def test_torque_rate_scales_with_time_and_torque(tau: np.ndarray) -> None:
+    t = 0.002 * np.arange(len(tau))
+    rate = METRICS["torque_rate_rms_Nm_per_s"]
+    one = rate(Trace({"t_s": t, "tau_Nm": tau}))
+    assert rate(Trace({"t_s": 2.0 * t, "tau_Nm": tau})) == pytest.approx(0.5 * one)
+    assert rate(Trace({"t_s": t, "tau_Nm": 3.0 * tau + 1.0})) == pytest.approx(3.0 * one, abs=1e-9)
+    assert one == pytest.approx(np.sqrt(np.mean(np.sum(np.diff(tau, axis=0) ** 2, axis=1))) / 0.002)
+
+
+def test_counts_hang_together() -> None:
+    rng = np.random.default_rng(4)
+    status = rng.choice(["solved", "infeasible", "max_iter", "none"], 200)
+    verified = rng.uniform(size=200) < 0.5
+    s = summarize(Trace({"status": status, "verified": verified}))
+    assert s["silently_wrong"] == s["claimed_solved"] - np.sum(verified & (status == "solved"))
+    assert s["verified_solved"] == verified.sum()
+
+
+@pytest.mark.usefixtures("own_metrics")
+def test_others_can_register_a_metric() -> None:
+    @metric
+    def tip_speed_max_m_per_s(trace: Trace) -> float:
+        """Largest speed of the tip [m/s]."""
+        return float(trace.tip_speed_m_per_s.max())
+
+    assert METRICS["tip_speed_max_m_per_s"].__doc__ == "Largest speed of the tip [m/s]."
+    assert "tip_speed_max_m_per_s" not in summarize(run())
+    speed = run().with_columns(tip_speed_m_per_s=[0.1, 0.5, 0.2, 0.3])
+    assert summarize(speed)["tip_speed_max_m_per_s"] == 0.5
+    assert tip_speed_max_m_per_s(speed) == 0.5
+
+
+@pytest.mark.usefixtures("own_metrics")
+def test_registration_refuses_taken_names_and_silence() -> None:
+    def mu_mean(trace: Trace) -> float:
+        """Another one."""
+        return 0.0
+
+    with pytest.raises(TraceError, match=r"'mu_mean' is there already, from moc_opt\.metrics"):
+        metric(mu_mean)
+
+    def unexplained(trace: Trace) -> float:
+        return 0.0
+
+    with pytest.raises(TraceError, match="no docstring"):
+        metric(unexplained)
+    assert "unexplained" not in METRICS
+    # A notebook that runs its cell again registers the same function again.
+    assert metric(inspect.unwrap(METRICS["mu_mean"])) is METRICS["mu_mean"]
+
+
+def test_every_metric_is_documented_and_public() -> None:
+    for name, function in METRICS.items():
+        assert getattr(metrics, name) is function
+        assert function.__doc__

@@ -1,0 +1,194 @@
+"""Paths: arc length, derivatives, place in space, and what make_path refuses."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.tasks import CURVES, Path, circle, line, make_path, sinusoid, spiral
+
+START = np.array([0.4, -0.1, 0.25])
+NORMAL = np.array([0.2, -0.3, 2.0])
+HEADING = np.array([1.0, 0.4, 0.1])
+SIZES: dict[str, dict[str, float]] = {
+    "line": {"length": 0.08},
+    "circle": {"radius": 0.03},
+    "sinusoid": {"amplitude": 0.01, "wavelength": 0.03, "periods": 2.5},
+    "spiral": {"turns": 3.0, "radius": 0.03},
+}
+
+
+def build(kind: str, **changed: float) -> Path:
+    """One path of each kind, tilted in space."""
+    return make_path(kind, START, normal=NORMAL, heading=HEADING, **{**SIZES[kind], **changed})
+
+
+size = st.floats(0.003, 0.3)
+any_path = st.one_of(
+    st.builds(lambda d: build("line", length=d), size),
+    st.builds(lambda r: build("circle", radius=r), size),
+    st.builds(
+        lambda a, w, n: build("sinusoid", amplitude=a, wavelength=w, periods=n),
+        size,
+        size,
+        st.floats(0.2, 6.0),
+    ),
+    st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
+)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_begins_at_start_and_stays_in_its_plane(kind: str) -> None:
+    path = build(kind)
+    p, dp, ddp = path.at(np.linspace(0.0, path.length, 301))
+    assert p.shape == dp.shape == ddp.shape == (301, 3)
+    np.testing.assert_allclose(p[0], START, atol=1e-15)
+    for rows in (p - START, dp, ddp):
+        np.testing.assert_allclose(rows @ path.normal, 0.0, atol=1e-13 * max(1.0, float(np.abs(rows).max())))
+    if kind != "sinusoid":
+        assert dp[0] @ path.heading == pytest.approx(1.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(any_path, st.floats(0.0, 1.0))
+def test_tangent_is_unit_and_derivatives_match_finite_differences(path: Path, place: float) -> None:
+    bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
+    # The step is small against the tightest bend of the path, and large against rounding.
+    h = 1e-3 / bends
+    s = h + place * (path.length - 2.0 * h)
+    p, dp, ddp = path.at(np.array([s - h, s, s + h]))
+    np.testing.assert_allclose(np.linalg.norm(dp, axis=1), 1.0, atol=1e-13)
+    np.testing.assert_allclose(dp[1] @ ddp[1], 0.0, atol=1e-12 * bends)
+    np.testing.assert_allclose((p[2] - p[0]) / (2.0 * h), dp[1], atol=3e-5)
+    np.testing.assert_allclose((dp[2] - dp[0]) / (2.0 * h), ddp[1], atol=3e-5 * bends)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.1, 40.0), st.floats(0.002, 0.5), st.floats(0.0, 1.0))
+def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place: float) -> None:
+    path = spiral(START, HEADING, turns=turns, radius=radius, normal=NORMAL)
+    pitch = radius / (2.0 * math.pi * turns)
+    s = place * path.length
+    angle = float(np.linalg.norm(path.at(s)[0] - START)) / pitch
+    exact = 0.5 * pitch * (angle * math.sqrt(1.0 + angle * angle) + math.asinh(angle))
+    assert exact == pytest.approx(s, abs=1e-9)
+    assert np.linalg.norm(path.at(path.length)[0] - START) == pytest.approx(radius, abs=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.001, 0.2), st.floats(0.01, 0.3), st.floats(0.1, 5.0), st.floats(0.0, 1.0))
+def test_sinusoid_arc_length_is_the_integral(a: float, length: float, periods: float, place: float) -> None:
+    sizes = {"amplitude": a, "wavelength": length, "periods": periods}
+    path = sinusoid((0, 0, 0), (1, 0, 0), **sizes, normal=(0, 0, 1))
+    k = 2.0 * math.pi / length
+    s = place * path.length
+    x, y, _ = path.at(s)[0]
+    # Quarter by quarter: the integrand's sharp turns lie at the ends, where the quadrature is dense.
+    ends = np.append(np.arange(0.0, x, 0.25 * length), x)
+    exact = sum(
+        quad(lambda t: math.hypot(1.0, a * k * math.cos(k * t)), low, high, epsabs=1e-13, limit=200)[0]
+        for low, high in itertools.pairwise(ends)
+    )
+    assert exact == pytest.approx(s, abs=1e-9)
+    assert y == pytest.approx(a * math.sin(k * x), abs=1e-12)
+    assert path.at(path.length)[0][0] == pytest.approx(periods * length, abs=1e-12)
+
+
+def test_circle_closes_smoothly_and_keeps_its_radius() -> None:
+    path = circle(START, (0.0, 1.0, 0.0), radius=0.03, normal=(0.0, 0.0, 1.0))
+    assert path.length == pytest.approx(2.0 * math.pi * 0.03, rel=1e-15)
+    for first, last in zip(path.at(0.0), path.at(path.length), strict=True):
+        np.testing.assert_allclose(first, last, atol=1e-13)
+    center = START + np.array([0.0, 0.03, 0.0])
+    p, _, ddp = path.at(np.linspace(0.0, path.length, 97))
+    np.testing.assert_allclose(np.linalg.norm(p - center, axis=1), 0.03, rtol=1e-13)
+    np.testing.assert_allclose(ddp, (center - p) / 0.03**2, atol=1e-10)
+    # Counter-clockwise about +z: from south of its centre it leaves towards the east.
+    np.testing.assert_allclose(path.at(0.0)[1], [1.0, 0.0, 0.0], atol=1e-15)
+
+
+def test_line_ends_at_its_end() -> None:
+    end = START + np.array([0.0, 0.0, -0.2])
+    path = line(START, end)
+    assert path.length == pytest.approx(0.2)
+    np.testing.assert_allclose(path.at(path.length)[0], end, atol=1e-15)
+    np.testing.assert_array_equal(path.at(0.1)[2], np.zeros(3))
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_vector_form_is_the_scalar_form_to_the_bit(kind: str) -> None:
+    path = build(kind)
+    s = np.random.default_rng(3).uniform(0.0, path.length, 50)
+    vector = path.at(s)
+    for i, entry in enumerate(s):
+        for rows, row in zip(vector, path.at(entry), strict=True):
+            np.testing.assert_array_equal(rows[i], row)
+    assert [rows.shape for rows in path.at(np.empty(0))] == [(0, 3)] * 3
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_path_survives_pickling(kind: str) -> None:
+    path = build(kind)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(path)).at(0.01), path.at(0.01))
+
+
+def test_placement_vectors_are_read_only() -> None:
+    path = build("circle")
+    for vector in (path.start, path.normal, path.heading, path.left, path.curve.knots):
+        with pytest.raises(ValueError, match="read-only"):
+            vector[0] = 1.0
+
+
+@pytest.mark.parametrize("s", [-1e-3, 1.0, math.nan, [[0.0]], "here"])
+def test_arc_length_outside_the_path_is_an_error(s: object) -> None:
+    with pytest.raises(TaskError, match="s "):
+        build("line").at(s)  # type: ignore[arg-type]
+
+
+def test_unknown_names_list_the_valid_ones() -> None:
+    with pytest.raises(UnknownNameError, match=r"path 'sinus': did you mean 'sinusoid'.*circle, line"):
+        make_path("sinus", START, normal=NORMAL, heading=HEADING)
+    with pytest.raises(UnknownNameError, match=r"size of a circle 'radus': did you mean 'radius'"):
+        make_path("circle", START, normal=NORMAL, heading=HEADING, radus=0.1)
+    # Only what a user sets is a size.
+    with pytest.raises(UnknownNameError, match=r"valid names: radius$"):
+        make_path("circle", START, normal=NORMAL, heading=HEADING, radius=0.1, length=0.3)
+
+
+def test_missing_size_is_named() -> None:
+    with pytest.raises(TaskError, match="sinusoid needs its wavelength, periods"):
+        make_path("sinusoid", START, normal=NORMAL, heading=HEADING, amplitude=0.1)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+@pytest.mark.parametrize("bad", [0.0, -0.1, math.nan, math.inf, "0.1", None, True])
+def test_sizes_must_be_positive_finite_numbers(kind: str, bad: object) -> None:
+    for name in SIZES[kind]:
+        with pytest.raises(TaskError, match=name):
+            build(kind, **{name: bad})  # type: ignore[arg-type]
+
+
+def test_sizes_that_cannot_be_tabulated_are_refused() -> None:
+    with pytest.raises(TaskError, match="fewer periods or turns"):
+        build("sinusoid", periods=1e9)
+
+
+def test_unusable_placements_are_refused() -> None:
+    with pytest.raises(TaskError, match="parallel"):
+        make_path("line", START, normal=NORMAL, heading=-2.0 * NORMAL, length=0.1)
+    with pytest.raises(TaskError, match="parallel"):
+        circle(START, NORMAL, radius=0.1, normal=NORMAL)
+    with pytest.raises(TaskError, match=r"normal .* no direction"):
+        make_path("line", START, normal=np.zeros(3), heading=HEADING, length=0.1)
+    with pytest.raises(TaskError, match=r"start .* three finite"):
+        make_path("line", START[:2], normal=NORMAL, heading=HEADING, length=0.1)
+    with pytest.raises(TaskError, match=r"end .* is the start"):
+        line(START, START)

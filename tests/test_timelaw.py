@@ -1,0 +1,155 @@
+"""The quintic law and the shortest duration within the limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks import CURVES, Path, Reference, duration, make_path, quintic
+
+SIZES: dict[str, dict[str, float]] = {
+    "line": {"length": 0.08},
+    "circle": {"radius": 0.03},
+    "sinusoid": {"amplitude": 0.01, "wavelength": 0.03, "periods": 2.5},
+    "spiral": {"turns": 3.0, "radius": 0.03},
+}
+
+
+def build(kind: str, **changed: float) -> Path:
+    """One path of each kind, tilted in space."""
+    sizes = {**SIZES[kind], **changed}
+    return make_path(kind, (0.4, -0.1, 0.25), normal=(0.2, -0.3, 2.0), heading=(1.0, 0.4, 0.1), **sizes)
+
+
+size = st.floats(0.003, 0.3)
+# No steeper than that an even sampling can see the crests; steeper ones have a test of their own.
+curved = st.one_of(
+    st.builds(lambda r: build("circle", radius=r), size),
+    st.builds(
+        lambda a, w, n: build("sinusoid", amplitude=a * w, wavelength=w, periods=n),
+        st.floats(0.01, 0.6),
+        size,
+        st.floats(0.2, 6.0),
+    ),
+    st.builds(lambda n, r: build("spiral", turns=n, radius=r), st.floats(0.1, 8.0), size),
+)
+
+
+def test_quintic_starts_and_ends_at_rest() -> None:
+    assert quintic(0.0) == (0.0, 0.0, 0.0)
+    assert quintic(1.0) == (1.0, 0.0, 0.0)
+    assert quintic(0.5) == (0.5, 1.875, 0.0)
+
+
+@given(st.floats(0.01, 0.99))
+def test_quintic_derivatives_match_finite_differences(u: float) -> None:
+    h = 1e-5
+    (s0, ds0, _), (s1, ds1, _) = quintic(u - h), quintic(u + h)
+    _, ds, dds = quintic(u)
+    assert (s1 - s0) / (2.0 * h) == pytest.approx(ds, abs=1e-8)
+    assert (ds1 - ds0) / (2.0 * h) == pytest.approx(dds, abs=1e-7)
+
+
+@given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), st.floats(1e-3, 100.0))
+@example(0.1, 0.05, 100.0)
+@example(0.1, 10.0, 0.05)
+def test_straight_duration_is_the_formula_exactly(length: float, v_max: float, a_max: float) -> None:
+    expected = max(15.0 * length / (8.0 * v_max), math.sqrt(10.0 * length / (math.sqrt(3.0) * a_max)))
+    assert duration(build("line", length=length), v_max, a_max) == expected
+
+
+def extremes(reference: Reference, count: int) -> tuple[float, float]:
+    """Largest sampled speed and acceleration, as parts of their limits."""
+    t = reference.t_start + np.linspace(0.0, reference.duration, count)
+    _, dx, ddx = reference.at(t)
+    speed, acceleration = np.linalg.norm(dx, axis=1).max(), np.linalg.norm(ddx, axis=1).max()
+    return float(speed) / reference.v_max, float(acceleration) / reference.a_max
+
+
+@settings(max_examples=40, deadline=None)
+@given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
+def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
+    used = extremes(Reference(path, v_max, a_max), 30_001)
+    assert max(used) <= 1.0 + 1e-9
+    assert max(used) >= 1.0 - 1e-3
+
+
+@pytest.mark.parametrize(
+    ("kind", "sizes"),
+    [
+        ("sinusoid", {"amplitude": 0.1, "wavelength": 0.01, "periods": 1.5}),
+        ("sinusoid", {"periods": 60.0}),
+        ("spiral", {"turns": 50.0, "radius": 0.05}),
+    ],
+)
+def test_sharp_and_many_bends_are_all_seen(kind: str, sizes: dict[str, float]) -> None:
+    used = extremes(Reference(build(kind, **sizes), 100.0, 0.5), 100_001)
+    assert 1.0 - 1e-3 <= max(used) <= 1.0 + 1e-9
+
+
+def test_centripetal_acceleration_lengthens_the_motion() -> None:
+    circle = build("circle")
+    straight = build("line", length=circle.length)
+    assert duration(circle, 1.0, 0.2) > 1.1 * duration(straight, 1.0, 0.2)
+    # At the middle the tangential part is zero and v^2/r is all there is.
+    reference = Reference(circle, 1.0, 0.2)
+    peak = 15.0 / 8.0 * circle.length / reference.duration
+    ddx = reference.at(0.5 * reference.duration)[2]
+    assert np.linalg.norm(ddx) == pytest.approx(peak**2 / 0.03, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_velocity_and_acceleration_are_the_derivatives(kind: str) -> None:
+    reference = Reference(build(kind), 0.1, 0.3, t_start=0.5)
+    h = 1e-5 * reference.duration
+    t = 0.5 + reference.duration * np.linspace(0.02, 0.98, 200)
+    (x0, v0, _), (x1, v1, _), (_, v, a) = reference.at(t - h), reference.at(t + h), reference.at(t)
+    np.testing.assert_allclose((x1 - x0) / (2.0 * h), v, atol=1e-6 * 0.1)
+    np.testing.assert_allclose((v1 - v0) / (2.0 * h), a, atol=1e-5 * 0.3)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_holds_before_and_after(kind: str) -> None:
+    path = build(kind)
+    reference = Reference(path, 0.1, 0.3, t_start=2.0)
+    for times, place in (((-5.0, 0.0, 2.0), 0.0), ((2.0 + reference.duration, 1e6, math.inf), path.length)):
+        for t in times:
+            x, dx, ddx = reference.at(t)
+            np.testing.assert_allclose(x, path.at(place)[0], atol=1e-15)
+            np.testing.assert_allclose(np.concatenate((dx, ddx)), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+def test_vector_form_is_the_scalar_form_to_the_bit(kind: str) -> None:
+    reference = Reference(build(kind), 0.1, 0.3, t_start=0.1)
+    t = np.random.default_rng(5).uniform(-0.2, reference.duration + 0.3, 100)
+    vector = reference.at(t)
+    assert [rows.shape for rows in vector] == [(100, 3)] * 3
+    for i, entry in enumerate(t):
+        for rows, row, again in zip(vector, reference.at(float(entry)), reference.rows(entry), strict=True):
+            np.testing.assert_array_equal(rows[i], row)
+            np.testing.assert_array_equal(row, again)
+
+
+@pytest.mark.parametrize("name", ["v_max", "a_max"])
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "fast"])
+def test_limits_must_be_positive(name: str, bad: object) -> None:
+    limits: dict[str, object] = {"v_max": 0.1, "a_max": 0.3, name: bad}
+    with pytest.raises(TaskError, match=name):
+        Reference(build("line"), **limits)  # type: ignore[arg-type]
+    with pytest.raises(TaskError, match=name):
+        duration(build("circle"), **limits)  # type: ignore[arg-type]
+
+
+def test_times_must_be_times() -> None:
+    reference = Reference(build("line"), 0.1, 0.3)
+    for bad in (math.nan, np.array([0.1, math.nan]), np.zeros((2, 2)), "soon"):
+        with pytest.raises(TaskError, match="t "):
+            reference.at(bad)
+    with pytest.raises(TaskError, match="t_start"):
+        Reference(build("line"), 0.1, 0.3, t_start=math.inf)

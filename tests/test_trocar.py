@@ -1,0 +1,134 @@
+"""The moving trocar and the distance of the shaft from it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks import Trocar, depth, shaft_distance
+
+POINT = (0.5, 0.1, 0.2)
+points = arrays(np.float64, 3, elements=st.floats(-1.0, 1.0))
+
+
+def test_a_still_trocar_is_still() -> None:
+    p, dp = Trocar(POINT).at(np.linspace(-3.0, 10.0, 40))
+    np.testing.assert_array_equal(p, np.tile(POINT, (40, 1)))
+    np.testing.assert_array_equal(dp, np.zeros((40, 3)))
+
+
+def test_breathing_goes_there_and_back() -> None:
+    trocar = Trocar(POINT, breathing_amplitude_m=0.01, breathing_period_s=5.0, direction=(0.0, 3.0, 4.0))
+    away = 0.01 * np.array([0.0, 0.6, 0.8])
+    for t, part in ((0.0, 0.0), (1.25, 0.5), (2.5, 1.0), (5.0, 0.0), (7.5, 1.0)):
+        np.testing.assert_allclose(trocar.at(t)[0], POINT + part * away, atol=1e-15)
+    for t in (0.0, 2.5, 5.0):
+        np.testing.assert_allclose(trocar.at(t)[1], 0.0, atol=1e-15)
+    np.testing.assert_allclose(trocar.at(1.25)[1], away * math.pi / 5.0, rtol=1e-12, atol=1e-18)
+
+
+@given(st.floats(-20.0, 20.0), st.floats(0.0, 0.05), st.floats(1.0, 10.0), points.filter(np.any))
+def test_velocity_is_the_derivative(t: float, amplitude: float, period: float, direction: np.ndarray) -> None:
+    trocar = Trocar(POINT, amplitude, period, direction)
+    h = 1e-4
+    slope = (trocar.at(t + h)[0] - trocar.at(t - h)[0]) / (2 * h)
+    np.testing.assert_allclose(slope, trocar.at(t)[1], atol=1e-8)
+    assert np.linalg.norm(trocar.at(t)[0] - POINT) <= amplitude * (1.0 + 1e-12) + 1e-15
+
+
+def test_vector_form_is_the_scalar_form_to_the_bit() -> None:
+    trocar = Trocar(POINT, 0.01, 4.2, (1.0, 2.0, 3.0))
+    t = np.random.default_rng(7).uniform(-10.0, 10.0, 200)
+    p, dp = trocar.at(t)
+    for i, entry in enumerate(t):
+        np.testing.assert_array_equal((p[i], dp[i]), trocar.at(float(entry)))
+        np.testing.assert_array_equal((p[i], dp[i]), trocar.rows(entry))
+
+
+def test_trocar_is_frozen() -> None:
+    given_point = np.array(POINT)
+    trocar = Trocar(given_point)
+    given_point[:] = 0.0
+    np.testing.assert_array_equal(trocar.point, POINT)
+    with pytest.raises(ValueError, match="read-only"):
+        trocar.point[0] = 1.0  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        trocar.breathing_period_s = 1.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("field", "bad"),
+    [
+        ("point", (0.0, 1.0)),
+        ("point", (0.0, math.nan, 0.0)),
+        ("breathing_amplitude_m", -0.01),
+        ("breathing_amplitude_m", math.inf),
+        ("breathing_period_s", 0.0),
+        ("direction", (0.0, 0.0, 0.0)),
+    ],
+)
+def test_bad_settings_name_their_field(field: str, bad: object) -> None:
+    with pytest.raises(TaskError, match=field):
+        Trocar(**{"point": POINT, field: bad})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("t", [math.nan, math.inf, [[0.0]], "now"])
+def test_times_must_be_times(t: object) -> None:
+    with pytest.raises(TaskError, match="t "):
+        Trocar(POINT).at(t)  # type: ignore[arg-type]
+
+
+def test_known_distance_and_depth() -> None:
+    # A vertical shaft, tip 0.2 m below the trocar's height and 3-4-5 mm beside it.
+    tip, wrist, p = (0.0, 0.0, -0.2), (0.0, 0.0, 0.178), (0.003, 0.004, 0.0)
+    assert shaft_distance(tip, wrist, p) == pytest.approx(0.005, abs=1e-16)
+    assert depth(tip, wrist, p) == pytest.approx(0.2, abs=1e-16)
+    assert depth((0, 0, 0.1), (0, 0, 0.478), p) == pytest.approx(-0.1, abs=1e-16)
+
+
+@given(points, points, points, points, st.floats(0.01, 3.0))
+def test_distance_and_depth_are_geometry(
+    tip: np.ndarray, tool: np.ndarray, p: np.ndarray, shift: np.ndarray, stretch: float
+) -> None:
+    length = np.linalg.norm(tool)
+    if length < 1e-3:
+        return
+    wrist = tip - tool
+    d, inside = shaft_distance(tip, wrist, p), depth(tip, wrist, p)
+    # Pythagoras: along the shaft and across it.
+    assert math.hypot(d, inside) == pytest.approx(np.linalg.norm(p - tip), abs=1e-12)
+    u = tool / length
+    assert d == pytest.approx(np.linalg.norm(np.cross(p - tip, u)), abs=1e-12)
+    # The distance knows neither where the world's origin is nor where on the shaft the wrist sits.
+    assert shaft_distance(tip + shift, tip - stretch * tool + shift, p + shift) == pytest.approx(d, abs=1e-11)
+    # A point on the shaft has none.
+    assert shaft_distance(tip, wrist, tip - 0.3 * tool) == pytest.approx(0.0, abs=1e-13)
+
+
+def test_rows_are_single_points() -> None:
+    rng = np.random.default_rng(11)
+    tip, wrist, p = rng.normal(size=(3, 20, 3))
+    for function in (shaft_distance, depth):
+        rows = function(tip, wrist, p)
+        assert rows.shape == (20,)
+        single = [function(tip[i], wrist[i], p[i]) for i in range(20)]
+        np.testing.assert_allclose(rows, single, rtol=1e-14)
+        tiled = function(tip, wrist, np.tile(p[0], (20, 1)))
+        np.testing.assert_array_equal(function(tip, wrist, p[0]), tiled)
+
+
+def test_shapes_that_do_not_fit_are_named() -> None:
+    with pytest.raises(TaskError, match="tip has shape"):
+        shaft_distance(np.zeros(2), np.zeros(3), np.zeros(3))
+    with pytest.raises(TaskError, match="same number of rows"):
+        depth(np.zeros((4, 3)), np.ones((5, 3)), np.zeros(3))
+    with pytest.raises(TaskError, match="coincide"):
+        shaft_distance(np.ones(3), np.ones(3), np.zeros(3))
+    with pytest.raises(TaskError, match="wrist"):
+        shaft_distance(np.ones(3), "here", np.zeros(3))  # type: ignore[arg-type]
