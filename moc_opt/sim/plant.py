@@ -1,0 +1,283 @@
+"""The simulated arm: torques in, measurements out, and the truth beside them for the trace."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import PlantError
+from moc_opt.robots import RobotData
+from moc_opt.sim.actuation import Drives
+from moc_opt.sim.contact import Pushes, load_bodies, shaft_force
+from moc_opt.sim.mismatch import Mismatch
+from moc_opt.sim.mjcf import FORCE_SENSOR, MOUNT_SITE, TOOL_BODY, build_spec, compile_model, heavy_links
+from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
+from moc_opt.sim.settings import PlantSettings
+
+Array = NDArray[np.float64]
+
+_RUNAWAY_RAD_PER_S = 1e3
+
+
+@njit(cache=True)
+def _sound(q: Array, v: Array, runaway: float) -> bool:
+    for i in range(q.size):  # noqa: SIM110 - numba compiles no generators
+        if not (np.isfinite(q[i]) and abs(v[i]) < runaway):
+            return False
+    return True
+
+
+class Plant:
+    """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
+
+    What a run gives depends on (data, settings, seed), the start and the torques alone, to the bit: `reset`
+    takes the noise back to its beginning. Plants share nothing, so each thread can have its own. The drives
+    have no dynamics; they cut torques at `data.tau_max`.
+
+    Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
+        to check the plant; writing to these two breaks the promises above.
+    """
+
+    def __init__(self, data: RobotData, settings: PlantSettings | None = None, seed: int = 0) -> None:
+        """Build the arm and put it at rest at `data.q_home`.
+
+        Args:
+            data: the robot, as the controller knows it.
+            settings: how the plant differs from it; None is `PlantSettings.realistic()`.
+            seed: of the mismatch and of the noise, 0 or more.
+
+        Raises:
+            PlantError: MuJoCo cannot take the robot, or its URDF lacks a frame.
+        """
+        self.data = data
+        self.settings = settings = PlantSettings.realistic() if settings is None else settings
+        # One stream for each purpose: switching one thing off leaves the others' numbers as they are.
+        mismatch, *self._noise_seeds = np.random.SeedSequence(seed).spawn(3)
+        links = heavy_links(build_spec(data, substep_s=settings.substep_s))
+        self.mismatch = Mismatch.draw(data, settings, links, mismatch)
+        spec = build_spec(
+            data,
+            substep_s=settings.substep_s,
+            gravity=settings.gravity,
+            mass_scale=self.mismatch.mass_scale,
+            viscous=self.mismatch.viscous_friction,
+            coulomb=self.mismatch.coulomb_friction,
+        )
+        self.mj_model = compile_model(data.name, spec)
+        self.mj_data = mujoco.MjData(self.mj_model)
+        self._bind()
+        self._trocar, self._force, self._point = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        self.reset(data.q_home)
+
+    def _bind(self) -> None:
+        """Views on MuJoCo's memory, taken once: an attribute of MjData costs more than arithmetic on it."""
+        model, state = self.mj_model, self.mj_data
+        bodies = {model.body(i).name: i for i in range(1, model.nbody)}
+        frames = (TOOL_BODY, self.data.tip_frame, self.data.wrist_frame)
+        missing = [name for name in frames if name not in bodies]
+        if missing:
+            raise PlantError(
+                f"robot {self.data.name!r}: its URDF has no links {missing}: load it with "
+                "moc_opt.robots.load_data, which adds them"
+            )
+        self._numbers = self._tool, self._tip, self._wrist = tuple(bodies[name] for name in frames)
+        self._q, self._v, self._bias = state.qpos, state.qvel, state.qfrc_bias
+        self._origin = state.subtree_com[model.body_rootid[self._tool]]
+        self._poses = (state.xfrc_applied, state.xpos, state.xmat, state.xipos, state.cvel)
+        self._mount = state.site_xmat[model.site(MOUNT_SITE).id].reshape(3, 3)
+        # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
+        first = model.sensor(FORCE_SENSOR).adr[0]
+        self._wrench = state.sensordata[first : first + 6]
+        self._pushes = Pushes(bodies, model.body_ipos)
+        self._drives = Drives(self.data.tau_max, self.settings.delay_ticks, state.qfrc_applied)
+
+    def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
+        """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
+
+        Args:
+            q: (n,) joint positions within their limits [rad].
+            v: (n,) joint velocities [rad/s]; None is rest.
+
+        Raises:
+            PlantError: wrong shape, not finite, or q outside the limits; nothing has changed then.
+        """
+        start = self._vector("q", q)
+        speed = self._vector("v", np.zeros(self.data.n) if v is None else v)
+        outside = np.flatnonzero((start < self.data.q_min - 1e-9) | (start > self.data.q_max + 1e-9))
+        if outside.size:
+            i = int(outside[0])
+            raise PlantError(
+                f"q[{i}] = {start[i]:.6g} rad is outside the limits of {self.data.joint_names[i]!r}: "
+                f"choose {self.data.q_min[i]:.6g} to {self.data.q_max[i]:.6g}"
+            )
+        encoders, force = (np.random.default_rng(seed) for seed in self._noise_seeds)
+        self._encoders = Encoders.of(self.settings, self.data.n, encoders)
+        self._wrench_sensor = WrenchSensor.of(self.settings, force)
+        self._pushes.clear()
+        self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
+        mujoco.mj_resetData(self.mj_model, self.mj_data)
+        self._q[:] = start
+        mujoco.mj_forward(self.mj_model, self.mj_data)
+        self._drives.start(self._bias)
+        self._v[:] = speed
+        mujoco.mj_forward(self.mj_model, self.mj_data)
+        self._measurement = Measurement(
+            *self._encoders.start(self._q, self._v), self._wrench_sensor.read(-self._wrench)
+        )
+
+    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
+        """Advance one control period.
+
+        Args:
+            tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, cut at tau_max.
+            trocar: (2, 3) rows: trocar point [m] and its velocity [m/s], which it keeps for the period; None:
+                no trocar in this period.
+
+        Raises:
+            PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
+        """
+        if trocar is not None and (
+            np.shape(trocar) != (2, 3) or not _finite(np.asarray(trocar, dtype=np.float64))
+        ):
+            raise PlantError(
+                f"trocar = {np.asarray(trocar).tolist()!r:.200}: give (2, 3) finite numbers, point [m] over "
+                "velocity [m/s], or None for no trocar; the arm has not moved"
+            )
+        if not _sound(self._q, self._v, _RUNAWAY_RAD_PER_S):
+            raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")
+        self._drives.command(tau)
+        if trocar is None:
+            self._stiffness = self._damping = 0.0
+        else:
+            self._trocar[:] = trocar
+            self._stiffness = self.settings.trocar_stiffness_N_per_m
+            self._damping = self.settings.trocar_damping_Ns_per_m
+        self._advance()
+        self._ticks += 1
+        if not _sound(self._q, self._v, _RUNAWAY_RAD_PER_S):
+            raise PlantError(
+                f"the arm ran away before t = {self.time:.4g} s (v = {self._v.tolist()} rad/s): lower the "
+                "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
+                "rotor inertia"
+            )
+        self._measurement = Measurement(
+            *self._encoders.read(self._q, self._v), self._wrench_sensor.read(-self._wrench)
+        )
+
+    def _advance(self) -> None:
+        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
+        # state, so that measurements and truths need no further call.
+        model, state, substep = self.mj_model, self.mj_data, self.settings.substep_s
+        for i in range(self.settings.substeps):
+            load_bodies(
+                *self._poses,
+                self._origin,
+                *self._numbers,
+                self._trocar,
+                i * substep,
+                self._stiffness,
+                self._damping,
+                self._pushes.bodies,
+                self._pushes.rows,
+                self._force,
+                self._point,
+            )
+            mujoco.mj_step2(model, state)
+            mujoco.mj_step1(model, state)
+
+    def measure(self) -> Measurement:
+        """What the sensors showed at the end of the last period; asking twice gives the same."""
+        return self._measurement
+
+    def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
+        """Hold an external force on a link from the next period on, until it is cleared, replaced or reset.
+
+        Args:
+            body: the link's name.
+            force: (3,) world axes [N].
+            point: (3,) where it acts, in the link's own frame [m], moving along; None: centre of mass.
+
+        Raises:
+            UnknownNameError: no such link.
+            PlantError: wrong shape or not finite.
+        """
+        self._pushes.hold(body, force, point)
+
+    def clear_pushes(self, body: str | None = None) -> None:
+        """Let go of one link, or of all."""
+        self._pushes.clear(body)
+
+    @property
+    def time(self) -> float:
+        """Time since the reset [s]."""
+        return self._ticks * self.settings.period_s
+
+    @property
+    def q(self) -> Array:
+        """(n,) true joint positions [rad]; a read-only copy, as all that follow."""
+        return _readonly(self._q)
+
+    @property
+    def v(self) -> Array:
+        """(n,) true joint velocities [rad/s]."""
+        return _readonly(self._v)
+
+    @property
+    def applied_torque(self) -> Array:
+        """(n,) torque on the joints in the last period, delayed and saturated [Nm]."""
+        return _readonly(self.mj_data.qfrc_applied)
+
+    @property
+    def tip(self) -> Array:
+        """(3,) true tip [m]."""
+        return _readonly(self._poses[1][self._tip])
+
+    @property
+    def wrist(self) -> Array:
+        """(3,) true wrist centre [m]."""
+        return _readonly(self._poses[1][self._wrist])
+
+    @property
+    def mount_rotation(self) -> Array:
+        """(3, 3) true orientation of the force/torque sensor, world from sensor."""
+        return _readonly(self._mount)
+
+    @property
+    def trocar_force(self) -> Array:
+        """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
+        force = np.zeros(3)
+        if self._stiffness > 0.0 or self._damping > 0.0:
+            _, xpos, _, _, cvel = self._poses
+            shaft_force(
+                xpos[self._tip],
+                xpos[self._wrist],
+                cvel[self._tool],
+                self._origin,
+                self._trocar,
+                self.settings.period_s,
+                self._stiffness,
+                self._damping,
+                force,
+                self._point,
+            )
+        return _readonly(force)
+
+    def _vector(self, name: str, value: ArrayLike) -> Array:
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape != (self.data.n,) or not np.isfinite(array).all():
+            raise PlantError(f"{name} = {array.tolist()!r:.200}: give {self.data.n} finite numbers")
+        return array
+
+
+def _finite(array: Array) -> bool:
+    # A sum is not finite if a term is not (or if it overflows, which no position does): 4 us less than
+    # isfinite.
+    return bool(np.isfinite(array.sum()))
+
+
+def _readonly(array: Array) -> Array:
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy

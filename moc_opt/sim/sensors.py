@@ -1,0 +1,236 @@
+"""What the controller gets to see: joint encoders, and the six-axis force/torque sensor at the tool mount."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import PlantError
+from moc_opt.sim.settings import GRAVITY, PlantSettings
+
+Array = NDArray[np.float64]
+_GRAVITY = np.array(GRAVITY)
+
+
+class Measurement(NamedTuple):
+    """What the controller sees; read-only arrays."""
+
+    q: Array
+    """(n,) joint positions [rad]."""
+    v: Array
+    """(n,) joint velocities [rad/s]."""
+    force: Array
+    """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
+
+
+@njit(cache=True)
+def _read(
+    q: Array,
+    noise: Array,
+    resolution: float,
+    gain: float,
+    period: float,
+    last: Array,
+    position: Array,
+    velocity: Array,
+) -> None:
+    for i in range(q.size):
+        position[i] = q[i] + noise[i]
+        if resolution > 0.0:
+            position[i] = resolution * np.rint(position[i] / resolution)
+        velocity[i] += gain * ((position[i] - last[i]) / period - velocity[i])
+        last[i] = position[i]
+
+
+class Encoders:
+    """Joint positions with noise and a finite step; velocities from their low-passed difference quotient.
+
+    velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
+    Without noise, step and cutoff both values are exact; without a cutoff alone, the velocity is the bare
+    quotient.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        period_s: float,
+        rng: np.random.Generator,
+        *,
+        noise_rad: float = 0.0,
+        resolution_rad: float = 0.0,
+        cutoff_Hz: float = 0.0,
+    ) -> None:
+        """Build n encoders that are read every `period_s`; noise is a standard deviation."""
+        self._rng, self._period = rng, period_s
+        self._noise_rad, self._resolution = noise_rad, resolution_rad
+        self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
+        self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
+        self._noise, self._last, self._velocity = np.zeros(n), np.zeros(n), np.zeros(n)
+
+    @classmethod
+    def of(cls, settings: PlantSettings, n: int, rng: np.random.Generator) -> Encoders:
+        """The encoders that the plant's settings describe."""
+        return cls(
+            n,
+            settings.period_s,
+            rng,
+            noise_rad=settings.encoder_noise_rad,
+            resolution_rad=settings.encoder_resolution_rad,
+            cutoff_Hz=settings.velocity_cutoff_Hz,
+        )
+
+    def start(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """First reading at (q, v), each (n,): the velocity estimate begins at v."""
+        if self._exact:
+            return _frozen(q), _frozen(v)
+        self._velocity[:] = v
+        position = np.empty_like(q)
+        self._sample(q, 0.0, position)
+        return _sealed(position), _frozen(self._velocity)
+
+    def read(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
+        if self._exact:
+            return _frozen(q), _frozen(v)
+        position = np.empty_like(q)
+        self._sample(q, self._gain, position)
+        return _sealed(position), _frozen(self._velocity)
+
+    def _sample(self, q: Array, gain: float, position: Array) -> None:
+        if self._noise_rad > 0.0:
+            self._rng.standard_normal(out=self._noise)
+            self._noise *= self._noise_rad
+        _read(q, self._noise, self._resolution, gain, self._period, self._last, position, self._velocity)
+
+
+class WrenchSensor:
+    """Noise on the wrench that the tool exerts on the mount."""
+
+    def __init__(
+        self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0
+    ) -> None:
+        """Build it with the standard deviations of one axis."""
+        self._rng = rng
+        self._noisy = force_noise_N > 0.0 or torque_noise_Nm > 0.0
+        self._deviation = np.repeat([force_noise_N, torque_noise_Nm], 3)
+
+    @classmethod
+    def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
+        """The sensor that the plant's settings describe."""
+        return cls(rng, force_noise_N=settings.force_noise_N, torque_noise_Nm=settings.torque_noise_Nm)
+
+    def read(self, wrench: Array) -> Array:
+        """(6,) force [N] and torque [Nm] as measured, read-only, for the true `wrench` (6,)."""
+        if not self._noisy:
+            return _frozen(wrench)
+        reading = self._rng.standard_normal(6)
+        reading *= self._deviation
+        reading += wrench
+        return _sealed(reading)
+
+
+@dataclass(frozen=True, eq=False)
+class ToolLoad:
+    """What the mount sensor shows when nothing touches the tool: its weight, its inertia force, and a bias.
+
+    The sensor shows what the tool exerts on the mount, in sensor axes R (world from sensor), about itself:
+        force  = R^T (F + m (g - a)) + bias,   torque = R^T T + com x R^T m (g - a) + bias
+    with F, T the external force and torque about the sensor, and a the acceleration of the tool's centre of
+    mass. The torque about the centre of mass that angular acceleration needs is left out: m length^2 / 12, or
+    0.002 Nm for each rad/s^2 of the default tool.
+    """
+
+    mass: float
+    """[kg]"""
+    com: Array
+    """(3,) centre of mass in sensor axes [m]."""
+    bias: Array = field(default_factory=lambda: np.zeros(6))
+    """(6,) reading without any load [N, Nm]."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.mass) and self.mass >= 0.0):
+            raise PlantError(f"tool load mass = {self.mass!r}: give a mass in kg, 0 or more")
+        object.__setattr__(self, "com", _vector("tool load com", self.com, (3,)))
+        object.__setattr__(self, "bias", _vector("tool load bias", self.bias, (6,)))
+
+    @classmethod
+    def identify(cls, readings: ArrayLike, rotations: ArrayLike) -> ToolLoad:
+        """Find mass, centre of mass and bias from readings at rest, free of contact, by linear least squares.
+
+        Args:
+            readings: (k, 6) sensor readings [N, Nm].
+            rotations: (k, 3, 3) sensor orientations, world from sensor.
+
+        Raises:
+            PlantError: shapes differ, or the poses are too alike to tell weight from bias (three, tens
+                of degrees apart, are enough).
+        """
+        wrenches = np.asarray(readings, dtype=np.float64)
+        turns = np.asarray(rotations, dtype=np.float64)
+        k = len(wrenches)
+        wrenches = _vector("readings", wrenches, (k, 6))
+        down = _vector("rotations", turns, (k, 3, 3)).transpose(0, 2, 1) @ _GRAVITY
+        if k < 3 or np.linalg.svd(down - down.mean(axis=0), compute_uv=False)[1] < 1.0:
+            raise PlantError(
+                f"{k} poses turn the tool too little to tell its weight from the sensor's bias: "
+                "take three or more, tens of degrees apart about different axes"
+            )
+        columns = np.concatenate([down.reshape(-1, 1), np.tile(np.eye(3), (k, 1))], axis=1)
+        mass, *force_bias = np.linalg.lstsq(columns, wrenches[:, :3].reshape(-1), rcond=None)[0]
+        if not mass > 0.0:
+            raise PlantError(
+                f"the readings make a tool of {mass:.3g} kg: give what the tool exerts on the mount, in N"
+            )
+        # Linear in m com: column j of (m com) x g is e_j x g.
+        lever = np.cross(np.eye(3), down[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
+        columns = np.concatenate([lever, np.tile(np.eye(3), (k, 1))], axis=1)
+        moment = np.linalg.lstsq(columns, wrenches[:, 3:].reshape(-1), rcond=None)[0]
+        return cls(float(mass), moment[:3] / mass, np.concatenate([force_bias, moment[3:]]))
+
+    def tared(self, reading: ArrayLike, rotation: ArrayLike) -> ToolLoad:
+        """The same load, its bias such that this reading (6,), at rest and free of contact, means zero."""
+        wrench = _vector("reading", reading, (6,))
+        return replace(self, bias=wrench - replace(self, bias=np.zeros(6)).expected(rotation))
+
+    def expected(self, rotation: ArrayLike, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
+        """Reading (6,) without contact, for an orientation (3, 3) and an acceleration of the com [m/s^2]."""
+        turn = _vector("rotation", rotation, (3, 3))
+        weight = self.mass * (turn.T @ (_GRAVITY - _vector("acceleration", acceleration, (3,))))
+        return np.concatenate([weight, np.cross(self.com, weight)]) + self.bias
+
+    def external(
+        self, reading: ArrayLike, rotation: ArrayLike, acceleration: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> Array:
+        """Estimate the external wrench (6,) on the tool: force [N], torque about the sensor [Nm], world axes.
+
+        Args:
+            reading: (6,) sensor reading.
+            rotation: (3, 3) sensor orientation, world from sensor.
+            acceleration: (3,) of the tool's centre of mass, world axes [m/s^2].
+
+        Raises:
+            PlantError: a shape is wrong or a value is not finite.
+        """
+        rest = _vector("reading", reading, (6,)) - self.expected(rotation, acceleration)
+        return np.concatenate([np.asarray(rotation) @ rest[:3], np.asarray(rotation) @ rest[3:]])
+
+
+def _vector(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise PlantError(f"{name} must be finite and of shape {shape}: it is {array.tolist()!r:.100}")
+    return _sealed(array)
+
+
+def _frozen(array: Array) -> Array:
+    return _sealed(array.copy())
+
+
+def _sealed(array: Array) -> Array:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,91 @@
+"""What a plant is made of: every way in which it differs from the controller's model, in one record."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from moc_opt.errors import MocOptError, PlantError
+from moc_opt.settings import Settings
+
+GRAVITY = (0.0, 0.0, -9.81)
+"""[m/s^2], world axes; pinocchio's default too."""
+_COARSEST_SUBSTEP_S = 1e-3
+
+
+class PlantSettings(Settings):
+    """Settings of the simulated arm, its trocar and its sensors; units are in the names, 0 switches off.
+
+    The defaults are `realistic()`: a plant that equals the controller's model proves little.
+
+    Raises:
+        PlantError: a value is out of range; the message names the field, the value and the range.
+        UnknownNameError: a field does not exist; the message lists the nearest ones.
+    """
+
+    KIND: ClassVar[str] = "plant setting"
+    ERROR: ClassVar[type[MocOptError]] = PlantError
+
+    period_s: float = Field(0.002, gt=0, le=0.1, description="control period")
+    substeps: int = Field(2, ge=1, le=1000, description="plant steps in a control period, each 1 ms at most")
+    gravity: bool = Field(True, description="9.81 m/s^2 along -z, or none")
+    mass_error: float = Field(
+        0.10, ge=0, le=0.9, description="link masses scaled by 1 +- this, uniform per link"
+    )
+    friction: float = Field(1.0, ge=0, le=10, description="scale on the robot's viscous and Coulomb friction")
+    friction_error: float = Field(
+        0.20, ge=0, lt=1, description="friction scaled by 1 +- this, uniform per joint"
+    )
+    encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation")
+    encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1, description="step of an 18-bit encoder")
+    velocity_cutoff_Hz: float = Field(50.0, ge=0, description="low-pass on the difference quotient")
+    force_noise_N: float = Field(0.05, ge=0, description="standard deviation, per axis")
+    torque_noise_Nm: float = Field(0.002, ge=0, description="standard deviation, per axis")
+    delay_ticks: int = Field(1, ge=0, le=100, description="control periods from command to torque")
+    trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6, description="abdominal wall: 500 to 3000")
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4)
+    trocar_registration_error_m: float = Field(
+        0.0005, ge=0, le=0.1, description="trocar is this far from its map"
+    )
+
+    @model_validator(mode="after")
+    def _fine_enough(self) -> Self:
+        if self.period_s / self.substeps > _COARSEST_SUBSTEP_S * (1 + 1e-9):
+            need = math.ceil(self.period_s / _COARSEST_SUBSTEP_S - 1e-9)
+            raise ValueError(
+                f"substeps = {self.substeps} makes plant steps of {1e3 * self.substep_s:g} ms; "
+                f"raise substeps to {need} or more (1 ms is the coarsest)"
+            )
+        return self
+
+    @property
+    def substep_s(self) -> float:
+        """Plant step [s]."""
+        return self.period_s / self.substeps
+
+    @classmethod
+    def realistic(cls, **changes: Any) -> PlantSettings:
+        """Wrong masses, friction, noise, a tick of delay, a trocar 0.5 mm off; `changes` override fields."""
+        return cls(**changes)
+
+    @classmethod
+    def nominal(cls, **changes: Any) -> PlantSettings:
+        """The plant equals the controller's model and is measured exactly; `changes` override fields."""
+        exact: dict[str, Any] = dict.fromkeys(
+            (
+                "mass_error",
+                "friction",
+                "friction_error",
+                "encoder_noise_rad",
+                "encoder_resolution_rad",
+                "velocity_cutoff_Hz",
+                "force_noise_N",
+                "torque_noise_Nm",
+                "delay_ticks",
+                "trocar_registration_error_m",
+            ),
+            0,
+        )
+        return cls(**{**exact, **changes})

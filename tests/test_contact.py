@@ -1,0 +1,258 @@
+"""The trocar's force on the shaft, held forces, and what both do to the arm."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import PlantError, UnknownNameError
+from moc_opt.model import RobotModel
+from moc_opt.robots import load_data
+from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim.contact import Pushes, add_force, load_bodies, shaft_force
+
+DATA = load_data("lwr4")
+MODEL = RobotModel(DATA)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, stiffness, damping):
+    """The kernel's formula, term by term."""
+    u = (tip - wrist) / np.linalg.norm(tip - wrist)
+    p = trocar[0] + elapsed * trocar[1]
+    c = tip + u * (u @ (p - tip))
+    w = twist[3:] + np.cross(twist[:3], c - origin)
+    across = np.eye(3) - np.outer(u, u)
+    return across @ (stiffness * (p - c) + damping * (trocar[1] - w)), c
+
+
+def scene(seed):
+    rng = np.random.default_rng(seed)
+    tip, wrist, origin = rng.uniform(-1, 1, (3, 3))
+    wrist = tip + 0.4 * (wrist - tip) / np.linalg.norm(wrist - tip)
+    return rng, tip, wrist, rng.normal(size=6), origin, rng.uniform(-1, 1, (2, 3))
+
+
+def kernel(*args):
+    force, point = np.empty(3), np.empty(3)
+    shaft_force(*args, force, point)
+    return force, point
+
+
+def shaft_of(plant, depth=0.15, off=1e-3):
+    """A trocar (2, 3) at rest, `off` metres beside the shaft."""
+    u = (plant.wrist - plant.tip) / np.linalg.norm(plant.wrist - plant.tip)
+    side = np.cross(u, [1.0, 0.2, 0.0])
+    return np.vstack([plant.tip + depth * u + off * side / np.linalg.norm(side), np.zeros(3)])
+
+
+@given(seeds)
+@settings(max_examples=100, deadline=None)
+def test_kernel_is_its_formula(seed):
+    rng, tip, wrist, twist, origin, trocar = scene(seed)
+    elapsed, k, d = rng.uniform(0, 0.01), rng.uniform(0, 2e4), rng.uniform(0, 100)
+    force, point = kernel(tip, wrist, twist, origin, trocar, elapsed, k, d)
+    want_force, want_point = numpy_shaft_force(tip, wrist, twist, origin, trocar, elapsed, k, d)
+    np.testing.assert_allclose(force, want_force, rtol=1e-11, atol=1e-11 * k)
+    np.testing.assert_allclose(point, want_point, atol=1e-12)
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_tool_slides_and_spins_freely(seed):
+    rng, tip, wrist, _, _, trocar = scene(seed)
+    u = (tip - wrist) / np.linalg.norm(tip - wrist)
+    on_shaft = np.vstack([tip - rng.uniform(0, 0.4) * u, np.zeros(3)])
+    twist = np.concatenate([rng.normal() * u, rng.normal() * u])
+    force, _ = kernel(tip, wrist, twist, tip, on_shaft, 0.0, 800.0, 10.0)
+    assert np.abs(force).max() < 1e-10
+    force, _ = kernel(tip, wrist, twist, tip, trocar, 0.0, 800.0, 10.0)
+    assert abs(force @ u) < 1e-9
+
+
+@given(seeds)
+@settings(max_examples=50, deadline=None)
+def test_a_resting_trocar_only_takes_energy(seed):
+    """Power on the tool = -d/dt (k/2 distance^2) - damping |w across|^2, by differences along the motion."""
+    _, tip, wrist, twist, _, trocar = scene(seed)
+    trocar[1] = 0.0
+    k, d, dt = 800.0, 10.0, 1e-6
+    force, point = kernel(tip, wrist, twist, tip, trocar, 0.0, k, d)
+    power = force @ (twist[3:] + np.cross(twist[:3], point - tip))
+
+    def stored(t):
+        turn = np.cross(twist[:3], wrist - tip)
+        ends = tip + t * twist[3:], wrist + t * (twist[3:] + turn)
+        _, c = numpy_shaft_force(*ends, twist, ends[0], trocar, 0.0, k, d)
+        return 0.5 * k * np.sum((trocar[0] - c) ** 2)
+
+    u = (tip - wrist) / np.linalg.norm(tip - wrist)
+    w = twist[3:] + np.cross(twist[:3], point - tip)
+    lost = d * np.sum((w - u * (u @ w)) ** 2)
+    rate = (stored(dt) - stored(-dt)) / (2 * dt)
+    np.testing.assert_allclose(power, -rate - lost, rtol=1e-5, atol=1e-3)
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_wrench_about_the_com_does_the_same_work(seed):
+    force, point, com, omega, linear = np.random.default_rng(seed).normal(size=(5, 3))
+    wrench = np.ones(6)
+    add_force(wrench, force, point, com)
+    work = (wrench - 1) @ np.concatenate([linear, omega])
+    np.testing.assert_allclose(work, force @ (linear + np.cross(omega, point - com)), atol=1e-12)
+
+
+def test_loads_add_up_and_old_ones_go():
+    rng = np.random.default_rng(4)
+    xpos, xipos, cvel = rng.normal(size=(4, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 6))
+    xmat = np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0].ravel() for _ in range(4)])
+    origin, trocar, pushes = rng.normal(size=3), rng.normal(size=(2, 3)), rng.normal(size=(2, 6))
+    wrenches, force = np.full((4, 6), 9.0), np.empty(3)
+    load_bodies(
+        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar, 1e-3, 800.0, 10.0,
+        np.array([1, 3]), pushes, force, np.empty(3),
+    )  # fmt: skip
+    want = np.zeros((4, 6))
+    trocar_force, c = numpy_shaft_force(xpos[2], xpos[3], cvel[1], origin, trocar, 1e-3, 800.0, 10.0)
+    want[1] += np.concatenate([trocar_force, np.cross(c - xipos[1], trocar_force)])
+    for body, push in zip((1, 3), pushes, strict=True):
+        arm = xpos[body] + xmat[body].reshape(3, 3) @ push[3:] - xipos[body]
+        want[body] += np.concatenate([push[:3], np.cross(arm, push[:3])])
+    np.testing.assert_allclose(wrenches, want, atol=1e-9)
+    np.testing.assert_allclose(force, trocar_force, atol=1e-9)
+    load_bodies(
+        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar * np.nan, 0.0, 0.0, 0.0,
+        np.zeros(0, np.int64), np.zeros((0, 6)), force, np.empty(3),
+    )  # fmt: skip
+    assert not wrenches.any()
+    assert not force.any()
+
+
+def test_pushes_name_what_is_wrong():
+    pushes = Pushes({"elbow": 1}, np.zeros((2, 3)))
+    with pytest.raises(UnknownNameError, match="did you mean 'elbow'"):
+        pushes.hold("elbwo", [1, 0, 0])
+    with pytest.raises(UnknownNameError, match="elbow"):
+        pushes.clear("knee")
+    with pytest.raises(PlantError, match="push force"):
+        pushes.hold("elbow", [1, 0])
+    with pytest.raises(PlantError, match="push point"):
+        pushes.hold("elbow", [1, 0, 0], [np.nan, 0, 0])
+    assert pushes.bodies.size == 0
+    pushes.hold("elbow", [1, 0, 0])
+    pushes.hold("elbow", [0, 2, 0])
+    assert pushes.rows.tolist() == [[0, 2, 0, 0, 0, 0]]
+    pushes.clear("elbow")
+    assert pushes.bodies.size == 0
+
+
+# One plant step from rest, gravity held: v = step * M^-1 J^T F, with J from the controller's model.
+ONE_STEP = PlantSettings.nominal(period_s=1e-3, substeps=1)
+
+
+def test_trocar_accelerates_the_arm_through_the_point_of_contact():
+    plant = Plant(DATA, ONE_STEP)
+    state = MODEL.state(DATA.q_home)
+    trocar = shaft_of(plant, depth=0.15, off=2e-3)
+    plant.step(state.h, trocar)
+    share = 0.15 / np.linalg.norm(state.tip - state.wrist)
+    jacobian = (1 - share) * state.J_tip + share * state.J_wrist
+    force, _ = numpy_shaft_force(state.tip, state.wrist, np.zeros(6), np.zeros(3), trocar, 0.0, 800.0, 10.0)
+    assert np.linalg.norm(force) == pytest.approx(1.6, rel=1e-9)
+    want = 1e-3 * np.linalg.solve(state.M, jacobian.T @ force)
+    np.testing.assert_allclose(plant.v, want, atol=1e-12)
+
+
+@pytest.mark.parametrize(("link", "frame"), [("tip", "J_tip"), ("wrist", "J_wrist")])
+def test_push_accelerates_the_arm_through_its_point(link, frame):
+    plant = Plant(DATA, ONE_STEP)
+    state = MODEL.state(DATA.q_home)
+    plant.push(link, [3.0, -2.0, 1.0], [0.0, 0.0, 0.0])
+    plant.step(state.h)
+    want = 1e-3 * np.linalg.solve(state.M, getattr(state, frame).T @ [3.0, -2.0, 1.0])
+    np.testing.assert_allclose(plant.v, want, atol=1e-12)
+
+
+def test_push_is_held_until_cleared_or_reset():
+    plant = Plant(DATA, PlantSettings.nominal())
+    hold = plant.applied_torque
+
+    def speed_after(periods):
+        for _ in range(periods):
+            plant.step(hold)
+        return np.linalg.norm(plant.v)
+
+    plant.push("link_3", [0.0, 20.0, 0.0])
+    speeds = [speed_after(1), speed_after(1), speed_after(1)]
+    np.testing.assert_allclose(speeds, speeds[0] * np.array([1, 2, 3]), rtol=0.01)
+    plant.clear_pushes("link_3")
+    np.testing.assert_allclose(speed_after(1), speeds[-1], rtol=0.01)
+    plant.push("link_3", [0.0, 20.0, 0.0])
+    plant.reset(DATA.q_home)
+    assert speed_after(20) < 1e-9
+
+
+def test_trocar_force_is_the_force_now():
+    plant = Plant(DATA, PlantSettings.nominal())
+    state = MODEL.state(DATA.q_home)
+    trocar = shaft_of(plant)
+    trocar[1] = [0.01, -0.02, 0.005]
+    for _ in range(5):
+        plant.step(state.h, trocar)
+    tip, wrist = plant.tip, plant.wrist
+    now = MODEL.state(plant.q, plant.v)
+    u = (now.wrist - now.tip) / np.linalg.norm(now.wrist - now.tip)
+    p = trocar[0] + 0.002 * trocar[1]
+    share = u @ (p - tip) / np.linalg.norm(wrist - tip)
+    w = ((1 - share) * now.J_tip + share * now.J_wrist) @ plant.v
+    across = np.eye(3) - np.outer(u, u)
+    want = across @ (800 * (p - tip) + 10 * (trocar[1] - w))
+    np.testing.assert_allclose(plant.trocar_force, want, atol=1e-9)
+    assert np.linalg.norm(want) > 0.1
+    plant.step(state.h)
+    assert not plant.trocar_force.any()
+
+
+def test_a_moving_trocar_moves_within_the_period():
+    """One period of 20 plant steps equals ten periods of 2, when each is told where the trocar is."""
+    coarse = Plant(DATA, PlantSettings.nominal(period_s=0.02, substeps=20))
+    fine = Plant(DATA, PlantSettings.nominal())
+    state = MODEL.state(DATA.q_home)
+    trocar = shaft_of(coarse)
+    trocar[1] = [0.05, 0.0, 0.02]
+    coarse.step(state.h, trocar)
+    for i in range(10):
+        fine.step(state.h, trocar + np.array([i * 0.002 * trocar[1], np.zeros(3)]))
+    np.testing.assert_allclose(coarse.q, fine.q, atol=1e-12)
+    np.testing.assert_allclose(coarse.trocar_force, fine.trocar_force, atol=1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [800.0, 20e3])
+@pytest.mark.parametrize("damping", [10.0, 100.0])
+def test_stable_up_to_a_rigid_incision(stiffness, damping):
+    """1 mm beside the shaft, arm floating, a little joint damping: never above the first force, then rest."""
+    plant = Plant(
+        DATA, PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
+    )
+    trocar = shaft_of(plant)
+    forces = []
+    for _ in range(1000):
+        plant.step(MODEL.state(plant.q, plant.v).h - 2.0 * plant.v, trocar)
+        forces.append(np.linalg.norm(plant.trocar_force))
+    assert max(forces) < 1.001 * stiffness * 1e-3
+    assert forces[-1] < 0.01 * forces[0]
+
+
+def test_stiff_and_undamped_still_gains_no_energy():
+    plant = Plant(DATA, PlantSettings.nominal(trocar_stiffness_N_per_m=20e3, trocar_damping_Ns_per_m=0))
+    trocar = shaft_of(plant)
+    energies = []
+    for _ in range(1000):
+        state = MODEL.state(plant.q, plant.v)
+        plant.step(state.h, trocar)
+        kinetic = 0.5 * plant.v @ MODEL.state(plant.q).M @ plant.v
+        energies.append(kinetic + 0.5 * np.sum(plant.trocar_force**2) / 20e3)
+    first = 0.5 * 20e3 * 1e-6
+    assert max(energies) < 1.1 * first
+    assert np.mean(energies[-100:]) < 1.05 * first

@@ -1,0 +1,417 @@
+"""The plant equals the controller's model where it should, differs as it was told, and repeats itself."""
+
+import re
+import threading
+import tracemalloc
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from moc_opt.errors import PlantError, UnknownNameError
+from moc_opt.model import RobotModel
+from moc_opt.robots import load_data
+from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim.mjcf import build_spec, compile_model
+
+DATA = load_data("lwr4")
+MODEL = RobotModel(DATA)
+NOMINAL = PlantSettings.nominal()
+_HOME = MODEL.state(DATA.q_home)
+TROCAR = np.array([0.6 * _HOME.tip + 0.4 * _HOME.wrist + [1e-3, 0.0, 0.0], [0.01, 0.0, -0.01]])
+
+
+def inertia(plant):
+    M = np.zeros((plant.data.n, plant.data.n))
+    mujoco.mj_fullM(plant.mj_model, plant.mj_data, M)
+    return M
+
+
+def jacobian(plant, link):
+    J = np.zeros((3, plant.data.n))
+    mujoco.mj_jacBody(plant.mj_model, plant.mj_data, J, None, plant.mj_model.body(link).id)
+    return J
+
+
+def run(plant, periods, seed=0, trocar=TROCAR):
+    """Drive the arm with some seeded torques; the record of everything it shows."""
+    rng = np.random.default_rng(seed)
+    hold, rows = plant.applied_torque, []
+    for _ in range(periods):
+        plant.step(hold + rng.normal(size=7), trocar)
+        rows.append(np.concatenate([plant.q, plant.v, plant.tip, plant.trocar_force, *plant.measure()]))
+    return np.array(rows)
+
+
+# --- the same arm as the controller's model ---
+
+
+@pytest.mark.parametrize("tool", [{}, {"tool_length": 0.42, "tool_mass": 0.7}])
+def test_mujoco_and_pinocchio_agree(tool):
+    data = load_data("lwr4", **tool)
+    model, plant = RobotModel(data), Plant(data, NOMINAL)
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        q, v = rng.uniform(data.q_min, data.q_max), rng.uniform(-2, 2, 7)
+        plant.reset(q, v)
+        state = model.state(q, v)
+        np.testing.assert_allclose(inertia(plant), state.M, atol=1e-9)
+        np.testing.assert_allclose(plant.mj_data.qfrc_bias, state.h, atol=1e-9)
+        np.testing.assert_allclose(plant.tip, state.tip, atol=1e-9)
+        np.testing.assert_allclose(plant.wrist, state.wrist, atol=1e-9)
+        np.testing.assert_allclose(jacobian(plant, "tip"), state.J_tip, atol=1e-9)
+        np.testing.assert_allclose(jacobian(plant, "wrist"), state.J_wrist, atol=1e-9)
+        np.testing.assert_array_equal(plant.q, q)
+        np.testing.assert_array_equal(plant.v, v)
+
+
+def test_rotor_inertia_and_tool_are_in_the_plant():
+    plant = Plant(DATA, NOMINAL)
+    np.testing.assert_array_equal(plant.mj_model.dof_armature, DATA.rotor_inertia)
+    assert plant.mj_model.body("tool").mass[0] == DATA.tool_mass
+    assert plant.mj_model.ngeom == 0
+
+
+def test_free_fall_is_pinocchios_forward_dynamics():
+    """Two plant steps of semi-implicit Euler, computed with the controller's M and h."""
+    plant = Plant(DATA, PlantSettings.nominal(period_s=1e-3))
+    rng = np.random.default_rng(1)
+    q, v = DATA.q_home.copy(), rng.uniform(-0.5, 0.5, 7)
+    tau = rng.uniform(-5, 5, 7)
+    plant.reset(q, v)
+    plant.step(tau)
+    for _ in range(2):
+        state = MODEL.state(q, v)
+        v = v + 5e-4 * np.linalg.solve(state.M, tau - state.h)
+        q = q + 5e-4 * v
+    np.testing.assert_allclose(plant.v, v, atol=1e-10)
+    np.testing.assert_allclose(plant.q, q, atol=1e-12)
+
+
+def test_held_against_gravity_it_stays_put():
+    plant = Plant(DATA, NOMINAL)
+    for _ in range(500):
+        plant.step(MODEL.state(*plant.measure()[:2]).h)
+    assert np.abs(plant.q - DATA.q_home).max() < 1e-9
+    assert plant.time == pytest.approx(1.0)
+
+
+def test_without_friction_energy_is_kept():
+    plant = Plant(DATA, PlantSettings.nominal(gravity=False, substeps=20))
+    plant.reset(DATA.q_home, np.random.default_rng(2).uniform(-0.5, 0.5, 7))
+    first = 0.5 * plant.v @ inertia(plant) @ plant.v
+    for _ in range(250):
+        plant.step(np.zeros(7))
+    assert 0.5 * plant.v @ inertia(plant) @ plant.v == pytest.approx(first, rel=1e-3)
+
+
+# --- as different from it as it was told ---
+
+
+@given(st.integers(0, 1000), st.floats(0.1, 5.0), st.sampled_from([2, 5, 20]))
+@settings(max_examples=15, deadline=None)
+def test_friction_only_takes_energy(seed, scale, substeps):
+    plant = Plant(
+        DATA, PlantSettings.nominal(friction=scale, friction_error=0.2, gravity=False, substeps=substeps)
+    )
+    plant.reset(DATA.q_home, np.random.default_rng(seed).uniform(-0.7, 0.7, 7))
+    energy, first = np.inf, 0.5 * plant.v @ inertia(plant) @ plant.v
+    for _ in range(100):
+        now = 0.5 * plant.v @ inertia(plant) @ plant.v
+        assert now < energy or now < 1e-12
+        energy = now
+        plant.step(np.zeros(7))
+    assert energy < 0.95 * first
+
+
+def test_friction_is_what_the_robot_says():
+    """Turning steadily about the vertical first axis, gravity has no say: the torque needed is d v + c."""
+    plant = Plant(DATA, PlantSettings.nominal(friction=2.0, substeps=20))
+    upright = np.zeros(7)
+    tau = np.zeros(7)
+    viscous, coulomb = 2.0 * DATA.viscous_friction[0], 2.0 * DATA.coulomb_friction[0]
+    plant.reset(upright, [0.4, 0, 0, 0, 0, 0, 0])
+    tau[0] = viscous * 0.4 + coulomb
+    for _ in range(200):
+        plant.step(tau)
+    assert plant.v[0] == pytest.approx(0.4, abs=1e-3)
+
+
+def test_coulomb_friction_sticks_and_slips():
+    plant = Plant(DATA, PlantSettings.nominal(friction=1.0))
+    hold = plant.applied_torque
+    for _ in range(500):
+        plant.step(hold + 0.8 * DATA.coulomb_friction)
+    assert np.abs(plant.v).max() < 1e-4
+    for _ in range(100):
+        plant.step(hold + 1.5 * DATA.coulomb_friction)
+    assert np.abs(plant.v).max() > 0.05
+
+
+def test_masses_are_off_by_the_error_and_nothing_else_is():
+    plant, right = Plant(DATA, PlantSettings.nominal(mass_error=0.1), seed=3), Plant(DATA, NOMINAL)
+    wrong, exact = plant.mj_model, right.mj_model
+    scale = wrong.body_mass[1:-2] / exact.body_mass[1:-2]
+    assert np.abs(scale - 1).max() <= 0.1
+    assert np.abs(scale - 1).max() > 0.03
+    assert len(set(scale)) == len(scale)
+    np.testing.assert_allclose(scale, list(plant.mismatch.mass_scale.values()), rtol=1e-12)
+    np.testing.assert_allclose(wrong.body_inertia[1:-2], scale[:, None] * exact.body_inertia[1:-2], rtol=1e-9)
+    np.testing.assert_array_equal(wrong.body_ipos, exact.body_ipos)
+    np.testing.assert_array_equal(wrong.dof_armature, exact.dof_armature)
+    np.testing.assert_array_equal(plant.tip, right.tip)
+    assert np.abs(plant.applied_torque - right.applied_torque).max() > 0.1
+
+
+def test_mismatch_comes_from_the_seed_and_grows_with_the_error():
+    small, large = (Plant(DATA, PlantSettings(mass_error=e, friction_error=e), seed=5) for e in (0.1, 0.2))
+    other = Plant(DATA, PlantSettings(mass_error=0.1), seed=6)
+    for link, factor in small.mismatch.mass_scale.items():
+        assert large.mismatch.mass_scale[link] - 1 == pytest.approx(2 * (factor - 1))
+        assert other.mismatch.mass_scale[link] != factor
+    for name in ("viscous_friction", "coulomb_friction"):
+        own, twice = (getattr(p.mismatch, name) / getattr(DATA, name) - 1 for p in (small, large))
+        np.testing.assert_allclose(twice, 2 * own, atol=1e-12)
+        assert 0 < np.abs(own).max() <= 0.1
+    offset = small.mismatch.registration_error
+    assert np.linalg.norm(offset) == pytest.approx(5e-4)
+    np.testing.assert_array_equal(offset, large.mismatch.registration_error)
+    assert not Plant(DATA, NOMINAL).mismatch.registration_error.any()
+
+
+def test_torque_is_cut_at_the_limit():
+    plant = Plant(DATA, NOMINAL)
+    tau = 3.0 * DATA.tau_max * np.array([1, -1, 1, -1, 1, -1, 0.1])
+    plant.step(tau)
+    np.testing.assert_array_equal(plant.applied_torque, np.clip(tau, -DATA.tau_max, DATA.tau_max))
+
+
+def test_joints_stop_near_their_limits():
+    plant = Plant(DATA, PlantSettings.nominal(friction=1.0, gravity=False))
+    plant.reset(DATA.q_home)
+    for _ in range(2000):
+        plant.step(np.array([10.0, 0, 0, 0, 0, 0, 0]))
+    assert DATA.q_max[0] - 0.01 < plant.q[0] < DATA.q_max[0] + 0.05
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_torque_acts_after_the_delay(delay):
+    plant = Plant(DATA, PlantSettings.nominal(delay_ticks=delay))
+    hold = plant.applied_torque
+    commands = hold + np.random.default_rng(7).normal(size=(8, 7))
+    acted = []
+    for tau in commands:
+        plant.step(tau)
+        acted.append(plant.applied_torque)
+    want = np.concatenate([np.tile(hold, (delay, 1)), commands])[:8]
+    np.testing.assert_array_equal(acted, want)
+
+
+def test_the_delay_begins_with_what_holds_the_arm():
+    plant = Plant(DATA, PlantSettings.realistic(delay_ticks=20, friction=0), seed=1)
+    plant.step(np.full(7, 5.0))
+    start = plant.q
+    pose = DATA.q_home + 0.2
+    plant.reset(pose)
+    for _ in range(20):
+        plant.step(np.full(7, 5.0))
+    assert np.abs(plant.q - pose).max() < 1e-9
+    plant.step(np.full(7, 5.0))
+    assert np.abs(plant.v).max() > 1e-3
+    assert np.abs(start - DATA.q_home).max() < 1e-9
+
+
+# --- it measures, repeats itself, and shares nothing ---
+
+
+def test_nominal_measurement_is_the_truth():
+    plant = Plant(DATA, NOMINAL)
+    run(plant, 20)
+    q, v, force = plant.measure()
+    np.testing.assert_array_equal(q, plant.q)
+    np.testing.assert_array_equal(v, plant.v)
+    assert force.shape == (6,)
+
+
+def test_realistic_measurement_is_near_the_truth_and_steady():
+    plant = Plant(DATA, seed=2)
+    run(plant, 50)
+    first, second = plant.measure(), plant.measure()
+    assert first is second
+    assert 0 < np.abs(first.q - plant.q).max() < 1e-4
+    assert 0 < np.abs(first.v - plant.v).max() < 0.1
+    for array in (*first, plant.q, plant.v, plant.tip, plant.wrist, plant.trocar_force, plant.applied_torque):
+        assert not array.flags.writeable
+
+
+def test_same_seed_same_numbers():
+    one, two = Plant(DATA, seed=9), Plant(DATA, seed=9)
+    first = run(one, 100)
+    np.testing.assert_array_equal(first, run(two, 100))
+    one.push("link_4", [1, 2, 3])
+    one.reset(DATA.q_home)
+    np.testing.assert_array_equal(first, run(one, 100))
+    assert not np.array_equal(first, run(Plant(DATA, seed=10), 100))
+
+
+def test_noise_seed_does_not_depend_on_other_switches():
+    noisy, noisier = (
+        Plant(DATA, PlantSettings(), seed=4),
+        Plant(DATA, PlantSettings(encoder_noise_rad=0), seed=4),
+    )
+    np.testing.assert_array_equal(noisy.measure().force, noisier.measure().force)
+
+
+def test_plants_share_nothing_even_in_threads():
+    alone = [run(Plant(DATA, seed=seed), 300, seed) for seed in (1, 2)]
+    plants = [Plant(DATA, seed=seed) for seed in (1, 2)]
+    together = {}
+    threads = [
+        threading.Thread(target=lambda i=i: together.update({i: run(plants[i], 300, i + 1)})) for i in (0, 1)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for i in (0, 1):
+        np.testing.assert_array_equal(alone[i], together[i])
+
+
+def test_memory_is_flat():
+    plant, hold = Plant(DATA), Plant(DATA).applied_torque
+    for _ in range(50):
+        plant.step(hold, TROCAR)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(2000):
+        plant.step(hold, TROCAR)
+        plant.measure()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 20_000
+
+
+# --- it refuses nonsense ---
+
+
+@pytest.mark.parametrize(
+    ("tau", "trocar", "words"),
+    [
+        (np.full(7, np.nan), TROCAR, "tau .* not finite"),
+        (np.r_[np.zeros(6), np.inf], None, "tau .* not finite"),
+        (np.zeros(6), None, r"tau has shape \(6,\)"),
+        (0.0, None, "tau has shape"),
+        (np.zeros(7), TROCAR * np.nan, "trocar"),
+        (np.zeros(7), TROCAR[0], "trocar"),
+    ],
+)
+def test_nonsense_moves_nothing(tau, trocar, words):
+    plant, twin = Plant(DATA, seed=8), Plant(DATA, seed=8)
+    run(plant, 5)
+    run(twin, 5)
+    with pytest.raises(PlantError, match=words):
+        plant.step(tau, trocar)
+    np.testing.assert_array_equal(run(plant, 5), run(twin, 5))
+
+
+def test_bad_starts_are_named():
+    plant = Plant(DATA, NOMINAL)
+    run(plant, 3)
+    before = plant.q
+    for q, v, words in (
+        (np.zeros(6), None, "q ="),
+        (np.full(7, np.nan), None, "q ="),
+        (DATA.q_home, np.zeros(3), "v ="),
+        (DATA.q_home + np.eye(7)[0] * 9, None, r"q\[0\] = 9.*'joint_1'.*choose -2.96"),
+    ):
+        with pytest.raises(PlantError, match=words):
+            plant.reset(q, v)
+    np.testing.assert_array_equal(plant.q, before)
+    assert plant.time > 0
+
+
+@pytest.mark.parametrize("force", [1e5, 1e15])
+def test_a_runaway_is_reported_until_reset(force, tmp_path, monkeypatch):
+    """Also one that leaves MuJoCo's own range within the period."""
+    monkeypatch.chdir(tmp_path)
+    light = replace(DATA, rotor_inertia=np.zeros(7))
+    plant = Plant(light, PlantSettings.nominal())
+    plant.push("tool", [force, 0.0, 0.0])
+    with pytest.raises(PlantError, match=r"ran away before t = .* lower the controller's gains"):
+        plant.step(np.zeros(7))
+    with pytest.raises(PlantError, match="call reset first"):
+        plant.step(np.zeros(7))
+    assert force > 1e10 or not list(tmp_path.iterdir())  # MuJoCo writes a log file when it is too late
+    plant.reset(DATA.q_home)
+    plant.step(plant.applied_torque)
+    assert np.abs(plant.v).max() < 1e-6
+
+
+def test_settings_say_what_is_wrong():
+    for values, words in (
+        ({"mass_error": 1.5}, "mass_error = 1.5: .*less than"),
+        ({"delay_ticks": -1}, "delay_ticks = -1: .*greater than"),
+        ({"force_noise_N": np.nan}, "force_noise_N = nan: .*finite"),
+        ({"substeps": 1}, "substeps = 1 .*2 ms; raise substeps to 2"),
+        ({"period_s": 0.01, "substeps": 3}, "raise substeps to 10"),
+        ({"substeps": 0, "friction": -1}, "substeps = 0.*friction = -1"),
+    ):
+        with pytest.raises(PlantError, match=words):
+            PlantSettings(**values)
+    with pytest.raises(UnknownNameError, match="did you mean 'mass_error'"):
+        PlantSettings(mass_eror=0.1)
+    with pytest.raises(ValidationError):
+        PlantSettings().mass_error = 0.5
+
+
+def test_settings_within_other_settings():
+    class Outer(BaseModel):
+        plant: PlantSettings = PlantSettings()
+
+    assert Outer.model_validate({"plant": {"mass_error": 0.2}}).plant.mass_error == 0.2
+    with pytest.raises(ValidationError, match=r"plant\n.*mass_error = 2"):
+        Outer.model_validate({"plant": {"mass_error": 2}})
+
+
+def test_presets():
+    assert PlantSettings() == PlantSettings.realistic()
+    realistic, nominal = PlantSettings().model_dump(), NOMINAL.model_dump()
+    for name, value in realistic.items():
+        if re.search("error|noise|friction|delay|cutoff|resolution", name):
+            assert value > 0
+            assert nominal[name] == 0
+        else:
+            assert value == nominal[name]
+    assert PlantSettings.nominal(delay_ticks=2).delay_ticks == 2
+    assert PlantSettings.realistic(friction=0).friction == 0
+
+
+def test_models_that_cannot_be_are_refused():
+    spec = {"substep_s": 1e-3}
+    with pytest.raises(PlantError, match="MuJoCo cannot read"):
+        build_spec(replace(DATA, urdf="<robot"), **spec)
+    with pytest.raises(PlantError, match=r"lists .*'joint_9'"):
+        build_spec(replace(DATA, joint_names=(*DATA.joint_names[:6], "joint_9")), **spec)
+    with pytest.raises(PlantError, match=r"mass_scale names .*'lnk'"):
+        build_spec(DATA, mass_scale={"lnk": 1.1}, **spec)
+    with pytest.raises(PlantError, match=r"no links .*'nib'"):
+        Plant(replace(DATA, tip_frame="nib"), NOMINAL)
+    bad = DATA.urdf.replace('ixx="0.01845"', 'ixx="0.9"')
+    assert bad != DATA.urdf
+    with pytest.raises(PlantError, match="MuJoCo refuses the model"):
+        compile_model("lwr4", build_spec(replace(DATA, urdf=bad), **spec))
+
+
+def test_shapes_in_the_urdf_change_nothing():
+    """A mesh that is not there, and a box that MuJoCo would take a mass from and let collide."""
+    shapes = (
+        '<link name="tip"><visual><geometry><mesh filename="package://no/where.stl"/></geometry></visual>'
+        '<collision><geometry><box size="1 1 1"/></geometry></collision></link>'
+    )
+    dressed = replace(DATA, urdf=re.sub(r'<link name="tip" ?/>', shapes, DATA.urdf))
+    assert dressed.urdf != DATA.urdf
+    np.testing.assert_array_equal(run(Plant(dressed, seed=1), 20), run(Plant(DATA, seed=1), 20))
