@@ -1,0 +1,90 @@
+"""What a solver is: frozen settings that start sessions; a session owns memory and answers ticks."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.subproblem import NullSpaceQP
+
+Array = NDArray[np.float64]
+
+
+class Status(Enum):
+    """What a solver says of its own answer. The text is the cure."""
+
+    SOLVED = "the solver claims an optimum"
+    INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
+    MAX_ITER = "raise max_iter or loosen eps"
+    TIME_LIMIT = "raise the time budget or take a faster solver"
+    NUMERICAL = "numerical trouble: take rows = 5, damping > 0 or a larger cost_scale"
+    UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
+
+    @property
+    def label(self) -> str:
+        """Lower-case name, as it stands in traces and tables."""
+        return self.name.lower()
+
+
+class Solution(NamedTuple):
+    """An answer.
+
+    Attributes:
+        x: (n,) joint velocity [rad/s]; NaN where there is none.
+        y: (6,) multipliers of the six equality rows with P x + p + A^T y + z = 0
+            (five-row duals are lifted), or None where the solver gives none.
+        status: what the solver claims.
+        iterations: of the solver's own loop; 0 for closed forms.
+    """
+
+    x: Array
+    y: Array | None
+    status: Status
+    iterations: int = 0
+
+
+class Session(Protocol):
+    """The workspace and the warm start of one solver on one stream of subproblems."""
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; never raises for a problem the solver cannot solve."""
+        ...
+
+
+@runtime_checkable
+class Solver(Protocol):
+    """Settings. Two sessions of one solver share nothing."""
+
+    @property
+    def name(self) -> str:
+        """Name in the registry."""
+        ...
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """None when the problem can be taken, else the reason why not."""
+        ...
+
+    def start(self, qp: NullSpaceQP) -> Session:
+        """A new session with its memory sized and set up for problems like ``qp``."""
+        ...
+
+
+def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
+    """A solution without an x: NaN, so that using it by mistake shows."""
+    return Solution(np.full(n, np.nan), None, status, iterations)
+
+
+@runtime_checkable
+class ObservingSession(Protocol):
+    """A session that wants the measured velocity before each tick; the controller calls ``observe``."""
+
+    def observe(self, v: Array) -> None:
+        """Take the measured joint velocity v (n,) [rad/s]."""
+        ...
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        ...

@@ -1,0 +1,113 @@
+"""The yardstick itself: residuals at rounding level, and an independent linear program agrees."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from moc_opt.errors import SolverError
+from moc_opt.solvers import Status, create
+from moc_opt.solvers.exact import Exact
+from moc_opt.subproblem import NullSpaceQP
+from tests.problems import infeasible_problem, random_problem
+
+
+def solve(qp):
+    return Exact().start(qp).solve(qp)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    n=st.sampled_from([6, 7, 8, 9, 11]),
+    structured=st.booleans(),
+    damping=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]),
+)
+def test_kkt_for_any_number_of_joints(seed, n, structured, damping):
+    qp = random_problem(np.random.default_rng(seed), n, structured=structured, damping=damping)
+    solution = solve(qp)
+    found = qp.residuals(solution.x, solution.y)
+    assert solution.status is Status.SOLVED
+    assert found.verified()
+    # rounding, amplified by how well the equalities determine the basic joints
+    s = np.linalg.svd(qp.A, compute_uv=False)
+    assert found.primal < 1e-14 * s[0] / s[s > 1e-9 * s[0]][-1] * 10 + 1e-13
+    assert found.natural < 1e-11
+
+
+@pytest.mark.parametrize("structured", [True, False])
+def test_linear_case_agrees_with_highs(structured):
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        qp = random_problem(rng, structured=structured, damping=0.0)
+        five = qp.reduced()
+        program = linprog(
+            -qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
+        )
+        assert -qp.grad_mu @ solve(qp).x == pytest.approx(program.fun, abs=1e-8)
+
+
+def test_infeasible_agrees_with_highs():
+    rng = np.random.default_rng(12)
+    verdicts = []
+    for i in range(60):
+        make = infeasible_problem if i % 2 else random_problem
+        qp = make(rng, structured=bool(i % 3))
+        five = qp.reduced()
+        bounds = list(zip(qp.lower, qp.upper, strict=True))
+        program = linprog(np.zeros(7), A_eq=five.A, b_eq=five.b, bounds=bounds)
+        solution = solve(qp)
+        assert (solution.status is Status.INFEASIBLE) == (program.status == 2)
+        assert np.isnan(solution.x).all() == (solution.status is Status.INFEASIBLE)
+        verdicts.append(solution.status)
+    assert len(set(verdicts)) == 2
+
+
+def test_inconsistent_references_are_infeasible():
+    qp = random_problem(np.random.default_rng(13))
+    u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
+    for size, expected in ((1e-12, Status.SOLVED), (1e-3, Status.INFEASIBLE)):
+        bent = NullSpaceQP(
+            qp.J_tip, qp.J_wrist, qp.v_tip + size * u, qp.v_wrist, qp.grad_mu, qp.lower, qp.upper
+        )
+        assert solve(bent).status is expected
+
+
+def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
+    qp = random_problem(np.random.default_rng(14), damping=0.0)
+    assert solve(qp).x[6] == 0.0
+    flat = NullSpaceQP(
+        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, np.zeros(7), qp.lower, qp.upper, damping=0.0
+    )
+    x = solve(flat).x
+    least = np.linalg.lstsq(qp.A, qp.b, rcond=None)[0]
+    if (least > qp.lower).all() and (least < qp.upper).all():
+        np.testing.assert_allclose(x, least, atol=1e-10)
+    assert flat.residuals(x).verified()
+
+
+def test_box_of_no_width():
+    qp = random_problem(np.random.default_rng(15))
+    x = solve(qp).x
+    lower, upper = np.array(qp.lower), np.array(qp.upper)
+    lower[2] = upper[2] = x[2]
+    shut = NullSpaceQP(qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, lower, upper)
+    np.testing.assert_allclose(solve(shut).x, x, atol=1e-12)
+
+
+def test_batch_equals_one_by_one():
+    rng = np.random.default_rng(16)
+    problems = [infeasible_problem(rng) if i % 5 == 0 else random_problem(rng) for i in range(40)]
+    X, Y, statuses = Exact().solve_batch(np.array([qp.row for qp in problems]))
+    for qp, x, y, status in zip(problems, X, Y, statuses, strict=True):
+        one = solve(qp)
+        assert status is one.status
+        np.testing.assert_array_equal(x, one.x)
+        if one.y is not None:
+            np.testing.assert_array_equal(y, one.y)
+
+
+def test_settings_are_checked():
+    with pytest.raises(SolverError, match="tolerance"):
+        create("exact", tolerance=0.0)
