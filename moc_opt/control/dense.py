@@ -1,0 +1,87 @@
+"""Small dense algebra for one tick: at 7 x 7 a plain loop beats the call into LAPACK."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def cholesky(S: Array) -> Array:
+    """Lower factor of a symmetric positive definite S (m, m); NaN where S is not."""
+    m = S.shape[0]
+    L = np.zeros((m, m))
+    for j in range(m):
+        d = S[j, j]
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        L[j, j] = np.sqrt(d) if d > 0.0 else np.nan
+        for i in range(j + 1, m):
+            s = S[i, j]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            L[i, j] = s / L[j, j]
+    return L
+
+
+@njit(cache=True, nogil=True)
+def solve_factored(L: Array, b: Array) -> Array:
+    """S^-1 b for a vector b (m,), given the factor of S."""
+    m = L.shape[0]
+    x = b.copy()
+    for i in range(m):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
+
+
+@njit(cache=True, nogil=True)
+def times(A: Array, x: Array) -> Array:
+    """A x."""
+    out = np.zeros(A.shape[0])
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[i] += A[i, j] * x[j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def transpose_times(A: Array, x: Array) -> Array:
+    """A^T x."""
+    out = np.zeros(A.shape[1])
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            out[j] += A[i, j] * x[i]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def gram(A: Array) -> Array:
+    """A A^T."""
+    m, n = A.shape
+    S = np.zeros((m, m))
+    for i in range(m):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(n):
+                s += A[i, k] * A[j, k]
+            S[i, j] = s
+            S[j, i] = s
+    return S
+
+
+@njit(cache=True, nogil=True)
+def dot(a: Array, b: Array) -> float:
+    """a . b without asking for contiguous memory."""
+    s = 0.0
+    for i in range(a.shape[0]):
+        s += a[i] * b[i]
+    return s

@@ -1,0 +1,116 @@
+"""Level 3, manipulability: the subproblem of this tick, and the torque that follows its answer.
+
+Box: lower = max(-vmax, -k0 (q - q_min)), upper = min(vmax, -k0 (q - q_max)), the velocity damper.
+Torque: tau_mu = M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), with Z the rows of an orthonormal
+basis of ker A: it moves neither tip nor wrist, A M^-1 tau_mu = 0 (the consistent form of what
+Su et al. 2019 print as [(Z M Z^T) Z M]^T).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def velocity_damper(
+    q: Array, q_min: Array, q_max: Array, v_max: Array, k0: float, lower: Array, upper: Array
+) -> None:
+    """The box on x [rad/s]: it closes towards a joint limit at rate k0 [1/s], and never crosses over.
+
+    Beyond a limit the damper asks for a velocity back inside, at most v_max.
+    """
+    for i in range(q.shape[0]):
+        lower[i] = min(max(-v_max[i], -k0 * (q[i] - q_min[i])), v_max[i])
+        upper[i] = max(min(v_max[i], -k0 * (q[i] - q_max[i])), -v_max[i])
+
+
+@njit(cache=True, nogil=True)
+def consistent_wrist_velocity(v_tip: Array, v_wrist: Array, u: Array) -> Array:
+    """v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
+    consistent: Array = v_wrist + dot(u, v_tip - v_wrist) * u
+    return consistent
+
+
+@njit(cache=True, nogil=True)
+def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
+    """Carry the basis Z (r, n) of ker A over from the last tick, in place; False where that fails.
+
+    Its rows are projected on the new kernel and made orthonormal again. So Z turns no further
+    than the kernel does, whatever sign a fresh decomposition would have chosen. The dependent
+    wrist row along u is left out. False near a singularity: start again from a decomposition.
+    """
+    r, n = Z.shape
+    a = np.zeros(3)
+    a[np.argmin(np.abs(u))] = 1.0
+    b1 = np.cross(u, a)
+    b1 /= np.sqrt(dot(b1, b1))
+    b2 = np.cross(u, b1)
+    A5 = np.zeros((5, n))
+    A5[:3] = A[:3]
+    for j in range(n):
+        A5[3, j] = b1[0] * A[3, j] + b1[1] * A[4, j] + b1[2] * A[5, j]
+        A5[4, j] = b2[0] * A[3, j] + b2[1] * A[4, j] + b2[2] * A[5, j]
+    S = gram(A5)
+    factor = cholesky(S)
+    for i in range(5):  # also catches NaN
+        if not factor[i, i] * factor[i, i] > 1e-9 * S[i, i]:
+            return False
+    for i in range(r):
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            Z[i] -= transpose_times(A5, solve_factored(factor, times(A5, Z[i])))
+            for k in range(i):
+                Z[i] -= dot(Z[k], Z[i]) * Z[k]
+            length = np.sqrt(dot(Z[i], Z[i]))
+            if not length > 0.5:
+                return False
+            Z[i] /= length
+    return True
+
+
+def null_space(A: Array, like: Array | None = None) -> Array:
+    """Orthonormal rows (r, n) of ker A by SVD, turned to lie closest to ``like`` (orthogonal Procrustes)."""
+    _, s, vh = np.linalg.svd(A)
+    Z = vh[int((s > 1e-9 * s[0]).sum()) :]
+    if like is not None and like.shape == Z.shape:
+        left, _, right = np.linalg.svd(like @ Z.T)
+        Z = left @ right @ Z
+    return np.ascontiguousarray(Z)
+
+
+@njit(cache=True, nogil=True)
+def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
+    """M Z^T (Z M Z^T)^-1 Z push, (n,) [Nm]."""
+    r, n = Z.shape
+    MZ = np.empty((r, n))
+    for i in range(r):
+        MZ[i] = times(M, Z[i])
+    inertia = np.empty((r, r))
+    for i in range(r):
+        for j in range(r):
+            inertia[i, j] = dot(Z[i], MZ[j])
+    torque: Array = transpose_times(MZ, solve_factored(cholesky(inertia), times(Z, push)))
+    return torque
+
+
+@njit(cache=True, nogil=True)
+def least_violation(A: Array, b: Array, lower: Array, upper: Array, sweeps: int) -> Array:
+    """min |A x - b|^2 over the box by coordinate descent: the fallback of the same name."""
+    n = A.shape[1]
+    x = np.empty(n)
+    for j in range(n):
+        x[j] = min(max(0.0, lower[j]), upper[j])
+    residual = times(A, x) - b
+    for _ in range(sweeps):
+        for j in range(n):
+            size = dot(A[:, j], A[:, j])
+            if size > 1e-12:
+                best = min(max(x[j] - dot(A[:, j], residual) / size, lower[j]), upper[j])
+                residual += (best - x[j]) * A[:, j]
+                x[j] = best
+    return x

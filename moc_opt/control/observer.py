@@ -1,0 +1,73 @@
+"""The generalized-momentum observer: what torque acts on the arm that the model does not know of.
+
+r = K_o (p - integral(tau + C^T v - g + r) dt - p(0)),   p = M v
+(De Luca & Mattone 2003). r follows the external torque like a first-order filter of rate K_o.
+Subtracted from the command it takes friction and model error out, and it stiffens the arm against
+contact: force at the trocar is to be reported beside it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.dense import times, transpose_times
+from moc_opt.errors import ControlError
+from moc_opt.model import RobotModel, RobotState
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def momentum_residual(
+    M: Array,
+    C: Array,
+    h: Array,
+    v: Array,
+    tau: Array,
+    gain: float,
+    period: float,
+    integral: Array,
+    r: Array,
+) -> None:
+    """One step of the observer, in place on integral (n,) and r (n,).
+
+    C^T v - g is written as C^T v + C v - h, so that gravity needs no call of its own.
+    """
+    p = times(M, v)
+    known = tau + transpose_times(C, v) + times(C, v) - h
+    for i in range(r.shape[0]):
+        integral[i] += (known[i] + r[i]) * period
+        r[i] = gain * (p[i] - integral[i])
+
+
+class MomentumObserver:
+    """Estimates the external joint torque, friction included.
+
+    Args:
+        robot: the model whose error is to be observed.
+        gain: K_o [1/s]; the explicit step needs gain * period < 2, and noise asks for much less.
+        period: control period [s].
+    """
+
+    def __init__(self, robot: RobotModel, gain: float, period: float) -> None:
+        if not 0.0 < gain * period < 1.0:
+            raise ControlError(
+                f"observer_gain_per_s = {gain} at a period of {period} s: keep it below {1.0 / period:g}"
+            )
+        self._robot, self._gain, self._period = robot, gain, period
+        self._integral, self.external_torque = np.zeros(robot.n), np.zeros(robot.n)
+
+    def start(self, state: RobotState) -> None:
+        """Begin with no external torque at the momentum of ``state``."""
+        self._integral[:] = state.M @ state.v
+        self.external_torque = np.zeros(self._robot.n)
+
+    def update(self, state: RobotState, tau: Array) -> Array:
+        """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
+        C = self._robot.coriolis(state.q, state.v)
+        momentum_residual(
+            state.M, C, state.h, state.v, tau, self._gain, self._period, self._integral, self.external_torque
+        )
+        return self.external_torque

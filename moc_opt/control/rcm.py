@@ -1,0 +1,55 @@
+"""Level 2, the remote centre of motion: the shaft is turned about the tip until it meets the trocar.
+
+The tip at X and the trocar at P_t fix where the wrist belongs: N_d = X + L e with
+e = (P_t - X)/|P_t - X|. A spring pulls the wrist there, F_W = K_N (N_d - N) + D_N (dN_d - J_W v),
+projected so that it does not move the tip (Su et al. 2019; the consistent form of its projector).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
+
+Array = NDArray[np.float64]
+
+PROJECTORS = ("dynamic", "static", "printed")
+
+
+@njit(cache=True, nogil=True)
+def desired_wrist(
+    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
+) -> tuple[Array, Array]:
+    """Wrist centre that puts the shaft through the trocar, and its velocity, (3,) [m], [m/s].
+
+    dN_d = dX + L de/dt,  de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
+    """
+    to_trocar = trocar - tip
+    distance = np.sqrt(dot(to_trocar, to_trocar))
+    e = to_trocar / distance
+    slip = trocar_velocity - tip_velocity
+    turn = (slip - dot(e, slip) * e) / distance
+    return tip + span * e, tip_velocity + span * turn
+
+
+@njit(cache=True, nogil=True)
+def project_dynamic(J_tip: Array, W: Array, mobility_factor: Array, tau: Array) -> Array:
+    """(I - J_T^T Jbar_T^T) tau with Jbar_T = M^-1 J_T^T Lambda_T: no acceleration of the tip."""
+    free: Array = tau - transpose_times(J_tip, solve_factored(mobility_factor, transpose_times(W, tau)))
+    return free
+
+
+@njit(cache=True, nogil=True)
+def project_static(J_tip: Array, tau: Array) -> Array:
+    """(I - J_T^T pinv(J_T)^T) tau: no force at the tip in rest; idempotent, but not dynamic."""
+    free: Array = tau - transpose_times(J_tip, solve_factored(cholesky(gram(J_tip)), times(J_tip, tau)))
+    return free
+
+
+@njit(cache=True, nogil=True)
+def project_printed(J_tip: Array, tau: Array) -> Array:
+    """(I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
+    free: Array = tau - transpose_times(J_tip, times(J_tip, tau))
+    return free

@@ -1,0 +1,83 @@
+"""What a controller can be told. Gains that are left out come from the robot's own table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field
+
+from moc_opt.errors import ControlError, MocOptError, UnknownNameError
+from moc_opt.settings import Settings
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
+
+
+class ControlSettings(Settings):
+    """The stack of three levels.
+
+    ``law``: ``dcac`` is tip and RCM alone, ``moc`` adds the third level. ``gains`` names the table
+    of the robot's TOML to start from (``dcac`` or ``moc``; the law's own when None), so that both
+    laws can run with matched gains.
+    """
+
+    KIND: ClassVar[str] = "[control]"
+    ERROR: ClassVar[type[MocOptError]] = ControlError
+
+    law: Literal["dcac", "moc"] = "moc"
+    gains: str | None = None
+    K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
+    D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
+    K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
+    D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]")
+    K_N2: NotNegative | None = Field(default=None, description="third level, on x* - v [N m s/rad]")
+    D_N2: NotNegative | None = Field(default=None, description="third level, on v [N m s/rad]")
+    dcac_damping: NotNegative = Field(
+        default=0.0, description="damping of the self-motion under dcac; 0 as in the paper"
+    )
+
+    projector: Literal["dynamic", "static", "printed"] = "dynamic"
+    feedforward: bool = Field(default=False, description="acceleration feed-forward of the tip")
+    observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
+    limit_torque: bool = True
+
+    k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
+    c0: NotNegative = 0.01
+    c1: NotNegative = 0.01
+    c2: NotNegative = 0.001
+    damping: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
+    fallback: Literal["damping", "hold", "least-violation"] = Field(
+        default="damping", description="the answer to an infeasible subproblem"
+    )
+
+    @classmethod
+    def paper(cls, **changes: Any) -> ControlSettings:
+        """The paper's parameters where it prints them: no observer, k0 = 0.1, rho = 0."""
+        return cls(**{"k0_per_s": 0.1, "damping": 0.0, "observer_gain_per_s": 0.0, **changes})
+
+    def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+        """K_X .. D_N2 as numbers: settings first, then the robot's table.
+
+        Raises:
+            UnknownNameError: ``gains`` names no table of this robot.
+            ControlError: a gain that this law needs stands nowhere, or the robot's is no number of 0 or more.
+        """
+        name = self.gains or self.law
+        if name not in tables:
+            raise UnknownNameError("table of gains", name, tables)
+        found = {gain: getattr(self, gain) for gain in GAINS}
+        found = {gain: tables[name].get(gain) if value is None else value for gain, value in found.items()}
+        needed = GAINS if self.law == "moc" else GAINS[:4]
+        for gain in needed:
+            if found[gain] is None:
+                raise ControlError(
+                    f"{gain}: not set, and [gains.{name}] of the robot has none; give a number"
+                )
+            if not isinstance(found[gain], int | float) or not 0.0 <= found[gain] < float("inf"):
+                raise ControlError(
+                    f"{gain} = {found[gain]!r} in [gains.{name}] of the robot: give one number of 0 or more"
+                )
+        return {gain: float(found[gain]) if gain in needed else 0.0 for gain in GAINS}

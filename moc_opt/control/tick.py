@@ -1,0 +1,93 @@
+"""The equations of one tick put together: state record in, torque out, no Python in between."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.compliance import compliance_force, task_inertia
+from moc_opt.control.dense import cholesky, solve_factored, times, transpose_times
+from moc_opt.control.manipulability import consistent_wrist_velocity, self_motion_torque, velocity_damper
+from moc_opt.control.rcm import desired_wrist, project_dynamic, project_printed, project_static
+from moc_opt.model_kernels import state_views
+
+Array = NDArray[np.float64]
+
+DYNAMIC, STATIC, PRINTED = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def tracking_torque(
+    record: Array, n: int, tip_ref: Array, trocar: Array, gains: Array, projector: int, feedforward: bool
+) -> Array:
+    """Levels 1 and 2: tau_tip + tau_rcm, (n,) [Nm].
+
+    Args:
+        record: flat state record.
+        tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
+        trocar: (2, 3) rows P_t, dP_t.
+        gains: K_X, D_X, K_N, D_N, ...
+        projector: DYNAMIC, STATIC or PRINTED.
+        feedforward: add Lambda_T (ddX_d - dJ_T v).
+    """
+    s = state_views(record, n)
+    J_tip, J_wrist = s.A[:3], s.A[3:]
+    tip_velocity, wrist_velocity = times(J_tip, s.v), times(J_wrist, s.v)
+    W, mobility = task_inertia(J_tip, cholesky(s.M))
+
+    force = compliance_force(gains[0], gains[1], tip_ref[0], tip_ref[1], s.tip, tip_velocity)
+    if feedforward:
+        force = force + solve_factored(mobility, tip_ref[2] - s.drift[:3])
+    tau: Array = s.h + transpose_times(J_tip, force)
+
+    wish, wish_velocity = desired_wrist(s.tip, tip_velocity, trocar[0], trocar[1], s.scalars[1])
+    turn = compliance_force(gains[2], gains[3], wish, wish_velocity, s.wrist, wrist_velocity)
+    tau_wrist = transpose_times(J_wrist, turn)
+    if projector == DYNAMIC:
+        tau += project_dynamic(J_tip, W, mobility, tau_wrist)
+    elif projector == STATIC:
+        tau += project_static(J_tip, tau_wrist)
+    else:
+        tau += project_printed(J_tip, tau_wrist)
+    return tau
+
+
+@njit(cache=True, nogil=True)
+def fill_subproblem(
+    record: Array, n: int, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array
+) -> None:
+    """Write this tick's NullSpaceQP record (10 n + 10,).
+
+    v_T = dX_d, and v_W is the velocity of the desired wrist for that tip velocity, made
+    consistent with the rigid tool. ``limits`` (3, n) rows q_min, q_max, v_max.
+    """
+    s = state_views(record, n)
+    o = 6 * n
+    for i in range(6):
+        for j in range(n):
+            row[i * n + j] = s.A[i, j]
+    v_tip = tip_ref[1]
+    _, v_wrist = desired_wrist(s.tip, v_tip, trocar[0], trocar[1], s.scalars[1])
+    row[o : o + 3] = v_tip
+    row[o + 3 : o + 6] = consistent_wrist_velocity(v_tip, v_wrist, s.u)
+    row[o + 6 : o + 6 + n] = s.grad_mu
+    velocity_damper(
+        s.q,
+        limits[0],
+        limits[1],
+        limits[2],
+        k0,
+        row[o + 6 + n : o + 6 + 2 * n],
+        row[o + 6 + 2 * n : o + 6 + 3 * n],
+    )
+    row[o + 6 + 3 * n : o + 10 + 3 * n] = weights
+    row[o + 10 + 3 * n :] = s.q
+
+
+@njit(cache=True, nogil=True)
+def third_level(record: Array, n: int, Z: Array, x: Array, gain: float, damping: float) -> Array:
+    """tau_mu = M Z^T (Z M Z^T)^-1 Z (gain (x - v) - damping v), (n,) [Nm]."""
+    s = state_views(record, n)
+    torque: Array = self_motion_torque(s.M, Z, gain * (x - s.v) - damping * s.v)
+    return torque
