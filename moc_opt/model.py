@@ -1,0 +1,206 @@
+"""RobotModel: everything the control laws need to know about an arm at one (q, v), computed once.
+
+Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add what belongs to the tool.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt import model_kernels as kernels
+from moc_opt.errors import RobotError
+from moc_opt.kinematics import Chain, Kinematics, build_kinematics
+from moc_opt.robots import RobotData, load_data
+from moc_opt.state import RobotState
+
+Array = NDArray[np.float64]
+__all__ = ["RobotModel", "RobotState", "load_robot"]
+
+_STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
+
+
+class RobotModel:
+    """The arm with its tool. One model serves one thread: all its calls share pinocchio's workspace."""
+
+    def __init__(self, data: RobotData) -> None:
+        """Build the pinocchio model of `data`.
+
+        Raises:
+            RobotError: pinocchio cannot read the URDF, or its joints or frames are not those of the data.
+        """
+        self.data = data
+        self.n = n = data.n
+        self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
+        self._pin = _build(data)
+        self._pin_data = self._pin.createData()
+        self._side_data = self._pin.createData()
+        frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
+        self._offsets = _read_only(np.array([frame.placement.translation for frame in frames]))
+        if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
+            raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
+        # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
+        self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
+        last = self._pin_data.oMi[n]
+        self._last_rotation_t, self._last_origin = last.rotation.T, last.translation
+        self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
+        self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
+        self._moves = self._find_moves()
+        self._kinematics: Kinematics | None = None
+
+    def __repr__(self) -> str:
+        return f"RobotModel({self.data.name!r}, n={self.n}, tool {self.data.tool_length} m)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RobotModel, (self.data,)  # the views into pinocchio's memory do not survive copying
+
+    def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
+        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (at rest when None).
+
+        Raises:
+            RobotError: q or v has the wrong shape or is not finite.
+        """
+        n = self.n
+        record = np.empty(self._size)
+        record[:n] = self._vector("q", q)
+        record[n : 2 * n] = self._rest if v is None else self._vector("v", v)
+        position, velocity = record[:n], record[n : 2 * n]
+        model, data = self._pin, self._pin_data
+        pin.computeJointJacobians(model, data, position)
+        pin.nonLinearEffects(model, data, position, velocity)
+        pin.crba(model, data, position)
+        code = kernels.fill_state(
+            record,
+            self._axes,
+            self._last_rotation_t,
+            self._last_origin,
+            self._offsets,
+            self._moves,
+            self._inertia,
+            self._bias,
+        )
+        if code != kernels.OK:
+            name, value = ("q", position) if code == kernels.BAD_Q else ("v", velocity)
+            raise RobotError(
+                f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
+            )
+        return RobotState(record, n)
+
+    def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
+        return np.array(
+            pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
+        )
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """Gravity torque g (n,) [Nm]."""
+        return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(2,n) which joints can move the tip (first row) and the wrist (second row) at all."""
+        return self._moves
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Joint placements and axes as plain numbers."""
+        neutral = self._pin.createData()
+        pin.computeJointJacobians(self._pin, neutral, np.zeros(self.n))
+        turned = [neutral.oMi[j + 1].rotation.T @ neutral.J[3:, j] for j in range(self.n)]
+        prismatic = np.array([np.linalg.norm(axis) < 0.5 for axis in turned])
+        axes = [
+            neutral.oMi[j + 1].rotation.T @ neutral.J[:3, j] if prismatic[j] else turned[j]
+            for j in range(self.n)
+        ]
+        placements = [self._pin.jointPlacements[j + 1] for j in range(self.n)]
+        return Chain(
+            rotations=np.array([placement.rotation for placement in placements]),
+            origins=np.array([placement.translation for placement in placements]),
+            axes=np.array(axes),
+            prismatic=prismatic,
+            offsets=self._offsets,
+        )
+
+    def kinematics(self) -> Kinematics:
+        """CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
+        if self._kinematics is None:
+            self._kinematics = build_kinematics(self.data.name, self.chain)
+        return self._kinematics
+
+    def random_regular_pose(
+        self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05
+    ) -> Array:
+        """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`.
+
+        Raises:
+            RobotError: none found in 1000 draws.
+        """
+        room = margin * (self.q_max - self.q_min)
+        for _ in range(1000):
+            q = rng.uniform(self.q_min + room, self.q_max - room)
+            if self.state(q).mu > mu_min:
+                return q
+        raise RobotError(f"no pose with mu > {mu_min} in 1000 draws: lower mu_min or margin = {margin}")
+
+    def _vector(self, name: str, value: ArrayLike) -> Array:
+        try:
+            array = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise RobotError(f"{name} = {value!r} is not numeric: give {self.n} numbers") from error
+        if array.shape != self._shape:
+            raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give ({self.n},)")
+        return array
+
+    def _find_moves(self) -> NDArray[np.bool_]:
+        """Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis."""
+        rng = np.random.default_rng(0)
+        states = [self.state(rng.uniform(self.q_min, self.q_max)) for _ in range(4)]
+        columns = np.array([np.linalg.norm(s.A.reshape(2, 3, self.n), axis=1) for s in states])
+        return _read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
+
+
+def load_robot(
+    name_or_path: str | os.PathLike[str] = "lwr4",
+    *,
+    tool_length: float | None = None,
+    tool_mass: float | None = None,
+) -> RobotModel:
+    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors."""
+    return RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    # Always, so that the kernels are compiled for one kind of argument only.
+    array.flags.writeable = False
+    return array
+
+
+def _build(data: RobotData) -> Any:
+    try:
+        model = pin.buildModelFromXML(data.urdf)
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f"urdf of {data.name!r} cannot be read by pinocchio: {error}") from error
+    if tuple(model.names)[1:] != data.joint_names or model.nq != data.n:
+        raise RobotError(
+            f"urdf of {data.name!r} has the joints {list(model.names)[1:]}, the data {data.joint_names}: "
+            "they must be the same serial chain"
+        )
+    model.armature = data.rotor_inertia.copy()
+    return model
+
+
+def _frame(model: Any, name: str) -> Any:
+    """The body frame of that name; it must ride on the last joint."""
+    if not model.existFrame(name, pin.FrameType.BODY):
+        raise RobotError(
+            f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}"
+        )
+    frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+    if frame.parentJoint != model.njoints - 1:
+        raise RobotError(f"frame {name!r} does not ride on the last joint: fix it to the last link")
+    return frame

@@ -1,0 +1,124 @@
+"""What a robot's TOML file may say: its schema, and errors that a person can act on."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from moc_opt.errors import RobotError
+
+Vector = tuple[float, ...]
+Point = tuple[float, float, float]
+PerJoint = float | Vector
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
+
+
+class Frames(_Table):
+    """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
+
+    last_link: str
+    wrist_xyz_m: Point
+    tool_mount_xyz_m: Point = (0.0, 0.0, 0.0)
+    tool_mount_rpy_rad: Point = (0.0, 0.0, 0.0)
+
+
+class Tool(_Table):
+    """A straight round rod from the mount to the tip, along z of the mount."""
+
+    length_m: Annotated[float, Field(gt=0)] = 0.30
+    mass_kg: Annotated[float, Field(gt=0)] = 0.3
+    radius_m: Annotated[float, Field(gt=0)] = 0.004
+
+
+class Limits(_Table):
+    """Joint limits that replace those of the URDF; degrees, so for revolute joints only."""
+
+    q_min_deg: Vector | None = None
+    q_max_deg: Vector | None = None
+    v_max_deg_per_s: Vector | None = None
+    tau_max_Nm: Vector | None = None
+
+
+class Joints(_Table):
+    """Drive properties a URDF has no place for: one number for all joints, or one per joint."""
+
+    rotor_inertia_kg_m2: PerJoint = 0.2
+    viscous_friction_Nm_s_per_rad: PerJoint = 0.0
+    coulomb_friction_Nm: PerJoint = 0.0
+
+
+class Home(_Table):
+    """The pose a run begins near; rad (m for a prismatic joint)."""
+
+    q_rad: Vector
+
+
+class RobotDescription(_Table):
+    """The whole TOML file; `urdf` is relative to the file itself."""
+
+    name: Annotated[str, Field(min_length=1)]
+    urdf: Annotated[str, Field(min_length=1)]
+    frames: Frames
+    tool: Tool = Tool()
+    limits: Limits = Limits()
+    joints: Joints = Joints()
+    home: Home
+    gains: dict[str, dict[str, float | Vector]] = {}
+
+
+def read_text(path: Path, what: str) -> str:
+    """The file's text, or a RobotError that says what could not be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(
+            f"{what} {str(path)!r} cannot be read ({error}): check the path and the encoding (UTF-8)"
+        ) from error
+
+
+def read_description(path: Path) -> RobotDescription:
+    """Read and validate a robot's TOML file.
+
+    Raises:
+        RobotError: unreadable file, bad TOML, a missing, unknown or wrong entry (all of them are named).
+    """
+    try:
+        raw = tomllib.loads(read_text(path, "robot file"))
+    except tomllib.TOMLDecodeError as error:
+        raise RobotError(f"robot file {str(path)!r} is not valid TOML: {error}") from error
+    try:
+        return RobotDescription.model_validate(raw)
+    except ValidationError as error:
+        lines = "; ".join(_explain(dict(item)) for item in error.errors())
+        raise RobotError(f"robot file {str(path)!r}: {lines}") from error
+
+
+def _explain(item: dict[str, Any]) -> str:
+    loc: tuple[Any, ...] = item["loc"]
+    field = ".".join(map(str, loc))
+    if item["type"] == "extra_forbidden":
+        valid = _keys_of_table(loc[:-1])
+        near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
+    if item["type"] == "missing":
+        return f"{field} is missing: add it"
+    return f"{field} = {item['input']!r}: {item['msg']}"
+
+
+def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:
+    """The valid keys of the table at this place in the schema."""
+    table: type[BaseModel] = RobotDescription
+    for key in loc:
+        annotation = table.model_fields[str(key)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        table = annotation
+    return sorted(table.model_fields)

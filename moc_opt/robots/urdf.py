@@ -1,0 +1,221 @@
+"""URDF text: reading the serial chain, checking it, and bolting tool, tip and wrist onto it."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+
+from moc_opt.errors import RobotError
+from moc_opt.robots.description import Frames, Point, Tool
+
+TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
+_MOVING = {"revolute", "continuous", "prismatic"}
+
+
+def parse(text: str) -> ET.Element:
+    """Parse URDF text.
+
+    Raises:
+        RobotError: not XML, not a <robot>, or a document type or entity is declared (a few lines of entities
+            can expand to gigabytes or read other files, and no URDF needs one).
+    """
+    if any(mark in text.upper() for mark in ("<!DOCTYPE", "<!ENTITY")):
+        raise RobotError("urdf declares a document type or entities: remove <!DOCTYPE ...> and <!ENTITY ...>")
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise RobotError(
+            f"urdf is not well-formed XML ({error}): expand xacro files and check the line"
+        ) from error
+    if root.tag != "robot":
+        raise RobotError(f"urdf root is <{root.tag}>: a URDF begins with <robot>")
+    return root
+
+
+def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
+    """The movable joints from the base to `last_link`, in that order; checks that they are a serial chain."""
+    links = [link.get("name", "") for link in root.findall("link")]
+    if last_link not in links:
+        near = difflib.get_close_matches(last_link, links, n=3, cutoff=0.3)
+        raise RobotError(
+            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or links}?"
+        )
+    by_child = {_name(joint, "child"): joint for joint in root.findall("joint")}
+    path: list[ET.Element] = []
+    link = last_link
+    while link in by_child:
+        if by_child[link] in path:
+            raise RobotError(f"urdf joints form a loop at link {link!r}: a serial chain is needed")
+        path.append(by_child[link])
+        link = _name(path[-1], "parent")
+    chain = [joint for joint in reversed(path) if joint.get("type") in _MOVING]
+    if not chain:
+        raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
+    for joint in root.findall("joint"):
+        name, kind = joint.get("name"), joint.get("type")
+        if kind not in _MOVING | {"fixed"}:
+            raise RobotError(
+                f"urdf joint {name!r} has type {kind!r}: use revolute, prismatic, continuous or fixed"
+            )
+        if kind != "fixed" and joint not in chain:
+            raise RobotError(
+                f"urdf joint {name!r} moves but is not between base and last link: make it fixed"
+            )
+        if joint.find("mimic") is not None:
+            raise RobotError(f"urdf joint {name!r} mimics another: make it fixed or free")
+    return chain
+
+
+def check_inertias(root: ET.Element, chain: Iterable[ET.Element]) -> None:
+    """Every inertia must be one of a real body, and every movable joint must move some mass."""
+    for link in root.findall("link"):
+        if link.find("inertial") is not None:
+            _check_inertia(link)
+    heavy = {link.get("name", "") for link in root.findall("link") if link.find("inertial") is not None}
+    fixed = [
+        (_name(j, "parent"), _name(j, "child")) for j in root.findall("joint") if j.get("type") == "fixed"
+    ]
+    for joint in chain:
+        body = {_name(joint, "child")}
+        for _ in fixed:
+            body |= {child for parent, child in fixed if parent in body}
+        if not body & heavy:
+            raise RobotError(
+                f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} "
+                "an <inertial>"
+            )
+
+
+def limits(joint: ET.Element) -> dict[str, float]:
+    """The numbers of a joint's <limit> element that are there: lower, upper, velocity, effort."""
+    element = joint.find("limit")
+    if element is None:
+        return {}
+    keys = ("lower", "upper", "velocity", "effort")
+    where = f"<limit> of joint {joint.get('name')!r}"
+    return {key: _number(element.get(key, ""), f"{where}, {key}") for key in keys if key in element.attrib}
+
+
+def write_limits(joint: ET.Element, lower: float, upper: float, velocity: float, effort: float) -> None:
+    """Put these limits into the text, so that every later reader of the URDF sees the same ones."""
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+    element = joint.find("limit")
+    if element is None:
+        element = ET.SubElement(joint, "limit")
+    values = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
+    for key, value in values.items():
+        element.set(key, repr(float(value)))
+
+
+def append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
+    """Add link "tool" on fixed joint "tool_mount", and the massless links "tip" and "wrist".
+
+    The tool is a uniform round rod along z of the mount. The wrist must lie on its axis, behind the tip: the
+    control laws take the line from wrist to tip for the shaft.
+    """
+    taken = {link.get("name") for link in root.findall("link")} & {TOOL_LINK, TIP_LINK, WRIST_LINK}
+    if taken:
+        raise RobotError(
+            f"urdf already has links named {sorted(map(str, taken))}: rename them, the tool needs these names"
+        )
+    axis = _mount_axis(frames.tool_mount_rpy_rad)
+    mount = frames.tool_mount_xyz_m
+    back = [m - w for m, w in zip(mount, frames.wrist_xyz_m, strict=True)]
+    along = sum(a * b for a, b in zip(axis, back, strict=True))
+    off = math.dist(back, [along * a for a in axis])
+    if off > 1e-6 or along + tool.length_m <= 0:
+        raise RobotError(
+            f"frames.wrist_xyz_m = {frames.wrist_xyz_m} is {off:.3g} m off the tool's axis or past the tip: "
+            "put it on the line of the shaft, behind the tip (the tool mount itself will do)"
+        )
+    tip = tuple(m + tool.length_m * a for m, a in zip(mount, axis, strict=True))
+    root.append(_rod(tool))
+    _fix(root, "tool_mount", frames.last_link, TOOL_LINK, mount, frames.tool_mount_rpy_rad)
+    for name, point in ((TIP_LINK, tip), (WRIST_LINK, frames.wrist_xyz_m)):
+        ET.SubElement(root, "link", name=name)
+        _fix(
+            root,
+            f"{name}_frame",
+            frames.last_link,
+            name,
+            (point[0], point[1], point[2]),
+            frames.tool_mount_rpy_rad,
+        )
+
+
+def to_text(root: ET.Element) -> str:
+    """The URDF as text, indented."""
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _rod(tool: Tool) -> ET.Element:
+    m, length, r = tool.mass_kg, tool.length_m, tool.radius_m
+    across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
+    link = ET.Element("link", name=TOOL_LINK)
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_join((0.0, 0.0, length / 2)), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=repr(m))
+    moments = {"ixx": across, "ixy": 0.0, "ixz": 0.0, "iyy": across, "iyz": 0.0, "izz": about}
+    ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in moments.items()})
+    return link
+
+
+def _fix(root: ET.Element, name: str, parent: str, child: str, xyz: Point, rpy: Point) -> None:
+    joint = ET.SubElement(root, "joint", name=name, type="fixed")
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "origin", xyz=_join(xyz), rpy=_join(rpy))
+
+
+def _mount_axis(rpy: Point) -> Point:
+    """Third column of Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = map(math.sin, rpy), map(math.cos, rpy)
+    return (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
+
+
+def _check_inertia(link: ET.Element) -> None:
+    name = link.get("name")
+    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    if mass is None or inertia is None:
+        raise RobotError(
+            f"urdf link {name!r} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>"
+        )
+    value = _number(mass.get("value", ""), f"mass of link {name!r}")
+    if value <= 0:
+        raise RobotError(
+            f"urdf link {name!r} has mass {value}: it must be positive; drop <inertial> for a massless frame"
+        )
+    xx, yy, zz, xy, xz, yz = (
+        _number(inertia.get(key, "0"), f"inertia {key} of link {name!r}")
+        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    )
+    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    if not (xx > 0 and xx * yy - xy * xy > 0 and det > 0):
+        raise RobotError(
+            f"urdf link {name!r} has an inertia that is not positive definite: correct ixx ... izz"
+        )
+
+
+def _number(text: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise RobotError(f"urdf: {what} is {text!r}: write a number") from error
+    if not math.isfinite(value):
+        raise RobotError(f"urdf: {what} is {text!r}: write a finite number")
+    return value
+
+
+def _name(joint: ET.Element, end: str) -> str:
+    element = joint.find(end)
+    if element is None or not element.get("link"):
+        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{end} link=...>: add it")
+    return str(element.get("link"))
+
+
+def _join(values: Iterable[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

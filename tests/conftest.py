@@ -1,0 +1,64 @@
+"""Arms and poses that several test files share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from moc_opt.model import RobotModel, load_robot
+
+Array = NDArray[np.float64]
+Draw = Callable[..., list[Array]]
+
+
+@pytest.fixture(scope="session")
+def robot() -> RobotModel:
+    """The LWR4+ with its default tool."""
+    return load_robot()
+
+
+@pytest.fixture(scope="session")
+def regular_poses(robot: RobotModel) -> Draw:
+    """A function `draw(count=20, seed=0)`: random poses away from joint limits, with mu > 0.05."""
+
+    def draw(count: int = 20, seed: int = 0) -> list[Array]:
+        rng = np.random.default_rng(seed)
+        return [robot.random_regular_pose(rng) for _ in range(count)]
+
+    return draw
+
+
+@pytest.fixture(scope="session")
+def odd_robot(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
+    """Seven oblique joints, the third one prismatic, and a tool that is not on the last axis."""
+    folder: Path = tmp_path_factory.mktemp("odd")
+    rng = np.random.default_rng(7)
+    parts = ['<robot name="odd"><link name="link_0"/>']
+    for j in range(1, 8):
+        xyz, rpy, com = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2, 2, 3), rng.uniform(-0.1, 0.1, 3)
+        axis, mass, moments = rng.normal(size=3), rng.uniform(0.5, 3), rng.uniform(0.010, 0.015, 3)
+        kind, reach = ("prismatic", 0.3) if j == 3 else ("revolute", 2.5)
+        parts.append(
+            f'<link name="link_{j}"><inertial><origin xyz="{_join(com)}" rpy="0 0 0"/><mass value="{mass}"/>'
+            f'<inertia ixx="{moments[0]}" ixy="0" ixz="0" iyy="{moments[1]}" iyz="0" izz="{moments[2]}"/>'
+            f'</inertial></link><joint name="joint_{j}" type="{kind}"><parent link="link_{j - 1}"/>'
+            f'<child link="link_{j}"/><origin xyz="{_join(xyz)}" rpy="{_join(rpy)}"/>'
+            f'<axis xyz="{_join(axis / np.linalg.norm(axis))}"/>'
+            f'<limit lower="{-reach}" upper="{reach}" velocity="2" effort="50"/></joint>'
+        )
+    (folder / "odd.urdf").write_text("".join(parts) + "</robot>", encoding="utf-8")
+    (folder / "odd.toml").write_text(
+        'name = "odd"\nurdf = "odd.urdf"\n[frames]\nlast_link = "link_7"\nwrist_xyz_m = [0.02, 0.03, 0.01]\n'
+        "tool_mount_xyz_m = [0.02, 0.03, 0.01]\ntool_mount_rpy_rad = [0.5, -0.4, 0.3]\n"
+        "[home]\nq_rad = [0.3, 0.2, 0.1, -0.4, 0.5, -0.3, 0.2]\n",
+        encoding="utf-8",
+    )
+    return load_robot(folder / "odd.toml")
+
+
+def _join(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
