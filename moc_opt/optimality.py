@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-RANK_TOLERANCE = 1e-9  # singular values of A below this fraction of the largest count as zero
+RANK_TOLERANCE = 1e-12  # singular values of A below this fraction of the largest count as zero
+# Singular values that may be divided by to bring x onto A x = b: near a straight elbow the smallest would
+# blow a residual of rounding size up to a rad/s.
+PROJECTION_TOLERANCE = 1e-6
 
 
 class Residuals(NamedTuple):
@@ -160,7 +163,7 @@ def _self_motion_loss(problem: Problem, x: Array, Z: Array, slack: Array) -> Arr
     length = np.linalg.norm(line, axis=-1)
     flat_mu = length <= 1e-12 * np.maximum(np.linalg.norm(problem.grad_mu, axis=-1), 1e-300)
     line = np.where(flat_mu[:, None], Z[:, :, 0], line / np.where(flat_mu, 1.0, length)[:, None])
-    x = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=RANK_TOLERANCE), slack)
+    x = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=PROJECTION_TOLERANCE), slack)
     moving = np.abs(line) > 1e-9
     step = np.where(moving, line, 1.0)
     ends = np.stack([(problem.lower - x) / step, (problem.upper - x) / step])

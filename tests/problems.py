@@ -174,10 +174,10 @@ def infeasible_problem(rng: np.random.Generator, n: int = 7, **options: Any) -> 
 
 
 def smooth_sequence(
-    rng: np.random.Generator, count: int, *, period: float = 0.002, **weights: float
+    rng: np.random.Generator, count: int, *, period: float = 0.002, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
     """``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
-    arm = random_arm(rng)
+    arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, arm.n)
     start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
     swing = 0.4 * np.minimum(-lower, upper)

@@ -9,11 +9,13 @@ onto a polytope (``moc_opt.solvers.polytope``).
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
@@ -23,7 +25,7 @@ from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 
-PIVOT_TOLERANCE = 1e-10  # relative to the largest pivot: below it a row repeats the others
+PIVOT_TOLERANCE = 1e-12  # relative to the largest pivot: below it a row repeats the others
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
 ROUNDING = 1e-9  # of the largest entry of grad_mu
@@ -204,10 +206,10 @@ def swivel(
     return OK
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def solve_rows(rows: Array, n: int, tolerance: float, X: Array, Y: Array, status: NDArray[np.int64]) -> None:
-    """``solve_row`` over a batch, in threads."""
-    for i in prange(rows.shape[0]):
+    """``solve_row`` over a batch."""
+    for i in range(rows.shape[0]):
         status[i] = solve_row(rows[i], n, tolerance, X[i], Y[i])
 
 
@@ -247,7 +249,25 @@ class Exact:
         rows = np.ascontiguousarray(rows, dtype=float)
         n = (rows.shape[1] - 10) // 10
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows), dtype=np.int64)
-        solve_rows(rows, n, self.tolerance, X, Y, codes)
+        parts = np.array_split(
+            np.arange(len(rows)), os.cpu_count() or 1
+        )  # the kernel holds no lock: threads do
+        with ThreadPoolExecutor(len(parts)) as pool:
+            jobs = [
+                pool.submit(
+                    solve_rows,
+                    rows[p[0] : p[-1] + 1],
+                    n,
+                    self.tolerance,
+                    X[p[0] : p[-1] + 1],
+                    Y[p[0] : p[-1] + 1],
+                    codes[p[0] : p[-1] + 1],
+                )
+                for p in parts
+                if p.size
+            ]
+            for job in jobs:
+                job.result()
         X[codes != OK] = np.nan
         Y[codes != OK] = np.nan
         return X, Y, [_STATUS[int(code)] for code in codes]

@@ -21,10 +21,18 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "rnn-printed": ("moc_opt.solvers.rnn", "RNNPrinted", ""),
     "osqp": ("moc_opt.solvers.osqp", "OSQP", "osqp"),
     "proxqp": ("moc_opt.solvers.proxqp", "ProxQP", "proxsuite"),
+    "daqp": ("moc_opt.solvers.daqp", "DAQP", "daqp"),
+    "piqp": ("moc_opt.solvers.piqp", "PIQP", "piqp"),
+    "quadprog": ("moc_opt.solvers.quadprog", "Quadprog", "quadprog"),
+    "clarabel": ("moc_opt.solvers.clarabel", "Clarabel", "clarabel"),
     "nlp-sqp": ("moc_opt.solvers.nlp", "SQP", "casadi"),
     "nlp-ipopt": ("moc_opt.solvers.nlp", "Ipopt", "casadi"),
 }
-QPSOLVERS = "qpsolvers:"
+# prefix -> (package, module): one adapter for all solvers that a library finds
+FAMILIES: dict[str, tuple[str, str]] = {
+    "qpsolvers:": ("qpsolvers", "moc_opt.solvers.qpsolvers"),
+    "casadi:": ("casadi", "moc_opt.solvers.casadi_conic"),
+}
 
 
 def _plugins() -> dict[str, EntryPoint]:
@@ -32,7 +40,7 @@ def _plugins() -> dict[str, EntryPoint]:
 
 
 def names() -> list[str]:
-    """Every registered name, installed or not; ``qpsolvers:NAME`` for what qpsolvers finds here."""
+    """Every registered name, installed or not; ``qpsolvers:NAME`` and ``casadi:NAME`` for what those find here."""
     return [name for name, reason in available().items() if reason is None or name in BUILT_IN]
 
 
@@ -42,12 +50,12 @@ def available() -> dict[str, str | None]:
     for name, (_, _, package) in BUILT_IN.items():
         missing = package and find_spec(package) is None
         found[name] = f"package {package!r} is not installed: pip install {package}" if missing else None
-    if find_spec("qpsolvers") is None:
-        found[QPSOLVERS + "NAME"] = "package 'qpsolvers' is not installed: pip install qpsolvers"
-    else:
-        from moc_opt.solvers.qpsolvers import reasons
-
-        found.update({QPSOLVERS + name: reason for name, reason in reasons().items()})
+    for prefix, (package, module) in FAMILIES.items():
+        if find_spec(package) is None:
+            found[prefix + "NAME"] = f"package {package!r} is not installed: pip install {package}"
+        else:
+            reasons = importlib.import_module(module).reasons()
+            found.update({prefix + name: reason for name, reason in reasons.items()})
     for name, point in _plugins().items():
         try:
             point.load()
@@ -64,10 +72,9 @@ def _factory(name: str) -> Callable[..., Solver]:
         if package and find_spec(package) is None:
             raise SolverError(f"solver {name!r} needs the package {package!r}: pip install {package}")
         return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
-    if name.startswith(QPSOLVERS) and find_spec("qpsolvers") is not None:
-        from moc_opt.solvers.qpsolvers import factory
-
-        return factory(name.removeprefix(QPSOLVERS))
+    for prefix, (package, module) in FAMILIES.items():
+        if name.startswith(prefix) and find_spec(package) is not None:
+            return importlib.import_module(module).factory(name.removeprefix(prefix))
     plugins = _plugins()
     if name in plugins:
         return plugins[name].load()  # type: ignore[no-any-return]

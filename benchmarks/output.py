@@ -1,0 +1,135 @@
+"""What every benchmark leaves behind: summary.json, rows.parquet, environment.json, and the command line."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import importlib.metadata
+import json
+import math
+import os
+import platform
+import subprocess
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    "moc-opt", "numpy", "numba", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
+    "quadprog", "clarabel", "scs", "highspy", "pyarrow", "pydantic",
+)  # fmt: skip
+
+Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+
+def parser(name: str, about: str) -> argparse.ArgumentParser:
+    """The options that every benchmark has."""
+    options = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=about)
+    options.add_argument(
+        "config", nargs="?", type=Path, help=f"TOML; default: benchmarks/configs/{name}.toml"
+    )
+    options.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
+    options.add_argument("--seed", type=int, help="replaces the configuration's seed")
+    options.add_argument("--quick", action="store_true", help="the same on less data")
+    options.add_argument("--json", action="store_true", help="print summary.json instead of tables")
+    return options
+
+
+def default_config(name: str) -> Path:
+    """The configuration that ships with a benchmark."""
+    return Path(__file__).parent / "configs" / f"{name}.toml"
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """All of it or nothing, also when the machine stops in the middle."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+        mask = os.umask(0)
+        os.umask(mask)
+        os.chmod(name, 0o666 & ~mask)  # mkstemp makes files for one's own eyes only
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def plain(value: Any) -> Any:
+    """JSON without NaN: figures that are not finite become null."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if hasattr(value, "item"):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Sorted, so that two runs can be compared by eye."""
+    write_atomically(path, (json.dumps(plain(value), indent=2, sort_keys=True) + "\n").encode())
+
+
+def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """One Parquet row per mapping; a column that a row lacks is null there."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    kept = [dict(row) for row in rows]
+    names = list(dict.fromkeys(name for row in kept for name in row))
+    table = pa.table({name: [plain(row.get(name)) for row in kept] for name in names})
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd")
+    write_atomically(path, sink.getvalue().to_pybytes())
+
+
+def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
+    """Machine, versions, commit, seed and the whole configuration."""
+    versions: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            versions[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            versions[name] = None
+    return {
+        "when": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "machine": {
+            "system": platform.platform(), "processor": _processor(), "cores": os.cpu_count(),
+            "python": platform.python_version(), "load_1min": os.getloadavg()[0],
+        },
+        "threads": os.environ.get("OMP_NUM_THREADS"),
+        "versions": versions,
+        "commit": _commit(),
+        "seed": seed,
+        "arguments": list(argv),
+        "config": dict(config),
+    }  # fmt: skip
+
+
+def _processor() -> str:
+    cpu = Path("/proc/cpuinfo")
+    if cpu.exists():
+        for line in cpu.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def _commit() -> str | None:
+    """The commit of this checkout, marked where files differ from it; None outside a checkout."""
+    where = Path(__file__).parent
+    try:
+        head = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=where, capture_output=True, text=True, check=True
+        )
+        dirty = subprocess.run(
+            ["git", "status", "--porcelain", "-uno"], cwd=where, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head.stdout.strip() + ("+changes" if dirty.stdout.strip() else "")

@@ -1,0 +1,122 @@
+"""DAQP: a dual active-set method, set up once and updated in place.
+
+Arnstrom, Bemporad and Axehill 2022, "A dual active-set solver for embedded quadratic programming
+using recursive LDL^T updates". Where the cost is only semi-definite it takes proximal steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from daqp import Model
+from numpy.typing import NDArray
+
+from moc_opt.solvers import checks
+from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.rows import ROWS, equalities
+from moc_opt.subproblem import NullSpaceQP
+
+Array = NDArray[np.float64]
+
+EQUALITY = 5
+_STATUS = {
+    1: Status.SOLVED,
+    2: Status.SOLVED,
+    -1: Status.INFEASIBLE,
+    -4: Status.MAX_ITER,
+    -7: Status.TIME_LIMIT,
+}
+
+
+@dataclass(frozen=True)
+class DAQP:
+    """DAQP's reusable workspace.
+
+    Args:
+        rows: 5 or 6 equality rows; six dependent ones fail about one problem in a hundred.
+        cost_scale: multiplies P and p; the duals are scaled back. Without it, and without damping, one
+            answer in twenty stops at the wrong end of the self-motion.
+        primal_tol, dual_tol: the library's 1e-6 and 1e-12.
+        max_iter: iterations.
+        warm: start from the last tick's active set.
+
+    Raises:
+        SolverError: a setting is out of range.
+    """
+
+    rows: int = 5
+    cost_scale: float = 1e3
+    primal_tol: float = 1e-9
+    dual_tol: float = 1e-12
+    max_iter: int = 1000
+    warm: bool = True
+    name: ClassVar[str] = "daqp"
+
+    def __post_init__(self) -> None:
+        checks.one_of(self.name, "rows", self.rows, ROWS)
+        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
+        checks.positive(self.name, "primal_tol", self.primal_tol, 1e-9)
+        checks.positive(self.name, "dual_tol", self.dual_tol, 1e-12)
+        checks.whole(self.name, "max_iter", self.max_iter, 1000)
+        checks.flag(self.name, "warm", self.warm)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Every subproblem is supported."""
+        return None
+
+    def start(self, qp: NullSpaceQP) -> DAQPSession:
+        """Set the workspace up with the shape of ``qp``."""
+        return DAQPSession(self, qp)
+
+
+class DAQPSession:
+    """One workspace and its buffers: bounds first, then the equality rows."""
+
+    def __init__(self, settings: DAQP, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._build(qp)
+
+    def _build(self, qp: NullSpaceQP) -> None:
+        A, b, _ = equalities(qp, self._settings.rows)
+        self._shape = m, n = A.shape
+        self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
+        self._lower, self._upper = np.empty(n + m), np.empty(n + m)
+        self._fresh = np.concatenate([np.zeros(n, dtype=np.int32), np.full(m, EQUALITY, dtype=np.int32)])
+        self._sense = self._fresh.copy()
+        self._back = 1.0 / self._settings.cost_scale
+        self._load(qp, A, b)
+        self._core = Model()
+        settings = self._settings
+        self._core.settings = {
+            "primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol, "iter_limit": settings.max_iter,
+        }  # fmt: skip
+        self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
+
+    def _load(self, qp: NullSpaceQP, A: Array, b: Array) -> None:
+        """Copy the numbers of ``qp`` into the buffers."""
+        n, part, scale = self._shape[1], qp.fields, self._settings.cost_scale
+        np.multiply(qp.P, scale, out=self._P)
+        np.multiply(qp.p, scale, out=self._p)
+        self._A[:] = A
+        self._lower[:n], self._upper[:n] = part.lower, part.upper
+        self._lower[n:] = self._upper[n:] = b
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+        A, b, lift = equalities(qp, self._settings.rows)
+        if A.shape != self._shape:
+            self._build(qp)
+        self._load(qp, A, b)
+        core, n = self._core, self._shape[1]
+        sense = None
+        if not self._settings.warm:
+            self._sense[:] = self._fresh
+            sense = self._sense
+        core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+        x, _, code, info = core.solve()
+        status = _STATUS.get(code, Status.NUMERICAL)
+        if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
+            return no_answer(n, status, info["iterations"])
+        return Solution(x, np.dot(info["lam"][n:], lift) * self._back, status, info["iterations"])

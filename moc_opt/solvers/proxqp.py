@@ -1,0 +1,147 @@
+"""ProxQP: a proximal augmented Lagrangian, dense, set up once and updated in place.
+
+Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robotics and beyond".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from proxsuite import proxqp
+
+from moc_opt.solvers import checks
+from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.rows import ROWS, equalities
+from moc_opt.subproblem import NullSpaceQP
+
+Array = NDArray[np.float64]
+
+_CODE = proxqp.QPSolverOutput
+_STATUS = {
+    _CODE.PROXQP_SOLVED: Status.SOLVED,
+    _CODE.PROXQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
+    _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
+}
+_GUESS = proxqp.InitialGuess
+_COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
+# The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
+# and penalties, and after a jump of the data it can claim success at the opposite bound.
+_WARM = _GUESS.COLD_START_WITH_PREVIOUS_RESULT
+
+
+@dataclass(frozen=True)
+class ProxQP:
+    """ProxQP's dense back-end.
+
+    With the library's eps_primal_inf = 1e-4 most of these feasible problems are called infeasible
+    (their cost is smaller than that); with 1e-12 infeasible ones run into max_iter. With costs
+    times 1e3 everything from 1e-8 to 1e-6 tells the two apart.
+
+    Args:
+        rows: 5 or 6 equality rows.
+        box: "bounds" hands the box over as bounds, "rows" as n inequality rows.
+        cost_scale: multiplies P and p; the duals are scaled back.
+        eps: absolute tolerance on the scaled problem (1e-5 is the library's).
+        eps_primal_inf: tolerance of the proof of infeasibility (1e-4 is the library's).
+        max_iter: outer iterations; max_iter_in: inner ones in each. Feasible problems take about ten
+            in all; the library's 10000 and 1500 make an undecided one run for minutes.
+        warm: start from the last tick's answer where that was solved.
+
+    Raises:
+        SolverError: a setting is out of range.
+    """
+
+    rows: int = 5
+    box: Literal["bounds", "rows"] = "bounds"
+    cost_scale: float = 1e3
+    eps: float = 1e-9
+    eps_primal_inf: float = 1e-8
+    max_iter: int = 100
+    max_iter_in: int = 50
+    warm: bool = True
+    name: ClassVar[str] = "proxqp"
+
+    def __post_init__(self) -> None:
+        checks.one_of(self.name, "rows", self.rows, ROWS)
+        checks.one_of(self.name, "box", self.box, ("bounds", "rows"))
+        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
+        checks.positive(self.name, "eps", self.eps, 1e-9)
+        checks.positive(self.name, "eps_primal_inf", self.eps_primal_inf, 1e-8)
+        checks.whole(self.name, "max_iter", self.max_iter, 100)
+        checks.whole(self.name, "max_iter_in", self.max_iter_in, 50)
+        checks.flag(self.name, "warm", self.warm)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Every subproblem is supported."""
+        return None
+
+    def start(self, qp: NullSpaceQP) -> ProxQPSession:
+        """Set the workspace up with the shape and the preconditioner of ``qp``."""
+        return ProxQPSession(self, qp)
+
+
+class ProxQPSession:
+    """One dense ProxQP workspace."""
+
+    def __init__(self, settings: ProxQP, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._build(qp)
+
+    def _build(self, qp: NullSpaceQP) -> None:
+        settings = self._settings
+        A, b, _ = equalities(qp, settings.rows)
+        self._shape = m, n = A.shape
+        self._bounds = settings.box == "bounds"
+        self._eye = np.eye(n)
+        self._back = 1.0 / settings.cost_scale
+        core = proxqp.dense.QP(n, m, 0 if self._bounds else n, self._bounds)
+        options = core.settings
+        options.eps_abs, options.eps_rel = settings.eps, 0.0
+        options.eps_primal_inf = settings.eps_primal_inf
+        options.max_iter, options.max_iter_in = settings.max_iter, settings.max_iter_in
+        options.initial_guess = _COLD
+        self._core, self._warm = core, False
+        self._load(core.init, qp, A, b)
+
+    def _load(self, target: Callable[..., None], qp: NullSpaceQP, A: Array, b: Array) -> None:
+        """Hand the numbers of ``qp`` to ``init`` or ``update``."""
+        scale, part = self._settings.cost_scale, qp.fields
+        P, p = qp.P * scale, qp.p * scale
+        if self._bounds:
+            target(P, p, A, b, None, None, None, part.lower, part.upper)
+        else:
+            target(P, p, A, b, self._eye, part.lower, part.upper)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+        A, b, lift = equalities(qp, self._settings.rows)
+        if A.shape != self._shape:
+            self._build(qp)
+        core = self._core
+        self._load(core.update, qp, A, b)
+        core.solve()
+        result = core.results
+        info = result.info
+        status = _STATUS.get(info.status, Status.NUMERICAL)
+        iterations = info.iter
+        if status is not Status.SOLVED and self._warm:
+            # A stale start must not decide that a problem has no answer: ask again from scratch. The
+            # data go in again because a failed run leaves the box scaled.
+            self._guess(False)
+            self._load(core.update, qp, A, b)
+            core.solve()
+            status = _STATUS.get(info.status, Status.NUMERICAL)
+            iterations += info.iter
+        if self._settings.warm and self._warm is not (status is Status.SOLVED):
+            self._guess(status is Status.SOLVED)
+        if status in (Status.INFEASIBLE, Status.NUMERICAL):
+            return no_answer(qp.n, status, iterations)
+        return Solution(np.array(result.x), np.dot(result.y, lift) * self._back, status, iterations)
+
+    def _guess(self, warm: bool) -> None:
+        self._core.settings.initial_guess = _WARM if warm else _COLD
+        self._warm = warm

@@ -1,0 +1,82 @@
+"""quadprog: the dual active-set method of Goldfarb and Idnani (1983), for strictly convex problems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import quadprog
+from numpy.typing import NDArray
+
+from moc_opt.solvers import checks
+from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.rows import equalities
+from moc_opt.subproblem import NullSpaceQP
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quadprog:
+    """quadprog on five rows: on six dependent ones it fails from an inconsistency of 1e-12 on.
+
+    It keeps nothing between calls; the session owns the buffers.
+
+    Args:
+        cost_scale: multiplies P and p; the duals are scaled back.
+
+    Raises:
+        SolverError: a setting is out of range.
+    """
+
+    cost_scale: float = 1.0
+    name: ClassVar[str] = "quadprog"
+
+    def __post_init__(self) -> None:
+        checks.positive(self.name, "cost_scale", self.cost_scale, 1.0)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """It factorises P, which is singular without damping."""
+        if qp.damping <= 1e-10 * (qp.c0 + qp.c1):
+            return f"quadprog needs a positive definite cost and damping is {qp.damping:g}: set damping > 0"
+        return None
+
+    def start(self, qp: NullSpaceQP) -> QuadprogSession:
+        """Buffers of the shape of ``qp``."""
+        return QuadprogSession(self, qp)
+
+
+class QuadprogSession:
+    """The constraint matrix C^T x >= b: equalities, then x >= lower, then -x >= -upper."""
+
+    def __init__(self, settings: Quadprog, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._build(equalities(qp, 5).A)
+
+    def _build(self, A: Array) -> None:
+        self._shape = m, n = A.shape
+        self._C, self._b = np.zeros((n, m + 2 * n), order="F"), np.empty(m + 2 * n)
+        self._C[:, m : m + n] = np.eye(n)
+        self._C[:, m + n :] = -np.eye(n)
+        self._P, self._a = np.empty((n, n), order="F"), np.empty(n)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem; another shape than the last one's takes new buffers."""
+        if self._settings.supports(qp) is not None:
+            return no_answer(qp.n, Status.UNSUPPORTED)
+        A, b, lift = equalities(qp, 5)
+        if A.shape != self._shape:
+            self._build(A)
+        (m, n), part, scale = self._shape, qp.fields, self._settings.cost_scale
+        np.multiply(qp.P, scale, out=self._P)
+        np.multiply(qp.p, -scale, out=self._a)
+        self._C[:, :m] = A.T
+        self._b[:m], self._b[m : m + n] = b, part.lower
+        np.negative(part.upper, out=self._b[m + n :])
+        try:
+            x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, m)
+        except ValueError as error:  # its only way to say so
+            infeasible = "inconsistent" in str(error)
+            return no_answer(n, Status.INFEASIBLE if infeasible else Status.NUMERICAL)
+        return Solution(x, np.dot(multipliers[:m], lift) * (-1.0 / scale), Status.SOLVED, int(steps[0]))

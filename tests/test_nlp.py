@@ -1,0 +1,179 @@
+"""The nonlinear programs: what they converge to, and that they see the manipulability, not its gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import SolverError
+from moc_opt.solvers import Status, create
+from moc_opt.solvers.nlp import SQP, Ipopt, program
+from moc_opt.subproblem import NullSpaceQP
+from tests.problems import infeasible_problem, problem_of, random_arm, random_problem
+
+ARM = random_arm(np.random.default_rng(3))
+KINEMATICS = ARM.kinematics()
+BOTH = pytest.mark.parametrize("kind", [SQP, Ipopt])
+
+
+def solve(chosen, qp):
+    return chosen.start(qp).solve(qp)
+
+
+def number(function, q):
+    """The value of a CasADi function as a flat array."""
+    return function(q).full().ravel()
+
+
+def without_q(qp):
+    return NullSpaceQP(qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, qp.lower, qp.upper)
+
+
+def test_the_symbolic_arm_is_the_numeric_one():
+    """Guards the tests themselves: the kinematics belong to the Jacobians."""
+    q, d = np.random.default_rng(0).uniform(-1.0, 1.0, 7), 1e-6
+    J_tip, J_wrist = ARM.jacobians(q)
+    for function, J in ((KINEMATICS.tip, J_tip), (KINEMATICS.wrist, J_wrist)):
+        columns = [(number(function, q + e) - number(function, q - e)) / (2 * d) for e in d * np.eye(7)]
+        np.testing.assert_allclose(np.array(columns).T, J, atol=1e-8)
+    assert float(KINEMATICS.mu(q)) == pytest.approx(ARM.mu(q), abs=1e-12)
+
+
+@BOTH
+def test_error_against_the_linear_problem_shrinks_with_the_period(kind):
+    """In the limit T -> 0 the program is the null-space subproblem: every residual falls in proportion."""
+    rng = np.random.default_rng(1)
+    worst = {}
+    qps = [random_problem(rng, arm=ARM) for _ in range(10)]
+    for period in (2e-3, 2e-4, 2e-5):
+        chosen = kind(KINEMATICS, period=period)
+        found = [(qp, solve(chosen, qp)) for qp in qps]
+        assert all(solution.status is Status.SOLVED for _, solution in found)
+        worst[period] = max(qp.residuals(s.x).primal for qp, s in found)
+        if period == 2e-5:
+            assert all(qp.residuals(s.x).verified(primal=1e-4) for qp, s in found)
+    assert worst[2e-4] == pytest.approx(0.1 * worst[2e-3], rel=0.2)
+    assert worst[2e-5] == pytest.approx(0.1 * worst[2e-4], rel=0.2)
+
+
+@BOTH
+def test_the_step_lands_where_the_references_say(kind):
+    """tip(q + x T) = tip(q) + v_T T, exactly and not to first order; the wrist across the tool likewise."""
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        qp = random_problem(rng, arm=ARM)
+        chosen = kind(KINEMATICS)
+        x = solve(chosen, qp).x
+        T = chosen.period
+        places = KINEMATICS.tip, KINEMATICS.wrist
+        tip, wrist = ((number(f, qp.q + T * x) - number(f, qp.q)) / T for f in places)
+        np.testing.assert_allclose(tip, qp.v_tip, atol=1e-6)
+        across = qp.reduced().lift[3:, 3:]
+        np.testing.assert_allclose(across @ wrist, across @ qp.v_wrist, atol=1e-6)
+        tool = number(KINEMATICS.tip, qp.q) - number(KINEMATICS.wrist, qp.q)
+        np.testing.assert_allclose(across @ tool, 0.0, atol=1e-12)
+        assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # the linear rows are another matter
+
+
+@BOTH
+def test_duals_are_those_of_the_six_linear_rows(kind):
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        qp = random_problem(rng, arm=ARM)
+        found = solve(kind(KINEMATICS, period=1e-5), qp)
+        own = qp.residuals(found.x, found.y)
+        assert own.natural < 1e-6
+        assert qp.residuals(found.x, -found.y).natural > 1e-5
+
+
+def test_sqp_finds_the_largest_swivel_without_damping():
+    """The exact Hessian is stationary at the smallest mu as well: BFGS is the default for that reason."""
+    rng = np.random.default_rng(5)
+    losses = {"limited-memory": [], "exact": []}
+    for _ in range(40):
+        qp = random_problem(rng, arm=ARM, damping=0.0)
+        for hessian, found in losses.items():
+            solution = solve(SQP(KINEMATICS, hessian=hessian), qp)
+            if solution.status is Status.SOLVED:
+                found.append(float(qp.residuals(solution.x).loss))
+    assert len(losses["limited-memory"]) >= 38
+    assert max(losses["limited-memory"]) < 0.1
+    assert max(losses["exact"]) > 0.9
+
+
+def test_what_is_said_of_infeasible_problems():
+    qps = [infeasible_problem(np.random.default_rng(seed), arm=ARM) for seed in range(5)]
+    assert {solve(SQP(KINEMATICS), qp).status for qp in qps} == {Status.NUMERICAL}
+    assert {solve(Ipopt(KINEMATICS), qp).status for qp in qps} == {Status.INFEASIBLE}
+
+
+@BOTH
+def test_unsupported_problems_have_a_reason(kind):
+    chosen = kind(KINEMATICS)
+    rng = np.random.default_rng(6)
+    qp = random_problem(rng, arm=ARM)
+    J_tip, J_wrist = rng.normal(size=(2, 3, 7))
+    reasons = {
+        "no q": without_q(qp),
+        "the subproblem has 6": random_problem(rng, 6, structured=False),
+        "not rigidly tied": NullSpaceQP(
+            J_tip, J_wrist, np.zeros(3), np.zeros(3), qp.grad_mu, qp.lower, qp.upper, q=qp.q
+        ),
+    }
+    session = chosen.start(qp)
+    for reason, other in reasons.items():
+        assert reason in chosen.supports(other)
+        assert session.solve(other).status is Status.UNSUPPORTED
+        with pytest.raises(SolverError, match=f"{chosen.name}: .*{reason}"):
+            chosen.start(other)
+    assert chosen.supports(qp) is None
+
+
+@BOTH
+def test_programs_are_compiled_once_and_sessions_own_their_buffers(kind):
+    qp = random_problem(np.random.default_rng(7), arm=ARM)
+    assert program(kind(KINEMATICS)) is program(kind(KINEMATICS))
+    one, two = kind(KINEMATICS).start(qp), kind(KINEMATICS).start(qp)
+    first = one.solve(qp)
+    kept = first.x.copy()
+    two.solve(random_problem(np.random.default_rng(8), arm=ARM))
+    np.testing.assert_array_equal(first.x, kept)
+
+
+@pytest.mark.parametrize("name", ["nlp-sqp", "nlp-ipopt"])
+def test_settings_are_checked(name):
+    with pytest.raises(SolverError, match=rf"{name}: kinematics = None .*robot\.kinematics\(\)"):
+        create(name)
+    wrong = {"period": 0.0, "cost_scale": -1.0, "eps": 0.0, "max_iter": 0, "hessian": "bfgs", "warm": 2}
+    for key, value in wrong.items():
+        with pytest.raises(SolverError, match=f"{name}: {key} = "):
+            create(name, kinematics=KINEMATICS, **{key: value})
+
+
+@pytest.mark.parametrize("name", ["nlp-sqp", "nlp-ipopt"])
+def test_the_real_arm(name, robot, regular_poses):
+    """The LWR4+ through the kinematics that the model hands out, against the exact linear answer."""
+    rng = np.random.default_rng(9)
+    chosen = create(name, kinematics=robot.kinematics())
+    exact = None
+    for q in regular_poses(8):
+        state = robot.state(q)
+        inside = rng.uniform(-0.3, 0.3, robot.n)
+        qp = NullSpaceQP(
+            state.J_tip, state.J_wrist, state.J_tip @ inside, state.J_wrist @ inside, state.grad_mu,
+            -np.ones(robot.n), np.ones(robot.n), q=q,
+        )
+        exact = create("exact").start(qp) if exact is None else exact
+        found, best = solve(chosen, qp), exact.solve(qp)
+        assert found.status is Status.SOLVED
+        assert qp.residuals(found.x, found.y).verified(primal=5e-3, relative=1e-2, loss=2e-2)
+        np.testing.assert_allclose(found.x, best.x, atol=0.05)
+
+
+def test_a_problem_built_from_parts_has_the_same_answer():
+    """q travels with the problem: the same numbers built twice give the same answer."""
+    rng = np.random.default_rng(10)
+    q, inside = rng.uniform(-1, 1, 7), rng.uniform(-0.2, 0.2, 7)
+    qp = problem_of(ARM, q, inside, -np.ones(7), np.ones(7))
+    copy = NullSpaceQP.from_row(np.array(qp.row))
+    np.testing.assert_array_equal(solve(SQP(KINEMATICS), qp).x, solve(SQP(KINEMATICS), copy).x)
