@@ -22,6 +22,7 @@ from moc_opt.optimality import Residuals
 
 Array = NDArray[np.float64]
 
+TIED = 1e-9  # tip and wrist are rigidly tied when u^T (J_T - J_W) is smaller than this, relative to the largest entry
 WEIGHTS = ("c0", "c1", "c2", "damping")
 
 
@@ -206,10 +207,16 @@ class NullSpaceQP:
     def _reduced(self) -> Reduced:
         # u^T (J_T - J_W) = 0: u is the left null vector of the difference, and the wrist row along u
         # repeats the tip row along u. Two rows across u remain of the wrist's three.
-        left, s, _ = np.linalg.svd(self.J_tip - self.J_wrist)
+        difference = self.J_tip - self.J_wrist
+        u = np.linalg.eigh(difference @ difference.T)[1][:, 0]
+        u = u * np.sign(u[np.argmax(np.abs(u))])
         lift = np.eye(6)
-        if self.n < 3 or s[2] <= 1e-9 * max(s[0], 1e-300):
-            lift = np.vstack([np.eye(3, 6), np.hstack([np.zeros((2, 3)), left[:, :2].T])])
+        if self.n >= 3 and np.abs(u @ difference).max() <= TIED * np.abs(difference).max():
+            k = int(np.argmin(np.abs(u)))
+            across = np.cross(u, np.eye(3)[k])
+            across /= np.linalg.norm(across)
+            lift = np.zeros((5, 6))
+            lift[:3, :3], lift[3, 3:], lift[4, 3:] = np.eye(3), across, np.cross(u, across)
         return Reduced(_frozen(lift @ self.A), _frozen(lift @ self.b), _frozen(lift))
 
     def reduced(self) -> Reduced:
