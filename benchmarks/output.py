@@ -17,7 +17,7 @@ from typing import Any
 
 PACKAGES = (
     "moc-opt", "numpy", "numba", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
-    "quadprog", "clarabel", "scs", "highspy", "pyarrow", "pydantic",
+    "quadprog", "clarabel", "scs", "highspy", "pyarrow", "pydantic", "tsid", "pin-pink", "mink",
 )  # fmt: skip
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]

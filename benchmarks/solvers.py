@@ -153,7 +153,11 @@ def compare(
     robot = load_robot(config.scenario.robot.name)
     trial_count = len(config.closed_loop.tasks) * config.closed_loop.seeds
     with progress("solvers", 1 + 2 * len(names) + (1 + len(names)) * trial_count) as bar:
-        advance = bar.done
+
+        def advance(text: str) -> None:
+            bar.at(text)
+            bar.advance()
+
         problems = record(config)
         advance("recorded the sequence")
         answers, refused = run_open_loop(config, names, robot, problems, advance)

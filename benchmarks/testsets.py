@@ -224,7 +224,7 @@ def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
     return TestSet(name, rows, X, feasible)
 
 
-def five_row_gap(qp: NullSpaceQP, b: Array) -> Array:
+def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
     """What is missing along the shaft for the wrist to follow the tip, (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from time import perf_counter_ns
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,26 @@ def clock_cost_us(samples: int = 2000) -> float:
     return float(np.median(gaps) * 1e-3)
 
 
-def each_us(call: Callable[[Any], Any], items: Iterable[Any], results: list[Any] | None = None) -> Array:
-    """Time ``call(item)`` one by one [us], without garbage-collection pauses; results are kept if asked for."""
+def each_us(
+    call: Callable[[Any], Any],
+    items: Iterable[Any],
+    results: list[Any] | None = None,
+    prepare: Callable[[Any], Any] | None = None,
+) -> Array:
+    """Time ``call(item)`` one by one [us], without garbage-collection pauses.
+
+    Args:
+        call: what is timed.
+        items: what it is called with.
+        results: its results are appended here, if given.
+        prepare: called with each item before the clock starts.
+    """
     times = []
     keep = results.append if results is not None else None
     with no_collector():
         for item in items:
+            if prepare is not None:
+                prepare(item)
             begin = perf_counter_ns()
             result = call(item)
             times.append(perf_counter_ns() - begin)
@@ -55,6 +69,57 @@ def side_by_side(
         for name in names[r % len(names) :] + names[: r % len(names)]:
             found[name].append(each_us(calls[name], items))
     return {name: np.array(times) for name, times in found.items()}
+
+
+class Timed(NamedTuple):
+    """One entry of `interleaved`: what is called, on which items, after which preparation."""
+
+    call: Callable[[Any], Any]
+    items: Sequence[Any]
+    prepare: Callable[[Any], Any] | None = None
+
+
+def interleaved(
+    entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100, lead: int = 5
+) -> dict[str, Array]:
+    """Time several calls side by side: each goes through its own items, ``chunk`` of them at a time, in turn.
+
+    Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
+    the times. All entries have as many items as the shortest.
+
+    Args:
+        entries: name -> what is timed.
+        rounds: how often all items are gone through; a round before them is not timed.
+        chunk: items in a row.
+        lead: of these, so many at the start find other people's data in the caches, and are not counted.
+
+    Returns:
+        name -> (rounds * chunks, chunk - lead) [us].
+
+    Raises:
+        ValueError: fewer items than a chunk, or a chunk that is not longer than its lead.
+    """
+    length = min(len(entry.items) for entry in entries.values())
+    if not lead < chunk <= length:
+        raise ValueError(f"chunk = {chunk} with lead = {lead} and {length} items: give lead < chunk <= items")
+    names = list(entries)
+    found: dict[str, list[Array]] = {name: [] for name in names}
+    starts = range(0, length - chunk + 1, chunk)
+    for turn in range((1 + rounds) * len(starts)):
+        begin = starts[turn % len(starts)]
+        first = turn % len(names)
+        for name in names[first:] + names[:first]:
+            entry = entries[name]
+            times = each_us(entry.call, entry.items[begin : begin + chunk], prepare=entry.prepare)
+            if turn >= len(starts):
+                found[name].append(times[lead:])
+    return {name: np.array(times) for name, times in found.items()}
+
+
+def ratios(times: Array, base: Array) -> Array:
+    """Ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
+    found: Array = np.median(times, axis=1) / np.median(base, axis=1)
+    return found
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:

@@ -21,8 +21,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--trace", type=Path, help="save the trace here (Parquet)")
     one.add_argument("--json", action="store_true", help="print JSON")
+    c = commands.add_parser("export-c", help="write the scenario's control tick as dependency-free C")
+    c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
+    c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     given = parser.parse_args(arguments)
     try:
+        if given.command == "export-c":
+            return export_c(given.scenario, given.out)
         return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json)
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -60,6 +65,27 @@ def run_scenario(
         rows = [{"metric": name, "value": value} for name, value in metrics.items()]
         table = Table(scenario.name, [Column("metric", "metric"), Column("value", "value")], rows)
         console().print(table.to_rich())
+    return 0
+
+
+def export_c(path: Path | None, out: Path) -> int:
+    """Write C, and 50 ticks from the middle of a run for its self-test."""
+    import numpy as np
+
+    from moc_opt.embedded import check_supported, export, record
+    from moc_opt.scenario import Scenario, Setup
+
+    scenario = Scenario() if path is None else Scenario.load(path)
+    setup = Setup(scenario.change(judge=False, bound_samples=0, control={"backend": "python"}))
+    law = (setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
+    check_supported(*law)
+    trace, t = setup.trace(), setup.times()
+    part = slice(len(t) // 2, len(t) // 2 + 50)
+    references = (np.stack(source.at(t[part]), axis=1) for source in (setup.reference, setup.registered))
+    recording = record(*law, trace.q_rad[part], trace.v_rad_per_s[part], *references)
+    for file in export(*law, recording, out):
+        print(file)
+    print(f"next: make -C {out} test")
     return 0
 
 

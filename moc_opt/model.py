@@ -48,6 +48,7 @@ class RobotModel:
         self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
         last = self._pin_data.oMi[n]
         self._last_rotation_t, self._last_origin = last.rotation.T, last.translation
+        self._coriolis = self._side_data.C
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
         self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
         self._moves = self._find_moves()
@@ -91,11 +92,26 @@ class RobotModel:
             )
         return RobotState(record, n)
 
+    def mu_along(self, poses: Array) -> Array:
+        """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it."""
+        mu = np.empty(len(poses))
+        for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
+            pin.computeJointJacobians(self._pin, self._pin_data, q)
+            mu[k] = kernels.tip_manipulability(
+                self._axes, self._last_rotation_t, self._last_origin, self._offsets, self._moves
+            )
+        return mu
+
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
         return np.array(
             pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
         )
+
+    def coriolis_view(self, state: RobotState) -> Array:
+        """C (n,n) at a state, without a copy: the next call of any method of this model may overwrite it."""
+        pin.computeCoriolisMatrix(self._pin, self._side_data, state.q, state.v)
+        return self._coriolis
 
     def gravity(self, q: ArrayLike) -> Array:
         """Gravity torque g (n,) [Nm]."""

@@ -183,6 +183,16 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
 
 
 @njit(cache=True)
+def tip_manipulability(axes: Array, rotation_t: Array, origin: Array, offsets: Array, moves: Array) -> float:
+    """mu of the tip, from the arguments of `fill_state`."""
+    n = axes.shape[0]
+    tip, jacobian, grad = np.empty(3), np.empty((3, n)), np.empty(n)
+    point_in_world(rotation_t, origin, offsets[0], tip)
+    point_jacobian(axes, tip, moves[0], jacobian)
+    return float(manipulability(axes, jacobian, grad))
+
+
+@njit(cache=True)
 def fill_state(
     record: Array,
     axes: Array,

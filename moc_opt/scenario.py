@@ -14,11 +14,13 @@ from pydantic import BaseModel, Field, field_validator
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.guard import Guard, GuardSettings
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, UnknownNameError
 from moc_opt.model import RobotModel, load_robot
 from moc_opt.selfmotion import self_motion
 from moc_opt.settings import Settings
-from moc_opt.sim.loop import simulate
+from moc_opt.sim.faults import Faults, FaultSettings
+from moc_opt.sim.loop import Brain, Stop, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.solvers.base import Solver, Status
@@ -115,10 +117,20 @@ class Scenario(Settings):
     plant: PlantSettings = PlantSettings.realistic()
     duration_s: float | None = Field(default=None, gt=0.0, description="stop early; None: the whole path")
     deadline_us: float = Field(default=2000.0, gt=0.0, description="a longer tick is a miss")
+    guard: GuardSettings = GuardSettings()
+    faults: FaultSettings = FaultSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     bound_samples: int = Field(
         default=25, ge=0, description="points of the path at which the largest mu is scanned for"
     )
+
+    @field_validator("control", mode="before")
+    @classmethod
+    def _control_preset(cls, value: Any) -> Any:
+        if isinstance(value, Mapping) and "preset" in value:
+            table = dict(value)
+            return ControlSettings.preset(str(table.pop("preset")), **table)
+        return value
 
     @field_validator("plant", mode="before")
     @classmethod
@@ -176,12 +188,13 @@ class Setup:
             MocOptError: the first thing that is wrong, in its own words.
         """
         self.scenario = scenario
-        start_seed, plant_seed = np.random.SeedSequence(scenario.seed).generate_state(2).tolist()
+        start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
         table = scenario.robot
         self.robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
         self.q_start = self._start_pose(np.random.default_rng(start_seed))
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         self.plant.reset(self.q_start)
+        self._fault_seed = fault_seed
         state = self.robot.state(self.q_start)
 
         trocar = scenario.trocar
@@ -209,12 +222,25 @@ class Setup:
         fraction = rng.uniform(0.05, 0.95) if start.swivel == "random" else float(start.swivel)
         return self_motion(self.robot, q).at(fraction)
 
+    def solver(self) -> Solver | None:
+        """The solver that the scenario asks for; None under DCAC."""
+        if self.scenario.control.law != "moc":
+            return None
+        return make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+
     def controller(self) -> Controller:
         """The law and solver that the scenario asks for."""
-        settings, solver = self.scenario.control, None
-        if settings.law == "moc":
-            solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
-        return Controller(self.robot, settings, solver, self.scenario.plant.period_s)
+        return Controller(self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s)
+
+    def brain(self) -> Brain:
+        """The controller as the loop wants it, in Python or compiled."""
+        if self.scenario.control.backend == "c":
+            from moc_opt.embedded import NativeController  # late: nobody else needs CasADi and a compiler
+
+            return NativeController(
+                self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s
+            )
+        return Driver(self.controller())
 
     def times(self) -> Array:
         """Start of every tick [s]."""
@@ -231,11 +257,15 @@ class Setup:
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
+        period, guard = self.scenario.plant.period_s, self.scenario.guard
+        faults = Faults(self.scenario.faults, self.robot.n, period, self._fault_seed)
         trace = simulate(
-            self.plant, Driver(self.controller()), np.stack(self.reference.at(t), axis=1),
-            np.stack(self.trocar.at(t), axis=1), np.stack(self.registered.at(t), axis=1), watch=watch, meta=meta,
+            self.plant, self.brain(), np.stack(self.reference.at(t), axis=1),
+            faults.slip(np.stack(self.trocar.at(t), axis=1), t), np.stack(self.registered.at(t), axis=1),
+            guard=Guard(self.robot.data, guard, period), faults=faults if faults.any else None,
+            stop=Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s), watch=watch, meta=meta,
         )  # fmt: skip
-        mu = np.array([self.robot.state(q).mu for q in trace.q_rad])
+        mu = self.robot.mu_along(trace.q_rad)
         return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
 
     def _mu_bound(self, trace: Trace) -> Array:
@@ -275,6 +305,10 @@ class Driver:
         """See ``sim.loop.Brain``."""
         return self.controller.tick(self._robot.state(q, v), tip_ref, trocar)
 
+    def sent(self, tau: Array) -> None:
+        """See ``sim.loop.Brain``."""
+        self.controller.sent(tau)
+
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """The third level's columns; none but the status under DCAC."""
         n = self._robot.n
@@ -286,7 +320,7 @@ class Driver:
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
                 "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.empty((ticks, row_length(n))),
-                "iterations": np.zeros(ticks, dtype=np.int32),
+                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
             }  # fmt: skip
         return found
 
@@ -303,6 +337,7 @@ class Driver:
             columns["dual"][row] = solution.y
         columns["subproblem"][row] = qp.row
         columns["iterations"][row] = solution.iterations
+        columns["fault"][row] = self.controller.fault.label
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:

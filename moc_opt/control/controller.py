@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from time import perf_counter_ns
+from collections.abc import Iterator
 from typing import Protocol, cast
 
 import numpy as np
@@ -12,16 +12,14 @@ from moc_opt.control import manipulability, tick
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
 from moc_opt.control.settings import GAINS, ControlSettings
+from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.model_kernels import state_views
-from moc_opt.solvers.base import Session, Solution, Solver, Status
+from moc_opt.solvers.base import Session, Solution, Solver
 from moc_opt.subproblem import NullSpaceQP, row_length
 
 Array = NDArray[np.float64]
-
-# Statuses whose x, where there is one, still goes to the arm: a truncated iterate is an answer.
-USABLE = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 class ObservesVelocity(Protocol):
@@ -35,7 +33,7 @@ class ObservesVelocity(Protocol):
 class Controller:
     """One arm, one law, one solver; ``start`` once, then ``tick`` every period.
 
-    After a tick, ``subproblem``, ``solution``, ``answer`` and ``solve_us`` say what the third
+    After a tick, ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say what the third
     level did (None and NaN under DCAC).
 
     Args:
@@ -43,6 +41,7 @@ class Controller:
         settings: see ControlSettings.
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
+        times_us: recorded solve times that replace the clock where a solve has a time budget.
 
     Raises:
         ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
@@ -54,6 +53,7 @@ class Controller:
         settings: ControlSettings,
         solver: Solver | None = None,
         period: float = 0.002,
+        times_us: Iterator[float] | None = None,
     ) -> None:
         if (settings.law == "moc") != (solver is not None):
             raise ControlError(
@@ -64,8 +64,13 @@ class Controller:
         found = settings.resolve_gains(robot.data.gains)
         self._gains = np.array([found[gain] for gain in GAINS])
         self._projector = PROJECTORS.index(settings.projector)
-        self._limits = np.ascontiguousarray([robot.q_min, robot.q_max, robot.v_max])
+        self._limits = np.ascontiguousarray([robot.q_min, robot.q_max, settings.speed_fraction * robot.v_max])
+        self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
+        self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
+        self._pull, self._damping = found["K_N2"], found["D_N2"]
+        self._dcac_damping = settings.dcac_damping
+        self._tau_max = robot.tau_max if settings.limit_torque else np.full(robot.n, np.inf)
         self._row_length = row_length(robot.n)
         self._observer = (
             MomentumObserver(robot, settings.observer_gain_per_s, period)
@@ -77,7 +82,28 @@ class Controller:
         self._session: Session | None = None
         self._listener: ObservesVelocity | None = None
         self._rest = np.zeros(robot.n)
+        self._supervisor = Supervisor(settings.supervisor, settings.fallback, robot.n, times_us)
         self._forget()
+
+    def _forget(self) -> None:
+        n = self.robot.n
+        self._share = 0.0  # of the third level
+        self._Z = np.zeros((0, n))
+        self._tau = _read_only(np.zeros(n))
+        self._supervisor.forget()
+        self.subproblem: NullSpaceQP | None = None
+        self.solution: Solution | None = None
+        self.answer = np.full(n, np.nan)
+
+    @property
+    def fault(self) -> Fault:
+        """What was wrong with the last tick's answer."""
+        return self._supervisor.fault
+
+    @property
+    def solve_us(self) -> float:
+        """Time of the last solve [us]; NaN where there was none."""
+        return self._supervisor.solve_us
 
     @property
     def null_space(self) -> Array:
@@ -109,7 +135,7 @@ class Controller:
             self._listener = (
                 cast(ObservesVelocity, self._session) if hasattr(self._session, "observe") else None
             )
-            self._fall_back(qp)  # so that no compiler runs in the loop
+            self._supervisor.warm_up(qp, self._Z)
         self._started = True
 
     def tick(self, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
@@ -131,32 +157,43 @@ class Controller:
             raise ControlError(
                 f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
             )
-        n, record, settings = self.robot.n, state.record, self.settings
-        tau = tick.tracking_torque(
-            record, n, tip_ref, trocar, self._gains, self._projector, settings.feedforward
-        )
-        if self._uses_null_space:
-            self._follow_null_space(state)
-            if self._session is not None:
-                x = self._answer(self._session, self._build(state, tip_ref, trocar), state)
-                tau += tick.third_level(record, n, self._Z, x, self._gains[4], self._gains[5])
-            else:
-                tau += tick.third_level(record, n, self._Z, self._rest, settings.dcac_damping, 0.0)
-        if self._observer is not None:
-            tau -= self._observer.update(state, self._tau)
-        if settings.limit_torque:
-            np.minimum(tau, self.robot.tau_max, out=tau)
-            np.maximum(tau, -self.robot.tau_max, out=tau)
+        robot, record, gains = self.robot, state.record, self._gains
+        if self._session is not None:
+            tau, row = np.empty(robot.n), np.empty(self._row_length)
+            if not tick.before_solver(
+                record,
+                robot.n,
+                tip_ref,
+                trocar,
+                gains,
+                self._projector,
+                self._feedforward,
+                self._limits,
+                self._weights,
+                self._k0,
+                self._Z,
+                tau,
+                row,
+            ):
+                self._Z = manipulability.null_space(state.A, like=self._Z)
+            x = self._answer(self._session, NullSpaceQP.from_row(row), state)
+            self._share = min(1.0, self._share + self._fade)
+            pull, damping = self._share * self._pull, self._share * self._damping
+        else:
+            tau = tick.tracking_torque(
+                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
+            )
+            if self._uses_null_space:
+                self._follow_null_space(state)
+            x, pull, damping = self._rest, self._dcac_damping, 0.0
+        disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
+        tick.after_solver(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
         self._tau = _read_only(tau)
         return tau
 
-    def _forget(self) -> None:
-        n = self.robot.n
-        self._Z, self._tau, self._held = np.zeros((0, n)), np.zeros(n), np.zeros(n)
-        self.subproblem: NullSpaceQP | None = None
-        self.solution: Solution | None = None
-        self.answer = np.full(n, np.nan)
-        self.solve_us = float("nan")
+    def sent(self, tau: Array) -> None:
+        """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
+        self._tau = _read_only(np.array(tau))
 
     def _build(self, state: RobotState, tip_ref: Array, trocar: Array) -> NullSpaceQP:
         row = np.empty(self._row_length)
@@ -173,28 +210,12 @@ class Controller:
         return NullSpaceQP.from_row(row)
 
     def _answer(self, session: Session, qp: NullSpaceQP, state: RobotState) -> Array:
-        """The solver's x, or the fallback where it has none."""
+        """The x that the arm follows: the solver's, or what stands in for it."""
         if self._listener is not None:
             self._listener.observe(state.v)
-        begin = perf_counter_ns()
-        solution = session.solve(qp)
-        self.solve_us = (perf_counter_ns() - begin) * 1e-3
-        self.subproblem, self.solution = qp, solution
-        if solution.status in USABLE and np.isfinite(solution.x).all():
-            # A copy: the solver may write its next answer, or none, into the same memory.
-            self._held = self.answer = np.array(solution.x)
-        else:
-            self.answer = self._fall_back(qp)
+        self.subproblem = qp
+        self.solution, self.answer = self._supervisor.solve(session, qp, self._Z)
         return self.answer
-
-    def _fall_back(self, qp: NullSpaceQP) -> Array:
-        if self.settings.fallback == "hold":
-            return self._held
-        if self.settings.fallback == "least-violation":
-            part = qp.fields
-            x: Array = manipulability.least_violation(part.A, part.b, part.lower, part.upper, 50)
-            return x
-        return self._rest
 
     def _follow_null_space(self, state: RobotState) -> None:
         views = state_views.py_func(state.record, state.n)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from moc_opt.control.dense import times, transpose_times
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
+from moc_opt.model_kernels import state_views
 
 Array = NDArray[np.float64]
 
@@ -42,6 +43,15 @@ def momentum_residual(
         r[i] = gain * (p[i] - integral[i])
 
 
+@njit(cache=True, nogil=True)
+def observe(
+    record: Array, n: int, C: Array, tau: Array, gain: float, period: float, integral: Array, r: Array
+) -> None:
+    """``momentum_residual`` on a flat state record."""
+    s = state_views(record, n)
+    momentum_residual(s.M, C, s.h, s.v, tau, gain, period, integral, r)
+
+
 class MomentumObserver:
     """Estimates the external joint torque, friction included.
 
@@ -66,8 +76,6 @@ class MomentumObserver:
 
     def update(self, state: RobotState, tau: Array) -> Array:
         """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
-        C = self._robot.coriolis(state.q, state.v)
-        momentum_residual(
-            state.M, C, state.h, state.v, tau, self._gain, self._period, self._integral, self.external_torque
-        )
+        C = self._robot.coriolis_view(state)
+        observe(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

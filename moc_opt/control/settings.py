@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.settings import Settings
 
@@ -14,6 +15,16 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
+PRESETS = ("paper", "tuned")
+
+# Found by: python -m benchmarks.tune --seed 0
+TUNED: dict[str, Any] = {
+    "gains": "moc",
+    "K_N": 2000.0,
+    "D_N": 120.0,
+    "K_N2": 20.0,
+    "damping": 1e-4,
+}
 
 
 class ControlSettings(Settings):
@@ -52,11 +63,36 @@ class ControlSettings(Settings):
     fallback: Literal["damping", "hold", "least-violation"] = Field(
         default="damping", description="the answer to an infeasible subproblem"
     )
+    speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
+        default=1.0, description="of v_max in the box on x: limits how fast the elbow travels"
+    )
+    ramp_s: NotNegative = Field(default=0.0, description="the third level fades in over this time [s]")
+    supervisor: SupervisorSettings = SupervisorSettings()
+    backend: Literal["python", "c"] = Field(
+        default="python", description="'c' compiles the whole tick; solver 'exact' only"
+    )
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
         """The paper's parameters where it prints them: no observer, k0 = 0.1, rho = 0."""
         return cls(**{"k0_per_s": 0.1, "damping": 0.0, "observer_gain_per_s": 0.0, **changes})
+
+    @classmethod
+    def tuned(cls, **changes: Any) -> ControlSettings:
+        """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
+        return cls(**{**TUNED, **changes})
+
+    @classmethod
+    def preset(cls, name: str, **changes: Any) -> ControlSettings:
+        """A named set of settings; ``changes`` override fields.
+
+        Raises:
+            UnknownNameError: no such preset; the message lists them.
+        """
+        if name not in PRESETS:
+            raise UnknownNameError("control preset", name, PRESETS)
+        make: Callable[..., ControlSettings] = getattr(cls, name)
+        return make(**changes)
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
         """K_X .. D_N2 as numbers: settings first, then the robot's table.

@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 
 from moc_opt.control.compliance import compliance_force, task_inertia
 from moc_opt.control.dense import cholesky, solve_factored, times, transpose_times
-from moc_opt.control.manipulability import consistent_wrist_velocity, self_motion_torque, velocity_damper
+from moc_opt.control.manipulability import (
+    consistent_wrist_velocity,
+    follow_null_space,
+    self_motion_torque,
+    velocity_damper,
+)
 from moc_opt.control.rcm import desired_wrist, project_dynamic, project_printed, project_static
 from moc_opt.model_kernels import state_views
 
@@ -91,3 +96,52 @@ def third_level(record: Array, n: int, Z: Array, x: Array, gain: float, damping:
     s = state_views(record, n)
     torque: Array = self_motion_torque(s.M, Z, gain * (x - s.v) - damping * s.v)
     return torque
+
+
+@njit(cache=True, nogil=True)
+def before_solver(
+    record: Array,
+    n: int,
+    tip_ref: Array,
+    trocar: Array,
+    gains: Array,
+    projector: int,
+    feedforward: bool,
+    limits: Array,
+    weights: Array,
+    k0: float,
+    Z: Array,
+    tau: Array,
+    row: Array,
+) -> bool:
+    """All that a tick can do before its solver is asked, in one call: levels 1 and 2, subproblem, null space.
+
+    Args are those of ``tracking_torque`` and ``fill_subproblem``; tau (n,) and row (10 n + 10,) are written,
+    Z (r, n) follows. Returns False where Z could not follow.
+    """
+    s = state_views(record, n)
+    tau[:] = tracking_torque(record, n, tip_ref, trocar, gains, projector, feedforward)
+    fill_subproblem(record, n, tip_ref, trocar, limits, weights, k0, row)
+    return follow_null_space(s.A, s.u, Z)
+
+
+@njit(cache=True, nogil=True)
+def after_solver(
+    record: Array,
+    n: int,
+    Z: Array,
+    x: Array,
+    gain: float,
+    damping: float,
+    disturbance: Array,
+    tau_max: Array,
+    tau: Array,
+) -> None:
+    """Add the third level to tau (n,), take the observer's disturbance (n,) out, and cut at tau_max (n,)."""
+    third = third_level(record, n, Z, x, gain, damping)
+    for i in range(n):
+        tau[i] = tau[i] + third[i] - disturbance[i]
+        if tau[i] > tau_max[i]:  # a NaN passes: the plant refuses it by name
+            tau[i] = tau_max[i]
+        elif tau[i] < -tau_max[i]:
+            tau[i] = -tau_max[i]

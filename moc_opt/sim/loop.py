@@ -5,17 +5,29 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from time import perf_counter_ns
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.errors import PlantError
+from moc_opt.sim.faults import Faults
 from moc_opt.sim.plant import Plant
+from moc_opt.sim.sensors import Measurement
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace import Trace
 
 Array = NDArray[np.float64]
+
+
+class RunAway(PlantError):
+    """The plant could not go on; ``trace`` holds the rows so far."""
+
+    def __init__(self, message: str, trace: Trace) -> None:
+        super().__init__(message)
+        self.trace = trace
 
 
 class Brain(Protocol):
@@ -33,22 +45,93 @@ class Brain(Protocol):
         """Write this tick's own columns."""
         ...
 
+    def sent(self, tau: Array) -> None:
+        """Take note of the torque (n,) [Nm] that really went out, where the guard changed it."""
+        ...
+
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """Empty arrays for the columns that ``note`` fills."""
         ...
 
 
+class Watchdog(Protocol):
+    """What the loop asks of a guard (``moc_opt.control.guard.Guard``)."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the sensors cannot be believed any more: time to stop."""
+        ...
+
+    def start(self, q: Array, v: Array) -> None:
+        """Believe the first measurement."""
+        ...
+
+    def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """The measurement, or what stands in for one that cannot be true."""
+        ...
+
+    def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+        """The torque within its limits; ``limited`` says whether they acted."""
+        ...
+
+    limited: int
+
+
+@dataclass(frozen=True)
+class Stop:
+    """How a run is broken off: damping of the drives [Nm s/rad], and how long it is watched [s]."""
+
+    damping: float = 15.0
+    seconds: float = 0.5
+
+
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """No garbage-collection pause inside a real-time loop; what was allocated before is left alone."""
+    """No garbage-collection pause inside a real-time loop.
+
+    Only young objects are looked through first: a full collection takes 0.1 s once the libraries are loaded.
+    """
     enabled = gc.isenabled()
-    gc.collect()
+    gc.collect(1)
     gc.disable()
     try:
         yield
     finally:
         if enabled:
             gc.enable()
+
+
+class _Safe:
+    """A brain behind its guard; without one, the brain alone."""
+
+    def __init__(self, brain: Brain, guard: Watchdog | None, sent: Array) -> None:
+        self._brain, self._guard, self._sent = brain, guard, sent
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        self._brain.start(seen.q, seen.v, tip_ref, trocar)
+        if self._guard is not None:
+            self._guard.start(seen.q, seen.v)
+
+    @property
+    def lost(self) -> bool:
+        return self._guard is not None and self._guard.lost
+
+    @property
+    def limited(self) -> int:
+        return 0 if self._guard is None else self._guard.limited
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        guard = self._guard
+        if guard is None:
+            return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
+        q, v = guard.believe(seen.q, seen.v)
+        if guard.lost:
+            return self._sent  # the drives brake; a torque from a state that nobody knows would not help
+        tau = guard.limit(self._brain.tick(q, v, tip_ref, trocar), self._sent, q, v)
+        if guard.limited:
+            self._brain.sent(tau)
+        self._sent = tau
+        return tau
 
 
 def simulate(
@@ -58,6 +141,9 @@ def simulate(
     trocars: Array,
     registered: Array,
     *,
+    guard: Watchdog | None = None,
+    faults: Faults | None = None,
+    stop: Stop = Stop(),
     watch: Callable[[int], None] | None = None,
     meta: Mapping[str, Any] | None = None,
 ) -> Trace:
@@ -69,38 +155,63 @@ def simulate(
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars: (N, 2, 3) rows P_t, dP_t: where the trocar really is.
         registered: (N, 2, 3) where the controller believes it to be.
+        guard: holds limits and judges measurements; None: neither.
+        faults: what goes wrong around the arm; None: nothing.
+        stop: how the arm is stopped when the guard has lost it.
         watch: called with the tick's number before each tick (progress, events).
         meta: goes into the trace.
 
     Returns:
-        One row per tick: the state at its start, and the torque asked for then.
+        One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
+        "stopped: ..." with the rows so far.
+
+    Raises:
+        RunAway: the plant cannot go on; the error holds the trace so far.
     """
     ticks, n = len(tip_refs), plant.data.n
     kept: dict[str, NDArray[Any]] = {
         "t_s": plant.time + plant.settings.period_s * np.arange(ticks),
-        "q_rad": np.empty((ticks, n)), "v_rad_per_s": np.empty((ticks, n)), "tau_Nm": np.empty((ticks, n)),
-        "tip_m": np.empty((ticks, 3)), "tip_ref_m": np.array(tip_refs[:, 0]), "wrist_m": np.empty((ticks, 3)),
-        "trocar_m": np.array(trocars[:, 0]), "trocar_registered_m": np.array(registered[:, 0]),
-        "trocar_force_N": np.empty((ticks, 3)), "force_N": np.empty((ticks, 3)), "torque_Nm": np.empty((ticks, 3)),
-        "tick_us": np.empty(ticks), **brain.columns(ticks),
+        "tip_ref_m": np.array(tip_refs[:, 0]), "trocar_m": np.array(trocars[:, 0]),
+        "trocar_registered_m": np.array(registered[:, 0]), "tau_Nm": np.empty((ticks, n)),
+        "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **brain.columns(ticks),
     }  # fmt: skip
+    truth, wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
+    torques, tick_us, limited = kept["tau_Nm"], kept["tick_us"], kept["limited"]
+    safe = _Safe(brain, guard, np.array(plant.applied_torque))
     seen = plant.measure()
-    brain.start(seen.q, seen.v, tip_refs[0], registered[0])
+    safe.start(seen, tip_refs[0], registered[0])
+    ended, stop_at, broken = "completed", ticks - 1, None
     with no_collector():
         for k in range(ticks):
             if watch is not None:
                 watch(k)
             seen = plant.measure()
+            if faults is not None:
+                faults.act(plant, k)
+                seen = faults.sense(seen, k)
             begin = perf_counter_ns()
-            tau = brain.tick(seen.q, seen.v, tip_refs[k], registered[k])
-            kept["tick_us"][k] = (perf_counter_ns() - begin) * 1e-3
+            tau = safe.tick(seen, tip_refs[k], registered[k])
+            tick_us[k] = (perf_counter_ns() - begin) * 1e-3
+            if safe.lost and ended == "completed":
+                ended = f"stopped: measurements not believed from t = {kept['t_s'][k]:.3f} s on"
+                stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
+                plant.brake(stop.damping)
             brain.note(k, kept)
-            kept["q_rad"][k], kept["v_rad_per_s"][k] = plant.q, plant.v
-            kept["tip_m"][k], kept["wrist_m"][k] = plant.tip, plant.wrist
-            kept["trocar_force_N"][k] = plant.trocar_force
-            kept["force_N"][k], kept["torque_Nm"][k] = seen.force[:3], seen.force[3:]
-            kept["tau_Nm"][k] = tau
-            plant.step(tau, trocars[k])
+            plant.write_truth(truth[k])
+            wrench[k], torques[k], limited[k] = seen.force, tau, safe.limited
+            try:
+                plant.step(tau, trocars[k])
+            except PlantError as error:
+                ended, stop_at, broken = f"ran away at t = {kept['t_s'][k]:.3f} s", k, error
+            if k == stop_at:
+                break
+    places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
+    kept |= dict(zip(places, np.split(truth, np.cumsum([*places.values()])[:-1], axis=1), strict=True))
+    kept["force_N"], kept["torque_Nm"] = wrench[:, :3], wrench[:, 3:]
+    kept = {name: column[: stop_at + 1] for name, column in kept.items()}
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
-    return Trace(kept, {"period_s": plant.settings.period_s, **(meta or {})})
+    trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **(meta or {})})
+    if broken is not None:
+        raise RunAway(f"{ended}: {broken}", trace) from broken
+    return trace

@@ -22,11 +22,47 @@ _RUNAWAY_RAD_PER_S = 1e3
 
 
 @njit(cache=True)
+def _all_finite(array: Array) -> bool:
+    for x in array.flat:  # noqa: SIM110 - numba compiles no generators
+        if not np.isfinite(x):
+            return False
+    return True
+
+
+@njit(cache=True)
 def _sound(q: Array, v: Array, runaway: float) -> bool:
     for i in range(q.size):  # noqa: SIM110 - numba compiles no generators
         if not (np.isfinite(q[i]) and abs(v[i]) < runaway):
             return False
     return True
+
+
+@njit(cache=True)
+def _write_truth(
+    q: Array,
+    v: Array,
+    xpos: Array,
+    cvel: Array,
+    origin: Array,
+    tool: int,
+    tip: int,
+    wrist: int,
+    trocar: Array,
+    elapsed: float,
+    stiffness: float,
+    damping: float,
+    point: Array,
+    row: Array,
+) -> None:
+    n = q.size
+    row[:n], row[n : 2 * n] = q, v
+    row[2 * n : 2 * n + 3], row[2 * n + 3 : 2 * n + 6] = xpos[tip], xpos[wrist]
+    force = row[2 * n + 6 :]
+    force[:] = 0.0
+    if stiffness > 0.0 or damping > 0.0:
+        shaft_force(
+            xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, stiffness, damping, force, point
+        )
 
 
 class Plant:
@@ -67,8 +103,10 @@ class Plant:
         )
         self.mj_model = compile_model(data.name, spec)
         self.mj_data = mujoco.MjData(self.mj_model)
+        self._drive_damping = np.array(self.mj_model.dof_damping)
         self._bind()
-        self._trocar, self._force, self._point = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+        self._told, self._trocar = np.zeros((2, 3)), np.zeros((2, 3))
+        self._force, self._point = np.zeros(3), np.zeros(3)
         self.reset(data.q_home)
 
     def _bind(self) -> None:
@@ -116,6 +154,7 @@ class Plant:
         self._encoders = Encoders.of(self.settings, self.data.n, encoders)
         self._wrench_sensor = WrenchSensor.of(self.settings, force)
         self._pushes.clear()
+        self.mj_model.dof_damping[:] = self._drive_damping
         self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
         self._q[:] = start
@@ -138,9 +177,7 @@ class Plant:
         Raises:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
-        if trocar is not None and (
-            np.shape(trocar) != (2, 3) or not _finite(np.asarray(trocar, dtype=np.float64))
-        ):
+        if trocar is not None and not self._take(trocar):
             raise PlantError(
                 f"trocar = {np.asarray(trocar).tolist()!r:.200}: give (2, 3) finite numbers, point [m] over "
                 "velocity [m/s], or None for no trocar; the arm has not moved"
@@ -151,7 +188,7 @@ class Plant:
         if trocar is None:
             self._stiffness = self._damping = 0.0
         else:
-            self._trocar[:] = trocar
+            self._trocar[:] = self._told
             self._stiffness = self.settings.trocar_stiffness_N_per_m
             self._damping = self.settings.trocar_damping_Ns_per_m
         self._advance()
@@ -165,6 +202,13 @@ class Plant:
         self._measurement = Measurement(
             *self._encoders.read(self._q, self._v), self._wrench_sensor.read(-self._wrench)
         )
+
+    def _take(self, trocar: ArrayLike) -> bool:
+        """Take in what the caller says of the trocar; False where that is nonsense."""
+        if np.shape(trocar) != (2, 3):
+            return False
+        self._told[:] = trocar
+        return bool(_all_finite(self._told))
 
     def _advance(self) -> None:
         # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
@@ -187,9 +231,39 @@ class Plant:
             mujoco.mj_step2(model, state)
             mujoco.mj_step1(model, state)
 
+    def write_truth(self, row: Array) -> None:
+        """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
+        _, xpos, _, _, cvel = self._poses
+        _write_truth(
+            self._q,
+            self._v,
+            xpos,
+            cvel,
+            self._origin,
+            *self._numbers,
+            self._trocar,
+            self.settings.period_s,
+            self._stiffness,
+            self._damping,
+            self._point,
+            row,
+        )
+
     def measure(self) -> Measurement:
         """What the sensors showed at the end of the last period; asking twice gives the same."""
         return self._measurement
+
+    def brake(self, damping_Nm_s_per_rad: float) -> None:
+        """Short-circuit the drives: more damping in every joint, whatever is commanded, until reset.
+
+        It acts on the true velocity, as a real arm's brakes do: no sensor is needed.
+
+        Raises:
+            PlantError: not a positive number.
+        """
+        if not 0.0 < damping_Nm_s_per_rad < np.inf:
+            raise PlantError(f"damping_Nm_s_per_rad = {damping_Nm_s_per_rad!r}: give a positive number")
+        self.mj_model.dof_damping[:] = self._drive_damping + damping_Nm_s_per_rad
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
         """Hold an external force on a link from the next period on, until it is cleared, replaced or reset.
@@ -247,34 +321,15 @@ class Plant:
     @property
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
-        force = np.zeros(3)
-        if self._stiffness > 0.0 or self._damping > 0.0:
-            _, xpos, _, _, cvel = self._poses
-            shaft_force(
-                xpos[self._tip],
-                xpos[self._wrist],
-                cvel[self._tool],
-                self._origin,
-                self._trocar,
-                self.settings.period_s,
-                self._stiffness,
-                self._damping,
-                force,
-                self._point,
-            )
-        return _readonly(force)
+        row = np.empty(2 * self.data.n + 9)
+        self.write_truth(row)
+        return _readonly(row[-3:])
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         array = np.asarray(value, dtype=np.float64)
         if array.shape != (self.data.n,) or not np.isfinite(array).all():
             raise PlantError(f"{name} = {array.tolist()!r:.200}: give {self.data.n} finite numbers")
         return array
-
-
-def _finite(array: Array) -> bool:
-    # A sum is not finite if a term is not (or if it overflows, which no position does): 4 us less than
-    # isfinite.
-    return bool(np.isfinite(array.sum()))
 
 
 def _readonly(array: Array) -> Array:

@@ -28,6 +28,31 @@ class Measurement(NamedTuple):
     """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
 
 
+_NOISE_ROWS = 64
+
+
+class _Noise:
+    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls."""
+
+    def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
+        """Build it with the standard deviation of each entry (m,)."""
+        self._rng, self._deviation = rng, deviation
+        self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
+        self._quiet = not deviation.any()
+
+    def row(self) -> Array:
+        """The next (m,), valid until the one after it is asked for."""
+        if self._quiet:
+            return self._block[0]
+        if self._next == _NOISE_ROWS:
+            self._rng.standard_normal(out=self._block)
+            self._block *= self._deviation
+            self._next = 0
+        row = self._block[self._next]
+        self._next += 1
+        return row
+
+
 @njit(cache=True)
 def _read(
     q: Array,
@@ -36,15 +61,16 @@ def _read(
     gain: float,
     period: float,
     last: Array,
-    position: Array,
-    velocity: Array,
+    estimate: Array,
+    reading: Array,
 ) -> None:
+    position, velocity = reading[0], reading[1]
     for i in range(q.size):
         position[i] = q[i] + noise[i]
         if resolution > 0.0:
             position[i] = resolution * np.rint(position[i] / resolution)
-        velocity[i] += gain * ((position[i] - last[i]) / period - velocity[i])
-        last[i] = position[i]
+        estimate[i] += gain * ((position[i] - last[i]) / period - estimate[i])
+        velocity[i], last[i] = estimate[i], position[i]
 
 
 class Encoders:
@@ -66,11 +92,11 @@ class Encoders:
         cutoff_Hz: float = 0.0,
     ) -> None:
         """Build n encoders that are read every `period_s`; noise is a standard deviation."""
-        self._rng, self._period = rng, period_s
-        self._noise_rad, self._resolution = noise_rad, resolution_rad
+        self._period, self._resolution = period_s, resolution_rad
         self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
-        self._noise, self._last, self._velocity = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._noise = _Noise(rng, np.full(n, noise_rad))
+        self._last, self._velocity = np.zeros(n), np.zeros(n)
 
     @classmethod
     def of(cls, settings: PlantSettings, n: int, rng: np.random.Generator) -> Encoders:
@@ -89,23 +115,20 @@ class Encoders:
         if self._exact:
             return _frozen(q), _frozen(v)
         self._velocity[:] = v
-        position = np.empty_like(q)
-        self._sample(q, 0.0, position)
-        return _sealed(position), _frozen(self._velocity)
+        return self._sample(q, 0.0)
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         if self._exact:
             return _frozen(q), _frozen(v)
-        position = np.empty_like(q)
-        self._sample(q, self._gain, position)
-        return _sealed(position), _frozen(self._velocity)
+        return self._sample(q, self._gain)
 
-    def _sample(self, q: Array, gain: float, position: Array) -> None:
-        if self._noise_rad > 0.0:
-            self._rng.standard_normal(out=self._noise)
-            self._noise *= self._noise_rad
-        _read(q, self._noise, self._resolution, gain, self._period, self._last, position, self._velocity)
+    def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
+        reading = np.empty((2, q.size))
+        noise = self._noise.row()
+        _read(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
+        _sealed(reading)
+        return reading[0], reading[1]
 
 
 class WrenchSensor:
@@ -115,9 +138,7 @@ class WrenchSensor:
         self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0
     ) -> None:
         """Build it with the standard deviations of one axis."""
-        self._rng = rng
-        self._noisy = force_noise_N > 0.0 or torque_noise_Nm > 0.0
-        self._deviation = np.repeat([force_noise_N, torque_noise_Nm], 3)
+        self._noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
 
     @classmethod
     def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
@@ -126,12 +147,7 @@ class WrenchSensor:
 
     def read(self, wrench: Array) -> Array:
         """(6,) force [N] and torque [Nm] as measured, read-only, for the true `wrench` (6,)."""
-        if not self._noisy:
-            return _frozen(wrench)
-        reading = self._rng.standard_normal(6)
-        reading *= self._deviation
-        reading += wrench
-        return _sealed(reading)
+        return _sealed(self._noise.row() + wrench)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,10 +23,11 @@ class Status(Enum):
     NUMERICAL = "numerical trouble: take rows = 5, damping > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
-    @property
-    def label(self) -> str:
-        """Lower-case name, as it stands in traces and tables."""
-        return self.name.lower()
+    label: str
+    """Lower-case name, as it stands in traces and tables."""
+
+    def __init__(self, cure: str) -> None:
+        self.label = self.name.lower()  # once: the loop writes it down at every tick
 
 
 class Solution(NamedTuple):

@@ -128,17 +128,21 @@ def maximise_over_box(
     else:
         status = project(N, c, w, multipliers, small)
         multipliers[:] = 0.0
-        step = 10.0 * max(width, 1e-6) / size if size > 0.0 else 0.0
-        for _ in range(1000):
-            if status != OK or step == 0.0:
-                break
-            before = w.copy()
-            w += step * pull
-            w /= 1.0 + rho * step
-            status = project(N, c, w, multipliers, small)
-            multipliers *= rho + 1.0 / step
-            if np.max(np.abs(w - before)) <= small:
-                break
+        base = 10.0 * max(width, 1e-6) / size if size > 0.0 else 0.0
+        # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
+        # at the vertex and takes the rounding of the long ones out.
+        for scale in (1e8, 1e4, 1.0):
+            step = scale * base
+            for _ in range(50):
+                if status != OK or step == 0.0:
+                    break
+                before = w.copy()
+                w += step * pull
+                w /= 1.0 + rho * step
+                status = project(N, c, w, multipliers, small * max(1.0, 1e-3 * scale))
+                multipliers *= rho + 1.0 / step
+                if np.max(np.abs(w - before)) <= small * scale:
+                    break
     x += Z @ w
     for i in range(m):
         j = used[i]

@@ -37,9 +37,10 @@ _WARM = _GUESS.COLD_START_WITH_PREVIOUS_RESULT
 class ProxQP:
     """ProxQP's dense back-end.
 
-    With the library's eps_primal_inf = 1e-4 most of these feasible problems are called infeasible
-    (their cost is smaller than that); with 1e-12 infeasible ones run into max_iter. With costs
-    times 1e3 everything from 1e-8 to 1e-6 tells the two apart.
+    With the library's eps_primal_inf = 1e-4 a third of these feasible problems are called infeasible
+    (three quarters where damping = 0: their cost is smaller than that); with 1e-12 many infeasible ones run
+    into max_iter. With costs times 10 everything from 1e-10 to 1e-7 told 4800 feasible from 4800
+    infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
 
     Args:
         rows: 5 or 6 equality rows.
@@ -57,9 +58,9 @@ class ProxQP:
 
     rows: int = 5
     box: Literal["bounds", "rows"] = "bounds"
-    cost_scale: float = 1e3
+    cost_scale: float = 10.0
     eps: float = 1e-9
-    eps_primal_inf: float = 1e-8
+    eps_primal_inf: float = 1e-9
     max_iter: int = 100
     max_iter_in: int = 50
     warm: bool = True
@@ -68,9 +69,9 @@ class ProxQP:
     def __post_init__(self) -> None:
         checks.one_of(self.name, "rows", self.rows, ROWS)
         checks.one_of(self.name, "box", self.box, ("bounds", "rows"))
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
+        checks.positive(self.name, "cost_scale", self.cost_scale, 10.0)
         checks.positive(self.name, "eps", self.eps, 1e-9)
-        checks.positive(self.name, "eps_primal_inf", self.eps_primal_inf, 1e-8)
+        checks.positive(self.name, "eps_primal_inf", self.eps_primal_inf, 1e-9)
         checks.whole(self.name, "max_iter", self.max_iter, 100)
         checks.whole(self.name, "max_iter_in", self.max_iter_in, 50)
         checks.flag(self.name, "warm", self.warm)

@@ -109,4 +109,8 @@ def sampled(name: str, value: TimeLike, rows: Callable[[float], Vector]) -> Vect
         raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
     if array.size == 0:
         return np.empty((rows(0.0).shape[0], 0, 3))
-    return np.stack([rows(entry) for entry in array.tolist()], axis=1)
+    first = rows(float(array[0]))
+    found = np.empty((array.size, *first.shape))
+    for i, entry in enumerate(array.tolist()):
+        found[i] = rows(entry)
+    return np.ascontiguousarray(np.swapaxes(found, 0, 1))

@@ -1,0 +1,195 @@
+"""Nobody trusts the third level: every answer is checked before the arm follows it.
+
+Tip and RCM control never depend on a solver. An answer that raised, is missing, is not finite, came
+too late, or is claimed to be optimal and is not, is replaced: by the last good one for a few ticks,
+then by null-space damping alone. Every such tick is counted and named in the trace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from enum import Enum
+from time import perf_counter_ns
+from typing import ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import Field
+
+from moc_opt.control.dense import dot
+from moc_opt.control.manipulability import least_violation
+from moc_opt.errors import ControlError, MocOptError
+from moc_opt.model_kernels import all_finite
+from moc_opt.settings import Settings
+from moc_opt.solvers.base import Session, Solution, Status, no_answer
+from moc_opt.subproblem import NullSpaceQP
+
+Array = NDArray[np.float64]
+
+
+class Fault(Enum):
+    """What was wrong with an answer; the text is what it means."""
+
+    NONE = "the answer was taken"
+    INFEASIBLE = "the solver found the subproblem infeasible"
+    FAILED = "the solver gave no answer"
+    RAISED = "the solver raised an exception"
+    NOT_FINITE = "the answer holds NaN or infinity"
+    OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
+    LIED = "the solver claimed an optimum and the residual check disagrees"
+    LATE = "the solver took longer than its budget"
+
+    label: str
+    """Lower-case name, as it stands in traces."""
+
+    def __init__(self, meaning: str) -> None:
+        self.label = self.name.lower()  # once: the loop writes it down at every tick
+
+
+class SupervisorSettings(Settings):
+    """When an answer is refused, and what takes its place."""
+
+    KIND: ClassVar[str] = "[control.supervisor]"
+    ERROR: ClassVar[type[MocOptError]] = ControlError
+
+    check: bool = Field(True, description="check residuals of answers that are claimed optimal")
+    primal_limit: float = Field(
+        1e-2, gt=0.0, description="largest |A x - b| or box violation of a claim [m/s, rad/s]"
+    )
+    relative_limit: float = Field(
+        0.05, gt=0.0, description="largest natural residual along the self-motion, cost scaled to one [rad/s]"
+    )
+    hold_ticks: int = Field(
+        10, ge=0, description="how long the last good answer is held, before damping alone"
+    )
+    budget_us: float | None = Field(None, gt=0.0, description="time a solve may take; None: no limit")
+    late: Literal["hold", "zero", "iterate"] = Field("hold", description="what stands for a late answer")
+
+
+@njit(cache=True, nogil=True)
+def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, float]:
+    """(primal, relative) of an answer, for use in the loop.
+
+    primal: max(|A x - b|_inf, box violation). relative: the natural residual along the self-motion
+    that raises mu, with the cost divided by c2 |grad_mu|_inf and the best duals; it is the figure of
+    ``moc_opt.optimality`` where the elbow swivel is the only freedom.
+    """
+    o = 6 * n
+    grad_mu = row[o + 6 : o + 6 + n]
+    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
+    c2, rho = row[o + 8 + 3 * n], row[o + 9 + 3 * n]
+    primal = 0.0
+    for i in range(6):
+        gap = -row[o + i]
+        for j in range(n):
+            gap += row[i * n + j] * x[j]
+        primal = max(primal, abs(gap))
+    for j in range(n):
+        primal = max(primal, lower[j] - x[j], x[j] - upper[j])
+
+    line = np.zeros(n)
+    for i in range(Z.shape[0]):
+        line += dot(Z[i], grad_mu) * Z[i]
+    length = np.sqrt(dot(line, line))
+    largest = np.max(np.abs(grad_mu))
+    if length <= 1e-12 * largest or c2 == 0.0:
+        return primal, 0.0
+    slope, total, room = 0.0, 0.0, np.inf
+    for j in range(n):
+        line[j] /= length
+        slope += line[j] * (rho * x[j] - c2 * grad_mu[j]) / (c2 * largest)
+        total += abs(line[j])
+    for j in range(n):
+        push = line[j] * slope
+        if push > 1e-9 * abs(slope):
+            room = min(room, max(x[j] - lower[j], 0.0))
+        elif push < -1e-9 * abs(slope):
+            room = min(room, max(upper[j] - x[j], 0.0))
+    return primal, min(abs(slope) / total, room)
+
+
+class Supervisor:
+    """Stands between a session and the torque.
+
+    Args:
+        settings: what is refused.
+        fallback: what follows an infeasible subproblem: "damping", "hold" or "least-violation".
+        n: joints.
+        times_us: recorded solve times that replace the clock, so that a run with deadlines can be
+            repeated exactly; None: the clock decides.
+    """
+
+    def __init__(
+        self, settings: SupervisorSettings, fallback: str, n: int, times_us: Iterator[float] | None = None
+    ) -> None:
+        self.settings, self._fallback, self._times = settings, fallback, times_us
+        self._rest = np.zeros(n)
+        self.forget()
+
+    def forget(self) -> None:
+        """No answer yet to hold on to."""
+        self._good, self._age = np.zeros(self._rest.size), 0
+        self.fault, self.solve_us = Fault.NONE, float("nan")
+
+    def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
+        """Run what is compiled, so that no compiler runs in the loop."""
+        answer_residuals(qp.row, qp.n, Z, self._rest)
+        if self._fallback == "least-violation":
+            self._least_violation(qp)
+
+    def solve(self, session: Session, qp: NullSpaceQP, Z: Array) -> tuple[Solution, Array]:
+        """Ask, check, and answer in any case.
+
+        Returns:
+            what the solver said, and the x (n,) that the arm follows.
+        """
+        begin = perf_counter_ns()
+        raised = False
+        try:
+            solution = session.solve(qp)
+        except Exception:  # noqa: BLE001 - whatever a solver throws, tip and RCM go on; it is counted
+            solution, raised = no_answer(qp.n, Status.NUMERICAL), True
+        self.solve_us = (perf_counter_ns() - begin) * 1e-3
+        if self._times is not None:
+            self.solve_us = next(self._times)
+        self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
+        if self.fault is Fault.NONE:
+            # A copy: the solver may write its next answer, or none, into the same memory.
+            self._good, self._age = np.array(solution.x), 0
+            return solution, self._good
+        return solution, self._replace(solution, qp)
+
+    def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
+        settings, status = self.settings, solution.status
+        if status is Status.INFEASIBLE:
+            return Fault.INFEASIBLE
+        if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
+            return Fault.FAILED
+        if solution.x.shape != (qp.n,) or not all_finite(solution.x):
+            return Fault.NOT_FINITE
+        if settings.budget_us is not None and self.solve_us > settings.budget_us:
+            return Fault.LATE
+        if settings.check and status is Status.SOLVED:
+            primal, relative = answer_residuals(qp.row, qp.n, Z, solution.x)
+            if primal > settings.primal_limit:
+                return Fault.OUTSIDE
+            if relative > settings.relative_limit:
+                return Fault.LIED
+        return Fault.NONE
+
+    def _replace(self, solution: Solution, qp: NullSpaceQP) -> Array:
+        self._age += 1
+        if self.fault is Fault.INFEASIBLE and self._fallback != "hold":
+            if self._fallback == "damping":
+                return self._rest
+            return self._least_violation(qp)
+        if self.fault is Fault.LATE and self.settings.late != "hold":
+            # the truncated iterate: a late answer is still an answer, only the tick is lost
+            return solution.x if self.settings.late == "iterate" else self._rest
+        return self._good if self._age <= self.settings.hold_ticks else self._rest
+
+    def _least_violation(self, qp: NullSpaceQP) -> Array:
+        part = qp.fields
+        x: Array = least_violation(part.A, part.b, part.lower, part.upper, 50)
+        return x

@@ -1,0 +1,72 @@
+"""What goes into a generated tick and what comes out of it: names, sizes and meanings, said once.
+
+The header's arguments and structs, the order of CasADi's inputs and outputs and the memory that Python
+shares with the compiled library are all read off these tables.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from moc_opt.subproblem import row_length
+
+
+class Field(NamedTuple):
+    """An array of doubles, row by row; a scalar where the shape is ()."""
+
+    name: str
+    shape: tuple[int, ...]
+    meaning: str
+    """what it is and its unit, for the reader of the header"""
+
+    @property
+    def length(self) -> int:
+        """Number of doubles."""
+        return math.prod(self.shape)
+
+
+class Layout(NamedTuple):
+    """The arguments of one law on one arm."""
+
+    inputs: tuple[Field, ...]
+    state: tuple[Field, ...]
+    """carried from tick to tick"""
+    report: tuple[Field, ...]
+    """optional output"""
+
+
+def layout(n: int, law: str) -> Layout:
+    """The arguments for n joints under law "moc" or "dcac"."""
+    inputs = (
+        Field("q", (n,), "measured joint position [rad]"),
+        Field("v", (n,), "measured joint velocity [rad/s]"),
+        Field("tip_ref", (3, 3), "rows X_d [m], dX_d [m/s], ddX_d [m/s^2]: tip reference, world axes"),
+        Field("trocar", (2, 3), "rows P_t [m], dP_t [m/s]: trocar as registered, world axes"),
+    )
+    state = (
+        Field("momentum", (n,), "integral of the momentum observer [Nm s]"),
+        Field("external_torque", (n,), "what the observer makes of the torque from outside [Nm]"),
+        Field("torque", (n,), "torque of the last tick [Nm]; overwrite it if another one was sent"),
+        Field("held_x", (n,), "last answer of the subproblem [rad/s]"),
+        Field("share", (), "of the third level that is let through, growing to 1 over ramp_s"),
+    )
+    report: tuple[Field, ...] = (
+        Field("mu", (), "manipulability [m^3]"),
+        Field("grad_mu", (n,), "gradient of mu [m^3/rad]"),
+        Field("tip", (3,), "tool tip X [m], world axes"),
+        Field("wrist", (3,), "wrist centre N [m], world axes"),
+        Field("M", (n, n), "joint-space inertia, rotor inertia included [kg m^2]"),
+        Field("h", (n,), "C v + g [Nm]"),
+    )
+    if law == "moc":
+        report += (
+            Field("x", (n,), "joint velocity that the third level followed [rad/s]"),
+            Field("dual", (6,), "multipliers of the rows of tip and wrist; no meaning under a fallback"),
+            Field(
+                "subproblem",
+                (row_length(n),),
+                "A (6,n), b (6,), grad_mu, lower, upper (n,), weights (4,), q (n,)",
+            ),
+        )
+    return Layout(inputs, state, report)

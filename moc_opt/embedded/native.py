@@ -1,0 +1,187 @@
+"""The generated tick, compiled and called from Python in the simulation's loop."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.control import ControlSettings
+from moc_opt.embedded.compiler import compile_library
+from moc_opt.embedded.export import c_files
+from moc_opt.embedded.layout import Field
+from moc_opt.embedded.source import BAD_INPUT
+from moc_opt.errors import ControlError, RobotError
+from moc_opt.model import RobotModel
+from moc_opt.solvers.base import Solver, Status
+from moc_opt.solvers.exact import EMPTY, OK, STUCK
+from moc_opt.subproblem import NullSpaceQP, row_length
+
+Array = NDArray[np.float64]
+
+_STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
+
+
+class NativeController:
+    """`Controller` in C, with the interface that the loop asks of its brain (`sim.loop.Brain`).
+
+    Same torque to rounding, and the same columns in the trace except ``solve_us``: inside the compiled tick
+    the solver has no clock of its own. Where the rows of tip and wrist lose rank, `exact` may still find an
+    answer, and this one says ``numerical`` and falls back. One object serves one thread.
+
+    Args:
+        robot, settings, solver, period: as for `Controller`; only the solver ``exact`` can be compiled in.
+
+    Raises:
+        ControlError: a setting that generated C cannot do; the message names it.
+        CompilerError: no working C compiler here.
+    """
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        settings: ControlSettings,
+        solver: Solver | None = None,
+        period: float = 0.002,
+    ) -> None:
+        self.robot, self.settings, self.solver = robot, settings, solver
+        tick, texts = c_files(robot, settings, solver, period)
+        self.library = compile_library(texts)
+        found = ctypes.CDLL(str(self.library))
+        self._start, self._tick = found.moc_tick_start, found.moc_tick
+        self._q, self._v, self._tau = np.zeros(robot.n), np.zeros(robot.n), np.zeros(robot.n)
+        self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
+        state, self._state = _memory(tick.layout.state)
+        report, self._report = _memory(tick.layout.report)
+        buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
+        self._pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
+        self._buffers = buffers  # the pointers do not keep them alive
+        self._status, self._started = OK, False
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Forget the past: begin at the measured q (n,) [rad], v (n,) [rad/s] with no external torque.
+
+        Raises:
+            RobotError: q or v is not finite.
+        """
+        self._q[:], self._v[:] = q, v
+        if not (np.isfinite(self._q).all() and np.isfinite(self._v).all()):
+            raise self._refusal()
+        self._start(self._pointers[0], self._pointers[1], self._pointers[4])
+        self._started = True
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """Torque (n,) [Nm] for this period.
+
+        Args:
+            q, v: (n,) measured [rad], [rad/s].
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
+            trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
+
+        Raises:
+            RobotError, ControlError: an input or the torque is not finite; the controller's state is as before.
+            ControlError: not started, or a reference of the wrong shape.
+        """
+        if not self._started:
+            raise ControlError(
+                "tick before start: call start(q, v, tip_ref, trocar) once before the first tick"
+            )
+        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
+            raise ControlError(
+                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
+            )
+        self._q[:] = q
+        self._v[:] = v
+        self._tip_ref[:] = tip_ref
+        self._trocar[:] = trocar
+        status = self._tick(*self._pointers)
+        if status == BAD_INPUT:
+            raise self._refusal()
+        self._status = status
+        return self._tau.copy()
+
+    def sent(self, tau: Array) -> None:
+        """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
+        self._state["torque"][:] = tau
+
+    @property
+    def status(self) -> Status | None:
+        """What the solver said in the last tick; None under DCAC."""
+        return _STATUS[self._status] if self.solver is not None else None
+
+    @property
+    def answer(self) -> Array:
+        """(n,) joint velocity that the third level followed [rad/s]; NaN under DCAC."""
+        return self._report["x"].copy() if self.solver is not None else np.full(self.robot.n, np.nan)
+
+    @property
+    def subproblem(self) -> NullSpaceQP | None:
+        """The subproblem of the last tick; None under DCAC."""
+        return NullSpaceQP.from_row(self._report["subproblem"].copy()) if self.solver is not None else None
+
+    @property
+    def external_torque(self) -> Array:
+        """What the observer makes of the torque from outside (n,) [Nm]; zero without one."""
+        return self._state["external_torque"].copy()
+
+    def terms(self) -> dict[str, NDArray[Any]]:
+        """Copies of what the last tick knew, by name: mu, grad_mu, M ...; see `layout.layout`."""
+        return {name: view.copy() for name, view in self._report.items()}
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """The third level's columns; none but the status under DCAC."""
+        n = self.robot.n
+        found: dict[str, NDArray[Any]] = {
+            "status": np.full(ticks, "none", dtype="<U12"),
+            "solve_us": np.full(ticks, np.nan),
+        }
+        if self.solver is not None:
+            found |= {
+                "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
+                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.empty((ticks, row_length(n))),
+                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
+            }  # fmt: skip
+        return found
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write the last tick's columns."""
+        if self.solver is None:
+            return
+        report = self._report
+        columns["status"][row] = _LABELS[self._status]
+        columns["applied_x_rad_per_s"][row] = report["x"]
+        columns["subproblem"][row] = report["subproblem"]
+        if self._status == OK:
+            columns["x_rad_per_s"][row] = report["x"]
+            columns["dual"][row] = report["dual"]
+        else:
+            columns["fault"][row] = "infeasible" if self._status == EMPTY else "failed"
+
+    def _refusal(self) -> RobotError | ControlError:
+        for name, value in (("q", self._q), ("v", self._v)):
+            if not np.isfinite(value).all():
+                return RobotError(
+                    f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
+                )
+        for name, reference in (("tip_ref", self._tip_ref), ("trocar", self._trocar)):
+            if not np.isfinite(reference).all():
+                return ControlError(f"{name} = {reference.tolist()} is not finite: check the reference")
+        return ControlError(
+            f"the torque at q = {self._q.tolist()} is not finite: the tip is in a singular pose, or a value is huge"
+        )
+
+
+_LABELS = {code: status.label for code, status in _STATUS.items()}
+
+
+def _memory(fields: tuple[Field, ...]) -> tuple[Array, dict[str, NDArray[Any]]]:
+    """The doubles of one of the header's structs, and a view of each member."""
+    whole = np.zeros(sum(field.length for field in fields))
+    views, begin = {}, 0
+    for field in fields:
+        views[field.name] = whole[begin : begin + field.length].reshape(field.shape)
+        begin += field.length
+    return whole, views

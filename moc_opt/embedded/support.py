@@ -1,0 +1,54 @@
+"""What generated C can do, and the refusal of everything else: a setting is never left out in silence."""
+
+from __future__ import annotations
+
+from moc_opt.control import ControlSettings
+from moc_opt.errors import ControlError
+from moc_opt.model import RobotModel
+from moc_opt.solvers.base import Solver
+from moc_opt.solvers.exact import Exact
+
+# Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself and
+# `supervisor` watching over solvers that are not compiled in.
+OBEYED = frozenset((
+    "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "projector", "feedforward",
+    "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "damping", "fallback",
+    "speed_fraction", "ramp_s", "backend", "supervisor",
+))  # fmt: skip
+
+
+def check_supported(
+    robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float
+) -> None:
+    """Say no before anything is generated.
+
+    Raises:
+        ControlError: the generated code cannot do what a setting asks for; the message names field and cure.
+    """
+    moc = settings.law == "moc"
+    if moc and not isinstance(solver, Exact):
+        name = getattr(solver, "name", None)
+        raise ControlError(f"[solver] name = {name!r}: generated C contains 'exact' only; take that one")
+    if not moc and solver is not None:
+        raise ControlError(f"law: 'dcac' takes no solver, given {solver.name!r}; leave it out")
+    if moc and settings.fallback == "least-violation":
+        raise ControlError(
+            "[control] fallback = 'least-violation' iterates, which generated C does not: "
+            "take 'damping' or 'hold'"
+        )
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        if name not in OBEYED and value != field.get_default(call_default_factory=True):
+            raise ControlError(f"[control] {name} = {value!r} is not known to generated C: leave it out")
+    if not 0.0 <= settings.observer_gain_per_s * period < 1.0:
+        raise ControlError(
+            f"[control] observer_gain_per_s = {settings.observer_gain_per_s} at a period of {period} s: "
+            f"keep it below {1.0 / period:g}"
+        )
+    if moc or settings.dcac_damping > 0.0:
+        moving = int(robot.moves.any(axis=0).sum())
+        if moving != 6:
+            raise ControlError(
+                f"[robot] name = {robot.data.name!r}: {moving} joints move tip or wrist, and generated C needs "
+                "six (one swivel; the others idle): put the tool on the last joint's axis, or compute in Python"
+            )

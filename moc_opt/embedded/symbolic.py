@@ -1,0 +1,211 @@
+"""One control tick as CasADi expressions: the equations of `moc_opt.control`, written out for one arm.
+
+Same levels, same signs, same order as `moc_opt.control.controller.Controller.tick`. Gains, limits and weights
+become constants. What has to be remembered from tick to tick is an explicit input and output.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.control import ControlSettings
+from moc_opt.embedded import dynamics, swivel
+from moc_opt.embedded.arm import Arm
+from moc_opt.embedded.layout import Layout, layout
+from moc_opt.embedded.support import check_supported
+from moc_opt.model import RobotModel
+from moc_opt.solvers.base import Solver
+from moc_opt.solvers.exact import OK, Exact
+
+Array = NDArray[np.float64]
+SX = Any
+
+
+@dataclass(frozen=True)
+class Tick:
+    """The two CasADi functions of one law on one arm."""
+
+    n: int
+    layout: Layout
+    start: Any
+    """(q, v) -> state"""
+    tick: Any
+    """(inputs, state) -> (status, state, report); the torque is part of the state"""
+
+
+def build_tick(robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float) -> Tick:
+    """Write out the tick of `Controller(robot, settings, solver, period)`.
+
+    Raises:
+        ControlError: the generated code cannot do what this setting asks for; the message names it.
+    """
+    check_supported(robot, settings, solver, period)
+    names = layout(robot.n, settings.law)
+    symbols = {field.name: ca.SX.sym(field.name, field.length) for field in (*names.inputs, *names.state)}
+    law = _Law(robot, settings, solver, period, symbols)
+    begin = {"momentum": law.p, "torque": law.h}
+    start = [begin.get(field.name, ca.SX.zeros(field.length)) for field in names.state]
+    results = [law.results[field.name] for field in (*names.state, *names.report)]
+    given = list(symbols.values())
+    return Tick(
+        n=robot.n,
+        layout=names,
+        start=_function("moc_start_equations", given[:2], start),
+        tick=_function("moc_tick_equations", given, [law.status, *results]),
+    )
+
+
+class _Law:
+    """The expressions, level by level; `s` holds the symbols and `results` the values, both by field name."""
+
+    def __init__(
+        self,
+        robot: RobotModel,
+        settings: ControlSettings,
+        solver: Solver | None,
+        period: float,
+        s: dict[str, SX],
+    ) -> None:
+        self.robot, self.settings, self.s = robot, settings, s
+        self.gains = settings.resolve_gains(robot.data.gains)
+        self.arm = arm = Arm.of(robot)
+        self.span = float(np.linalg.norm(arm.offsets[0] - arm.offsets[1]))
+        frames = dynamics.joint_frames(arm, s["q"])
+        self.at = dynamics.points(arm, frames)
+        self.mu, self.grad_mu = dynamics.manipulability(self.at)
+        self.h = dynamics.bias_torque(arm, frames, s["v"])
+        self.M, gravity = dynamics.inertia_and_gravity(arm, frames)
+        self.p, energy_slope = dynamics.momentum(arm, frames, s["v"])
+        self.status = ca.SX(OK)
+        self.results = {
+            **s, "mu": self.mu, "grad_mu": self.grad_mu, "tip": self.at.tip, "wrist": self.at.wrist,
+            "M": ca.vec(self.M), "h": self.h,
+        }  # fmt: skip
+
+        tau = self._tip_and_rcm()
+        if settings.law == "moc" or settings.dcac_damping > 0.0:
+            tau += self._third_level(solver, period)
+        if settings.observer_gain_per_s:
+            known = s["torque"] + energy_slope - gravity
+            integral = s["momentum"] + (known + s["external_torque"]) * period
+            residual = settings.observer_gain_per_s * (self.p - integral)
+            self.results |= {"momentum": integral, "external_torque": residual}
+            tau -= residual
+        self.results["torque"] = _limited(tau, robot.tau_max) if settings.limit_torque else tau
+
+    def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
+        """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
+        trocar, trocar_velocity = self.s["trocar"][:3], self.s["trocar"][3:]
+        to_trocar = trocar - self.at.tip
+        distance = ca.norm_2(to_trocar)
+        e = to_trocar / distance
+        slip = trocar_velocity - tip_velocity
+        turn = (slip - ca.dot(e, slip) * e) / distance
+        return self.at.tip + self.span * e, tip_velocity + self.span * turn
+
+    def _tip_and_rcm(self) -> SX:
+        """Levels 1 and 2, see `moc_opt.control.tick.tracking_torque`."""
+        J_tip, J_wrist, v, gains = self.at.J_tip, self.at.J_wrist, self.s["v"], self.gains
+        X_d, dX_d, ddX_d = (self.s["tip_ref"][i : i + 3] for i in (0, 3, 6))
+        dX, dN = J_tip @ v, J_wrist @ v
+        factor = ca.chol(self.M).T
+        Y = ca.solve(factor, J_tip.T)  # J M^-1 J^T = Y^T Y, M^-1 J^T = factor^-T Y
+        mobility = ca.chol(Y.T @ Y)
+
+        force = gains["K_X"] * (X_d - self.at.tip) + gains["D_X"] * (dX_d - dX)
+        if self.settings.feedforward:
+            force += _solve_factored(mobility, ddX_d - dynamics.drift(self.at, J_tip, v))
+        N_d, dN_d = self._desired_wrist(dX)
+        tau_wrist = J_wrist.T @ (gains["K_N"] * (N_d - self.at.wrist) + gains["D_N"] * (dN_d - dN))
+        if self.settings.projector == "dynamic":
+            at_tip = _solve_factored(mobility, Y.T @ ca.solve(factor, tau_wrist))
+        elif self.settings.projector == "static":
+            at_tip = _solve_factored(ca.chol(J_tip @ J_tip.T), J_tip @ tau_wrist)
+        else:
+            at_tip = J_tip @ tau_wrist
+        return self.h + tau_wrist + J_tip.T @ (force - at_tip)
+
+    def _third_level(self, solver: Solver | None, period: float) -> SX:
+        """M Z^T (Z M Z^T)^-1 Z push; Z is z beside the unit vectors of the idle joints.
+
+        Any basis of the null space gives the same torque, so that none is carried from tick to tick.
+        """
+        n, v, settings = self.robot.n, self.s["v"], self.settings
+        active = np.flatnonzero(self.arm.moves.any(axis=0)).tolist()
+        across = [self.at.R @ ca.SX(b) for b in _across(self.arm.offsets[0] - self.arm.offsets[1])]
+        turning = ca.vertcat(*(b.T @ self.at.axes for b in across))
+        triangle = swivel.triangulate(ca.vertcat(self.at.J_wrist, turning)[:, active])
+        z = swivel.null_vector(triangle)
+        if isinstance(solver, Exact):
+            x = self._subproblem(solver.tolerance, triangle, z, active, *across)
+            share = ca.fmin(1, self.s["share"] + period / settings.ramp_s) if settings.ramp_s else ca.SX(1)
+            self.results["share"] = share
+            push = share * (self.gains["K_N2"] * (x - v) - self.gains["D_N2"] * v)
+        else:
+            push = -settings.dcac_damping * v
+        Z = ca.SX.zeros(n - len(active) + 1, n)
+        Z[0, active] = z.T
+        for i, j in enumerate(sorted(set(range(n)) - set(active))):
+            Z[i + 1, j] = 1
+        MZ = self.M @ Z.T
+        return MZ @ _solve_factored(ca.chol(Z @ MZ), Z @ push)
+
+    def _subproblem(
+        self, tolerance: float, triangle: swivel.Triangle, z: SX, active: list[int], b1: SX, b2: SX
+    ) -> SX:
+        """Build this tick's subproblem, see `moc_opt.control.tick.fill_subproblem`, and answer it: x (n,)."""
+        robot, settings, q = self.robot, self.settings, self.s["q"]
+        v_tip = self.s["tip_ref"][3:6]
+        _, wish = self._desired_wrist(v_tip)
+        gap = v_tip - wish
+        v_wrist = v_tip - ca.dot(b1, gap) * b1 - ca.dot(b2, gap) * b2  # a rigid tool keeps its length
+        # b1, b2, u are right-handed: b1 . omega = -b2 . (v_T - v_W)/L and b2 . omega = b1 . (v_T - v_W)/L.
+        rates = ca.vertcat(-ca.dot(b2, gap), ca.dot(b1, gap)) / self.span
+        k0, v_max = settings.k0_per_s, settings.speed_fraction * robot.v_max
+        box = swivel.Box(
+            ca.fmin(ca.fmax(-v_max, -k0 * (q - robot.q_min)), v_max),
+            ca.fmax(ca.fmin(v_max, -k0 * (q - robot.q_max)), -v_max),
+        )
+        answer = swivel.solve(
+            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active, settings.c2, settings.damping,
+            tolerance,
+        )  # fmt: skip
+        self.status = answer.status
+        solved, held = answer.status == OK, self.s["held_x"]
+        x = ca.if_else(solved, answer.x, held if settings.fallback == "hold" else 0)
+        on_tip = (answer.dual[4] * b1 - answer.dual[3] * b2) / self.span
+        weights = [settings.c0, settings.c1, settings.c2, settings.damping]
+        A = ca.vertcat(self.at.J_tip, self.at.J_wrist)
+        self.results |= {
+            "x": x, "held_x": ca.if_else(solved, answer.x, held),
+            "dual": ca.vertcat(on_tip, answer.dual[:3] - on_tip),
+            "subproblem": ca.vertcat(ca.vec(A.T), v_tip, v_wrist, self.grad_mu, *box, *weights, q),
+        }  # fmt: skip
+        return x
+
+
+def _across(direction: Array) -> tuple[Array, Array]:
+    """Unit vectors b1, b2 that make (b1, b2, direction) right-handed."""
+    u = direction / np.linalg.norm(direction)
+    b1 = np.cross(np.eye(3)[(int(np.argmax(np.abs(u))) + 2) % 3], u)
+    b1 /= np.linalg.norm(b1)
+    return b1, np.cross(u, b1)
+
+
+def _solve_factored(upper: SX, b: SX) -> SX:
+    """S^-1 b for S = upper^T upper."""
+    return ca.solve(upper, ca.solve(upper.T, b))
+
+
+def _limited(tau: SX, limit: Array) -> SX:
+    """tau within +-limit (n,), by comparisons that let NaN through: fmin would turn it into full torque."""
+    return ca.if_else(tau > limit, limit, ca.if_else(tau < -limit, -limit, tau))
+
+
+def _function(name: str, given: list[SX], outputs: list[SX]) -> Any:
+    return ca.Function(name, given, [ca.densify(value) for value in outputs], {"cse": True})

@@ -1,0 +1,91 @@
+"""Any solver, made to fail at random ticks: for testing what stands behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import SolverError
+from moc_opt.solvers import checks
+from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
+from moc_opt.subproblem import NullSpaceQP, fields
+
+Array = NDArray[np.float64]
+
+Kind = Literal["fail", "nan", "lie", "raise", "outside"]
+KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside")
+
+
+class InjectedFault(SolverError):
+    """Raised on purpose by a solver of kind "raise"."""
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """A solver that answers wrongly at a seeded share of the ticks.
+
+    Args:
+        inner: the solver that answers otherwise.
+        kind: "fail" gives no answer and says so, "nan" claims success for NaN, "lie" claims success for
+            the best answer to the opposite gradient (feasible, and only the optimality check sees it),
+            "outside" for an answer beyond the box, "raise" raises.
+        rate: share of faulty ticks, 0 to 1.
+        seed: of the draw; the same seed spoils the same ticks.
+
+    Raises:
+        SolverError: a setting is out of range.
+    """
+
+    inner: Solver
+    kind: Kind
+    rate: float = 0.05
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checks.one_of("faulty", "kind", self.kind, KINDS)
+        checks.not_negative("faulty", "rate", self.rate, 0.05)
+        if self.rate > 1.0:
+            raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
+
+    @property
+    def name(self) -> str:
+        """Of the solver inside, and what is wrong with it."""
+        return f"{self.inner.name}+{self.kind}"
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """What the solver inside supports."""
+        return self.inner.supports(qp)
+
+    def start(self, qp: NullSpaceQP) -> FaultySession:
+        """A session with a draw of its own."""
+        return FaultySession(self, self.inner.start(qp))
+
+
+class FaultySession:
+    """``faults`` counts the answers that were spoilt."""
+
+    def __init__(self, settings: Faulty, inner: Session) -> None:
+        self._settings, self._inner = settings, inner
+        self._rng = np.random.default_rng(settings.seed)
+        self.faults = 0
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem, or spoil the answer."""
+        if self._rng.uniform() >= self._settings.rate:
+            return self._inner.solve(qp)
+        self.faults += 1
+        kind = self._settings.kind
+        if kind == "raise":
+            raise InjectedFault("faulty: raised on purpose")
+        if kind == "fail":
+            return no_answer(qp.n, Status.NUMERICAL)
+        if kind == "nan":
+            return Solution(np.full(qp.n, np.nan), None, Status.SOLVED)
+        if kind == "outside":
+            return Solution(10.0 * qp.upper + 1.0, None, Status.SOLVED)
+        row = np.array(qp.row)
+        fields(row).grad_mu[:] *= -1.0
+        return self._inner.solve(NullSpaceQP.from_row(row))

@@ -1,0 +1,143 @@
+"""A rigid pose: one frame seen from another. What cameras, boards and phantoms are placed with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks.checks import Vector, direction3, vector3
+
+Array = NDArray[np.float64]
+
+_ORTHONORMAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """x_outer = rotation x_inner + translation.
+
+    `a_in_b` is a good name for one: it takes points of frame a into frame b. Chains read from right to left:
+    board_in_base = camera_in_base @ board_in_camera.
+
+    Args:
+        rotation: (3, 3), its columns are the inner axes in the outer frame.
+        translation: (3,), the inner origin in the outer frame [m].
+
+    Raises:
+        TaskError: a shape is wrong, an entry is not finite, or the rotation is none (to 1e-6).
+    """
+
+    rotation: ArrayLike = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    translation: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        turn = np.array(self.rotation, dtype=np.float64)
+        if turn.shape != (3, 3) or not np.isfinite(turn).all():
+            raise TaskError(f"rotation = {turn.tolist()!r:.200}: give (3, 3) finite numbers")
+        if np.abs(turn @ turn.T - np.eye(3)).max() > _ORTHONORMAL or np.linalg.det(turn) < 0.0:
+            raise TaskError(
+                f"rotation = {turn.tolist()!r:.200} is none: its columns must be unit vectors, "
+                "perpendicular, and right-handed"
+            )
+        turn.setflags(write=False)
+        object.__setattr__(self, "rotation", turn)
+        object.__setattr__(self, "translation", vector3("translation", self.translation))
+
+    @property
+    def R(self) -> Array:
+        """The rotation (3, 3)."""
+        return np.asarray(self.rotation)
+
+    @property
+    def t(self) -> Vector:
+        """The translation (3,) [m]."""
+        return np.asarray(self.translation)
+
+    def apply(self, points: ArrayLike) -> Array:
+        """Points (3,) or (k, 3) [m] of the inner frame, in the outer one."""
+        return np.asarray(np.asarray(points, dtype=np.float64) @ self.R.T + self.t)
+
+    def turn(self, vectors: ArrayLike) -> Array:
+        """Directions (3,) or (k, 3) of the inner frame, in the outer one: turned, not moved."""
+        return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
+
+    def inverse(self) -> Pose:
+        """The outer frame seen from the inner one."""
+        return Pose(self.R.T, -self.R.T @ self.t)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        return Pose(_orthonormal(self.R @ other.R), self.apply(other.t))
+
+    def distance(self, other: Pose) -> tuple[float, float]:
+        """How far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
+        way = self.t - other.t
+        return math.sqrt(float(way @ way)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
+
+    def towards(self, other: Pose, share: float) -> Pose:
+        """The pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
+        turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
+        return Pose(_orthonormal(self.R @ turn), self.t + share * (other.t - self.t))
+
+    def to_list(self) -> list[list[float]]:
+        """The (3, 4) matrix [rotation | translation] as JSON can hold it."""
+        return [[*row, place] for row, place in zip(self.R.tolist(), self.t.tolist(), strict=True)]
+
+
+def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
+    """Pose of a camera in the frame that its arguments are given in: x right, y down, z forward.
+
+    Args:
+        eye: where it is, (3,) [m].
+        target: what is in the middle of its picture, (3,) [m].
+        up: what points upwards in the picture, (3,), any length, not along the view.
+
+    Raises:
+        TaskError: eye and target coincide, or `up` is along the view.
+    """
+    at = vector3("eye", eye)
+    forward = direction3("target - eye", vector3("target", target) - at)
+    right = np.cross(forward, direction3("up", up))
+    if math.sqrt(float(right @ right)) < 1e-6:
+        raise TaskError(f"up = {up!r} is along the view: choose another direction for the picture's top")
+    right = direction3("right", right)
+    return Pose(np.stack([right, np.cross(forward, right), forward], axis=1), at)
+
+
+def rotation_from(vector: ArrayLike) -> Array:
+    """The rotation (3, 3) about `vector` (3,) by its length [rad]: Rodrigues' formula."""
+    w = np.asarray(vector, dtype=np.float64)
+    angle = math.sqrt(float(w @ w))
+    if angle < 1e-12:
+        return np.eye(3) + _skew(w)
+    k = _skew(w / angle)
+    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k))
+
+
+def rotation_vector(rotation: ArrayLike) -> Vector:
+    """Axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
+    r = np.asarray(rotation, dtype=np.float64)
+    twice_sine = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    sine = 0.5 * math.sqrt(float(twice_sine @ twice_sine))
+    angle = math.atan2(sine, 0.5 * (float(np.trace(r)) - 1.0))
+    if sine > 1e-6:
+        return np.asarray(0.5 * angle / sine * twice_sine)
+    if angle < 1.0:
+        return np.asarray(0.5 * twice_sine)
+    # Half a turn: R + I = 2 a a^T, the axis is its largest column.
+    both = r + np.eye(3)
+    axis = both[:, int(np.argmax(np.diag(both)))]
+    return np.asarray(angle * axis / math.sqrt(float(axis @ axis)))
+
+
+def _skew(w: Array) -> Array:
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def _orthonormal(rotation: Array) -> Array:
+    """The nearest rotation: a tracker multiplies poses for hours, and rounding adds up."""
+    left, _, right = np.linalg.svd(rotation)
+    return np.asarray(left @ right)

@@ -1,0 +1,178 @@
+"""The closed loop itself: who gets what, what is written down, and when."""
+
+import gc
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import PlantError
+from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim.loop import no_collector, simulate
+from moc_opt.tasks import shaft_distance
+
+TICKS = 25
+
+
+class Holding:
+    """Holds the arm by the model's gravity and some damping, and remembers what it was shown."""
+
+    def __init__(self, robot, push=0.0):
+        self.robot, self.push = robot, push
+        self.started, self.seen, self.order = [], [], []
+
+    def start(self, q, v, tip_ref, trocar):
+        """Remember the first measurement."""
+        self.started.append((q.copy(), v.copy(), tip_ref.copy(), trocar.copy()))
+
+    def tick(self, q, v, tip_ref, trocar):
+        """Gravity, damping and a push on joint 1."""
+        self.order.append("tick")
+        self.seen.append((q.copy(), v.copy(), tip_ref.copy(), trocar.copy()))
+        return self.robot.gravity(q) - 5.0 * v + self.push * np.eye(7)[0]
+
+    def columns(self, ticks):
+        """One column of its own."""
+        return {"extra": np.zeros(ticks)}
+
+    def note(self, row, columns):
+        """The number of ticks so far."""
+        self.order.append("note")
+        columns["extra"][row] = len(self.seen)
+
+
+def references(robot, ticks=TICKS):
+    """Recognizable references: every tick its own number."""
+    s = robot.state(robot.data.q_home)
+    k = np.arange(ticks, dtype=float)
+    tip_refs = np.zeros((ticks, 3, 3))
+    tip_refs[:, 0] = s.tip + 1e-4 * k[:, None]
+    tip_refs[:, 1] = 1e-3 * k[:, None]
+    trocars = np.zeros((ticks, 2, 3))
+    trocars[:, 0] = s.tip - 0.15 * s.tool_direction + [1e-3, 0.0, 0.0] + 1e-5 * k[:, None]
+    registered = trocars + np.array([[0.0, 5e-4, 0.0], np.zeros(3)])
+    return tip_refs, trocars, registered
+
+
+def ready(robot, settings=None, seed=0):
+    plant = Plant(robot.data, PlantSettings.nominal() if settings is None else settings, seed=seed)
+    plant.reset(robot.data.q_home)
+    return plant
+
+
+def test_one_row_a_tick_the_state_at_its_start(robot):
+    """What the trace says is what the plant's own truths were before each step."""
+    tip_refs, trocars, registered = references(robot)
+    trace = simulate(ready(robot), Holding(robot, 3.0), tip_refs, trocars, registered)
+    plant, brain = ready(robot), Holding(robot, 3.0)
+    assert len(trace) == TICKS
+    for k in range(TICKS):
+        assert trace.t_s[k] == pytest.approx(plant.time, abs=1e-12)
+        np.testing.assert_array_equal(trace.q_rad[k], plant.q)
+        np.testing.assert_array_equal(trace.v_rad_per_s[k], plant.v)
+        np.testing.assert_array_equal(trace.tip_m[k], plant.tip)
+        np.testing.assert_array_equal(trace.wrist_m[k], plant.wrist)
+        np.testing.assert_array_equal(trace.trocar_force_N[k], plant.trocar_force)
+        wrench = plant.measure().force
+        np.testing.assert_array_equal(np.r_[trace.force_N[k], trace.torque_Nm[k]], wrench)
+        seen = plant.measure()
+        tau = brain.tick(seen.q, seen.v, tip_refs[k], registered[k])
+        np.testing.assert_array_equal(trace.tau_Nm[k], tau)
+        plant.step(tau, trocars[k])
+    assert np.linalg.norm(trace.q_rad[-1] - trace.q_rad[0]) > 1e-4  # it does move
+
+
+def test_the_brain_is_shown_measurements_and_the_registered_trocar(robot):
+    settings = PlantSettings.realistic()
+    tip_refs, trocars, registered = references(robot)
+    brain = Holding(robot)
+    trace = simulate(ready(robot, settings), brain, tip_refs, trocars, registered)
+    assert len(brain.started) == 1
+    np.testing.assert_array_equal(brain.started[0][3], registered[0])
+    for k, (q, v, tip_ref, trocar) in enumerate(brain.seen):
+        np.testing.assert_array_equal(tip_ref, tip_refs[k])
+        np.testing.assert_array_equal(trocar, registered[k])
+        assert 0.0 < np.abs(q - trace.q_rad[k]).max() < 1e-3  # noise: measured, not true
+        assert v.shape == (7,)
+    np.testing.assert_array_equal(trace.trocar_m, trocars[:, 0])
+    np.testing.assert_array_equal(trace.trocar_registered_m, registered[:, 0])
+
+
+def test_the_plant_is_given_the_true_trocar(robot):
+    """With the true trocar on the shaft there is no force, wherever the controller believes it to be."""
+    s = robot.state(robot.data.q_home)
+    tip_refs, trocars, registered = references(robot, 5)
+    trocars[:, 0] = s.tip - 0.15 * s.tool_direction
+    on_the_shaft = simulate(ready(robot), Holding(robot), tip_refs, trocars, registered)
+    assert np.abs(on_the_shaft.trocar_force_N).max() < 1e-2
+    away = trocars + np.array([[5e-3, 0.0, 0.0], np.zeros(3)])
+    beside = simulate(ready(robot), Holding(robot), tip_refs, away, trocars)
+    assert np.abs(beside.trocar_force_N).max() > 1.0
+
+
+def test_errors_are_measured_against_the_truth(robot):
+    tip_refs, trocars, registered = references(robot)
+    trace = simulate(ready(robot), Holding(robot, 3.0), tip_refs, trocars, registered)
+    np.testing.assert_allclose(
+        trace.tip_error_m, np.linalg.norm(tip_refs[:, 0] - trace.tip_m, axis=1), atol=1e-15
+    )
+    np.testing.assert_allclose(trace.rcm_error_m, shaft_distance(trace.tip_m, trace.wrist_m, trocars[:, 0]))
+    assert trace.rcm_error_m.max() > 1e-4
+
+
+def test_a_tick_is_timed_before_it_is_written_down(robot):
+    tip_refs, trocars, registered = references(robot)
+    brain, watched = Holding(robot), []
+    trace = simulate(
+        ready(robot),
+        brain,
+        tip_refs,
+        trocars,
+        registered,
+        watch=lambda k: watched.append((k, len(brain.seen))),
+    )
+    assert watched == [(k, k) for k in range(TICKS)]  # before each tick
+    assert brain.order == ["tick", "note"] * TICKS
+    assert (trace.tick_us > 0.0).all()
+    np.testing.assert_array_equal(trace.extra, np.arange(1, TICKS + 1))
+
+
+def test_meta_and_time(robot):
+    tip_refs, trocars, registered = references(robot)
+    plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
+    trace = simulate(plant, Holding(robot), tip_refs, trocars, registered, meta={"answer": 42})
+    assert dict(trace.meta) == {"period_s": 0.004, "ended": "completed", "answer": 42}
+    np.testing.assert_allclose(np.diff(trace.t_s), 0.004)
+    more = simulate(plant, Holding(robot), tip_refs, trocars, registered)
+    assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # goes on from the plant's present state
+    np.testing.assert_array_equal(more.meta["period_s"], 0.004)
+
+
+def test_no_garbage_collection_in_the_loop(robot):
+    states = []
+    tip_refs, trocars, registered = references(robot)
+    assert gc.isenabled()
+    simulate(
+        ready(robot),
+        Holding(robot),
+        tip_refs,
+        trocars,
+        registered,
+        watch=lambda k: states.append(gc.isenabled()),
+    )
+    assert states == [False] * TICKS
+    assert gc.isenabled()
+
+
+def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robot):
+    tip_refs, trocars, registered = references(robot)
+    brain = Holding(robot, push=float("nan"))
+    with pytest.raises(PlantError, match="not finite"):
+        simulate(ready(robot), brain, tip_refs, trocars, registered)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        with no_collector():
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()

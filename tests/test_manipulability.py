@@ -1,0 +1,347 @@
+"""Level 3: the damper's box, a wrist velocity that fits the tool, the null space, the torque, the fallback."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import subspace_angles
+from scipy.optimize import lsq_linear
+
+from moc_opt.control import manipulability as level3
+from moc_opt.control import tick
+from moc_opt.scenario import Scenario, run
+from moc_opt.subproblem import NullSpaceQP, row_length
+
+BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def of(kernel, form):
+    return kernel if form == "compiled" else kernel.py_func
+
+
+def damper(q, q_min, q_max, v_max, k0, form="compiled"):
+    lower, upper = np.empty(len(q)), np.empty(len(q))
+    of(level3.velocity_damper, form)(q, q_min, q_max, v_max, k0, lower, upper)
+    return lower, upper
+
+
+def limits(rng, n=7):
+    q_min = -rng.uniform(0.5, 3.0, n)
+    return q_min, q_min + rng.uniform(0.5, 6.0, n), rng.uniform(0.1, 4.0, n)
+
+
+# --- the box ---
+
+
+@BOTH
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, k0=st.floats(1e-3, 100.0))
+def test_damper_inside_the_limits_is_the_formula(form, seed, k0):
+    rng = np.random.default_rng(seed)
+    q_min, q_max, v_max = limits(rng)
+    q = rng.uniform(q_min, q_max)
+    lower, upper = damper(q, q_min, q_max, v_max, k0, form)
+    np.testing.assert_allclose(lower, np.maximum(-v_max, -k0 * (q - q_min)), rtol=1e-15)
+    np.testing.assert_allclose(upper, np.minimum(v_max, -k0 * (q - q_max)), rtol=1e-15)
+    assert (lower <= 0.0).all()
+    assert (upper >= 0.0).all()
+
+
+@BOTH
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, k0=st.floats(1e-3, 100.0))
+def test_damper_never_crosses_and_leads_back(form, seed, k0):
+    rng = np.random.default_rng(seed)
+    q_min, q_max, v_max = limits(rng)
+    q = rng.uniform(q_min - 2.0, q_max + 2.0)
+    lower, upper = damper(q, q_min, q_max, v_max, k0, form)
+    assert (lower <= upper).all()
+    assert (np.abs(lower) <= v_max).all()
+    assert (np.abs(upper) <= v_max).all()
+    assert (lower[q < q_min] > 0.0).all()
+    assert (upper[q > q_max] < 0.0).all()
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, k0=st.floats(0.1, 400.0))
+def test_no_velocity_of_the_box_leaves_the_limits(seed, k0):
+    """q + T x stays inside for any x in the box, as long as k0 T <= 1."""
+    rng = np.random.default_rng(seed)
+    q_min, q_max, v_max = limits(rng)
+    q = rng.uniform(q_min, q_max)
+    for _ in range(200):
+        lower, upper = damper(q, q_min, q_max, v_max, k0)
+        q = q + 0.002 * np.where(rng.random(7) < 0.5, lower, upper)
+        assert (q >= q_min - 1e-12).all()
+        assert (q <= q_max + 1e-12).all()
+
+
+@pytest.mark.parametrize("preset", ["nominal", "realistic"])
+@pytest.mark.parametrize("number", [13, 25])
+def test_closed_loop_stays_inside_the_limits(number, preset, robot, regular_poses):
+    """From these two poses the manipulability grows right up to a joint limit: the damper must stop the arm."""
+    q = regular_poses(30)[number]
+    trace = run(
+        Scenario(
+            start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=2.0,
+            task={"wait_s": 5.0}, judge=False, bound_samples=0,
+        )
+    )  # fmt: skip
+    room = np.minimum(robot.q_max - trace.q_rad, trace.q_rad - robot.q_min)
+    assert trace.mu[-1] > 1.2 * trace.mu[0]
+    assert 0.0 < room.min() < 0.05
+    assert (trace.status == "solved").all()
+
+
+# --- references that a rigid tool can follow ---
+
+
+@BOTH
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS)
+def test_consistent_wrist_velocity(form, seed):
+    rng = np.random.default_rng(seed)
+    v_tip, v_wrist, u = rng.normal(size=(3, 3))
+    u /= np.linalg.norm(u)
+    found = of(level3.consistent_wrist_velocity, form)(v_tip, v_wrist, u)
+    assert abs(u @ (v_tip - found)) < 1e-14 * (1.0 + np.abs(v_tip).max() + np.abs(v_wrist).max())
+    change = found - v_wrist
+    np.testing.assert_allclose(change - (u @ change) * u, 0.0, atol=1e-14)  # only along the tool
+    again = of(level3.consistent_wrist_velocity, form)(v_tip, found, u)
+    np.testing.assert_allclose(again, found, atol=1e-14)
+
+
+@BOTH
+def test_subproblem_of_a_tick(form, robot, regular_poses):
+    rng = np.random.default_rng(1)
+    box, weights = np.array([robot.q_min, robot.q_max, robot.v_max]), np.array([0.01, 0.02, 0.003, 1e-5])
+    for q in regular_poses(8):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        tip_ref = rng.normal(size=(3, 3)) * 0.05
+        trocar = np.array(
+            [s.tip - 0.15 * s.tool_direction + rng.normal(size=3) * 1e-3, rng.normal(size=3) * 0.01]
+        )
+        row = np.empty(row_length(7))
+        of(tick.fill_subproblem, form)(s.record, 7, tip_ref, trocar, box, weights, 2.0, row)
+        found = NullSpaceQP.from_row(row)
+
+        to = trocar[0] - s.tip
+        e = to / np.linalg.norm(to)
+        turn = (np.eye(3) - np.outer(e, e)) @ (trocar[1] - tip_ref[1]) / np.linalg.norm(to)
+        v_wrist = tip_ref[1] + s.tool_span * turn
+        v_wrist += s.tool_direction @ (tip_ref[1] - v_wrist) * s.tool_direction
+        lower, upper = damper(q, *box, 2.0)
+        wanted = NullSpaceQP(
+            s.J_tip, s.J_wrist, tip_ref[1], v_wrist, s.grad_mu, lower, upper, 0.01, 0.02, 0.003, 1e-5, q
+        )  # fmt: skip
+        np.testing.assert_allclose(found.row, wanted.row, rtol=0.0, atol=1e-12)
+        slack = np.linalg.lstsq(found.A, found.b, rcond=None)[0]
+        np.testing.assert_allclose(found.A @ slack, found.b, atol=1e-12)  # six rows of rank five, and it fits
+
+
+# --- the null space ---
+
+
+def check_basis(Z, A, tolerance=1e-12):
+    np.testing.assert_allclose(Z @ Z.T, np.eye(len(Z)), atol=tolerance)
+    np.testing.assert_allclose(A @ Z.T, 0.0, atol=tolerance)
+
+
+def test_null_space_of_an_arm(robot, regular_poses):
+    for q in regular_poses(20):
+        A = robot.state(q).A
+        Z = level3.null_space(A)
+        assert Z.shape == (2, 7)  # the swivel of the elbow, and joint 7
+        check_basis(Z, A)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS, rows=st.integers(1, 6), n=st.integers(6, 9))
+def test_null_space_lies_closest_to_the_one_it_is_given(seed, rows, n):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, n))
+    r = n - rows
+    if r == 0:
+        return
+    like = level3.null_space(A)
+    turned = np.linalg.qr(rng.normal(size=(r, r)))[0] @ like
+    found = level3.null_space(A, like=turned)
+    check_basis(found, A)
+    np.testing.assert_allclose(found, turned, atol=1e-10)  # the same kernel: the same basis comes back
+
+
+def walk(robot, q, steps=400, seed=0):
+    """States along a smooth motion through q."""
+    rng = np.random.default_rng(seed)
+    swing, phase = rng.uniform(0.2, 0.5, 7), rng.uniform(0.0, 2.0 * np.pi, 7)
+    return [robot.state(q + swing * (np.sin(phase + 0.004 * k) - np.sin(phase))) for k in range(steps)]
+
+
+@BOTH
+def test_carried_basis_turns_no_further_than_the_kernel(form, robot, regular_poses):
+    steps, rng = 400 if form == "compiled" else 40, np.random.default_rng(3)
+    for q in regular_poses(3, seed=2):
+        states = walk(robot, q, steps)
+        # turned, so that no row is the idle joint alone, which the others never disturb
+        Z = np.linalg.qr(rng.normal(size=(2, 2)))[0] @ level3.null_space(states[0].A)
+        for s in states[1:]:
+            before = Z.copy()
+            assert of(level3.follow_null_space, form)(np.array(s.A), np.array(s.tool_direction), Z)
+            check_basis(Z, s.A)
+            turn = np.sin(subspace_angles(before.T, Z.T)[0])
+            assert np.linalg.norm(Z - before, 2) < 1.2 * turn + 1e-12
+
+
+def test_carried_basis_keeps_its_sign_where_a_fresh_one_has_its_own(robot, regular_poses):
+    """Whatever basis it starts from, the carried one stays near; a decomposition forgets it at once."""
+    rng = np.random.default_rng(4)
+    states = walk(robot, regular_poses(1, seed=3)[0], 100)
+    fresh = level3.null_space(states[1].A)
+    jumps = []
+    for _ in range(8):
+        Z = np.linalg.qr(rng.normal(size=(2, 2)))[0] @ level3.null_space(states[0].A)
+        first = Z.copy()
+        level3.follow_null_space(states[1].A, states[1].tool_direction, Z)
+        assert np.linalg.norm(Z - first, 2) < 0.02
+        jumps.append(np.linalg.norm(fresh - first, 2))
+    assert max(jumps) > 1.0
+
+
+def test_torque_does_not_depend_on_the_basis(robot, regular_poses):
+    rng = np.random.default_rng(5)
+    s = robot.state(regular_poses(1)[0])
+    Z, push = level3.null_space(s.A), rng.normal(size=7)
+    turned = np.linalg.qr(rng.normal(size=(2, 2)))[0] @ Z
+    np.testing.assert_allclose(
+        level3.self_motion_torque(s.M, Z, push), level3.self_motion_torque(s.M, turned, push), atol=1e-12
+    )
+
+
+def straight_elbow(robot, angle):
+    q = robot.data.q_home.copy()
+    q[3] = angle
+    return robot.state(q)
+
+
+def test_following_gives_up_at_the_straight_elbow_and_recovers(robot):
+    """At the straight elbow the wrist loses a direction and the kernel gains one: rank 4 instead of 5."""
+    angles = np.concatenate([np.linspace(0.05, 0.0, 26), np.linspace(0.0, -0.05, 26)[1:]])
+    Z = level3.null_space(straight_elbow(robot, 0.052).A)
+    ranks, failures = [], 0
+    for angle in angles:
+        s = straight_elbow(robot, angle)
+        if not level3.follow_null_space(s.A, s.tool_direction, Z):
+            failures += 1
+            Z = level3.null_space(s.A, like=Z)
+        check_basis(Z, s.A, 1e-9)
+        ranks.append(7 - len(Z))
+    assert set(ranks) == {4, 5}
+    assert ranks[0] == ranks[-1] == 5
+    assert 1 <= failures <= 4
+
+
+def test_following_is_exact_near_the_straight_elbow(robot):
+    """Where A A^T has a condition of 1e9, from the basis of a pose half a radian away: the second pass does it."""
+    rng = np.random.default_rng(0)
+    s = straight_elbow(robot, 3e-4)
+    for _ in range(5):
+        Z = level3.null_space(robot.state(s.q + 0.2 * rng.normal(size=7)).A)
+        assert level3.follow_null_space(s.A, s.tool_direction, Z)
+        np.testing.assert_allclose(s.A @ Z.T, 0.0, atol=1e-15)
+        np.testing.assert_allclose(Z @ Z.T, np.eye(2), atol=1e-14)
+
+
+def test_following_fails_rather_than_returning_nonsense(robot, regular_poses):
+    s = straight_elbow(robot, 0.0)
+    Z = np.array(level3.null_space(robot.state(regular_poses(1)[0]).A))
+    assert not level3.follow_null_space(s.A, s.tool_direction, Z)
+    assert not level3.follow_null_space(np.full((6, 7), np.nan), s.tool_direction, Z)
+
+
+# --- the torque ---
+
+
+@BOTH
+def test_torque_against_numpy(form, robot, regular_poses):
+    rng = np.random.default_rng(6)
+    for q in regular_poses(8):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        Z, x = level3.null_space(s.A), rng.normal(size=7)
+        found = of(tick.third_level, form)(s.record, 7, Z, x, 80.0, 1.0)
+        M = s.M
+        wanted = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (80.0 * (x - s.v) - 1.0 * s.v)
+        np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10)
+
+
+def test_level_three_moves_neither_tip_nor_wrist(robot, regular_poses):
+    rng = np.random.default_rng(7)
+    for q in regular_poses(30):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        tau = tick.third_level(s.record, 7, level3.null_space(s.A), rng.normal(size=7), 80.0, 1.0)
+        assert np.linalg.norm(tau) > 1.0
+        scale = np.linalg.norm(s.A @ np.linalg.inv(s.M), 2) * np.linalg.norm(tau)
+        assert np.linalg.norm(s.A @ np.linalg.solve(s.M, tau)) < 1e-10 * scale
+
+
+def test_self_motion_projector_is_idempotent(robot, regular_poses):
+    for q in regular_poses(10):
+        s = robot.state(q)
+        Z = level3.null_space(s.A)
+        N = np.array([level3.self_motion_torque(s.M, Z, e) for e in np.eye(7)]).T
+        np.testing.assert_allclose(N @ N, N, atol=1e-10)
+
+
+def test_answer_is_followed_along_the_self_motion(robot, regular_poses):
+    """The torque speeds the arm up towards x, measured along the kernel; damping slows it down."""
+    rng = np.random.default_rng(8)
+    for q in regular_poses(10):
+        s = robot.state(q, rng.uniform(-0.5, 0.5, 7))
+        Z, x = level3.null_space(s.A), rng.normal(size=7)
+        gain = tick.third_level(s.record, 7, Z, x, 80.0, 0.0)
+        assert (Z @ np.linalg.solve(s.M, gain)) @ (Z @ (x - s.v)) > 0.0
+        slow = tick.third_level(s.record, 7, Z, np.array(s.v), 80.0, 5.0)
+        assert (Z @ np.linalg.solve(s.M, slow)) @ (Z @ s.v) < 0.0
+
+
+def test_no_null_space_no_torque(robot):
+    s = robot.state(robot.data.q_home)
+    np.testing.assert_array_equal(level3.self_motion_torque(s.M, np.zeros((0, 7)), np.ones(7)), np.zeros(7))
+
+
+# --- the fallback ---
+
+
+@BOTH
+def test_least_violation_against_scipy(form, robot, regular_poses):
+    rng = np.random.default_rng(9)
+    count = 30 if form == "compiled" else 4
+    for number, q in enumerate(regular_poses(count)):
+        s = robot.state(q)
+        lower, upper = -rng.uniform(0.02, 0.5, 7), rng.uniform(0.02, 0.5, 7)
+        if number % 2:  # beyond a limit: the box asks for a velocity back inside, for idle joint 7 too
+            lower[[1, 6]] = upper[[1, 6]] / 2.0
+        v_tip = 0.3 * rng.normal(size=3)
+        v_wrist = level3.consistent_wrist_velocity(v_tip, 0.3 * rng.normal(size=3), s.tool_direction)
+        A, b = np.array(s.A), np.concatenate([v_tip, v_wrist])
+        x = of(level3.least_violation, form)(A, b, lower, upper, 50)
+        assert (x >= lower).all()
+        assert (x <= upper).all()
+        best = lsq_linear(A, b, (lower, upper), tol=1e-12).x
+        assert np.linalg.norm(A @ x - b) < 1.01 * np.linalg.norm(A @ best - b) + 1e-6
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS)
+def test_least_violation_gets_no_worse_with_more_sweeps(seed):
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(6, 7)), rng.normal(size=6) * 3.0
+    A[:, 6] = 0.0  # a joint that moves nothing stays at rest
+    lower, upper = -rng.uniform(0.1, 1.0, 7), rng.uniform(0.1, 1.0, 7)
+    residuals = []
+    for sweeps in (0, 1, 2, 5, 20):
+        x = level3.least_violation(A, b, lower, upper, sweeps)
+        assert x[6] == 0.0
+        residuals.append(np.linalg.norm(A @ x - b))
+    assert (np.diff(residuals) <= 1e-12).all()
+    assert residuals[-1] < residuals[0]

@@ -1,0 +1,195 @@
+"""Level 2: where the wrist belongs, its force, and projectors that leave the tip alone."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.control import rcm, tick
+from moc_opt.control.compliance import task_inertia
+from moc_opt.control.dense import cholesky
+from moc_opt.tasks import Trocar, shaft_distance
+
+NO_TIP = np.array([0.0, 0.0, 800.0, 60.0])  # K_X, D_X, K_N, D_N
+BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def of(kernel, form):
+    return kernel if form == "compiled" else kernel.py_func
+
+
+def project(name, state, tau, form="compiled"):
+    """tau through one of the projectors, with its own arguments made from the state."""
+    J_tip = np.array(state.J_tip)
+    if name == "dynamic":
+        W, factor = task_inertia(J_tip, cholesky(np.array(state.M)))
+        return of(rcm.project_dynamic, form)(J_tip, W, factor, tau)
+    return of(getattr(rcm, f"project_{name}"), form)(J_tip, tau)
+
+
+def matrix(name, state):
+    """The projector itself (n, n), column by column."""
+    return np.array([project(name, state, e) for e in np.eye(state.n)]).T
+
+
+def level_two(state, trocar, projector):
+    """tau_rcm alone: levels 1 and 2 without tip gains, less the arm's own dynamics."""
+    tip_ref = np.zeros((3, 3))
+    return tick.tracking_torque(state.record, state.n, tip_ref, trocar, NO_TIP, projector, False) - state.h
+
+
+def shifted_trocar(state, rng, offset=0.01):
+    """A trocar near the shaft, slowly moving."""
+    point = state.tip - 0.15 * state.tool_direction + offset * rng.normal(size=3)
+    return np.array([point, 0.02 * rng.normal(size=3)])
+
+
+def unit(rng):
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
+
+
+@BOTH
+def test_projectors_against_numpy(form, robot, regular_poses):
+    rng = np.random.default_rng(0)
+    for q in regular_poses(10):
+        s, tau = robot.state(q), rng.normal(size=7) * 10.0
+        J, Minv = s.J_tip, np.linalg.inv(s.M)
+        inertia = np.linalg.inv(J @ Minv @ J.T)
+        inverse = Minv @ J.T @ inertia
+        wanted = {
+            "dynamic": (np.eye(7) - J.T @ inverse.T) @ tau,
+            "static": (np.eye(7) - J.T @ np.linalg.pinv(J).T) @ tau,
+            "printed": (np.eye(7) - J.T @ J) @ tau,
+        }
+        assert set(wanted) == set(rcm.PROJECTORS)
+        for name, value in wanted.items():
+            np.testing.assert_allclose(project(name, s, tau, form), value, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["dynamic", "static"])
+def test_consistent_projectors_are_idempotent(name, robot, regular_poses):
+    for q in regular_poses(20):
+        N = matrix(name, robot.state(q))
+        np.testing.assert_allclose(N @ N, N, atol=1e-11 * np.abs(N).max() ** 2)
+        assert np.linalg.matrix_rank(N, tol=1e-8) == 4  # seven joints less three tip directions
+
+
+def test_level_two_moves_no_tip(robot, regular_poses):
+    """J_T M^-1 tau_rcm = 0 for the dynamic projector, and only for it."""
+    rng = np.random.default_rng(1)
+    leak = {name: [] for name in rcm.PROJECTORS}
+    for q in regular_poses(30):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        trocar = shifted_trocar(s, rng)
+        for number, name in enumerate(rcm.PROJECTORS):
+            tau = level_two(s, trocar, number)
+            free = np.linalg.norm(s.J_tip @ np.linalg.inv(s.M), 2) * np.linalg.norm(tau)
+            leak[name].append(np.linalg.norm(s.J_tip @ np.linalg.solve(s.M, tau)) / free)
+    assert max(leak["dynamic"]) < 1e-10
+    assert np.median(leak["static"]) > 1e-3
+    assert np.median(leak["printed"]) > 1e-3
+
+
+def test_static_projector_carries_no_tip_force(robot, regular_poses):
+    """pinv(J_T)^T tau = 0: nothing of the torque is balanced by a force at the tip in rest."""
+    rng = np.random.default_rng(2)
+    for q in regular_poses(20):
+        s = robot.state(q)
+        tau = project("static", s, rng.normal(size=7) * 10.0)
+        np.testing.assert_allclose(np.linalg.pinv(s.J_tip).T @ tau, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", rcm.PROJECTORS)
+@BOTH
+def test_level_two_against_numpy(form, name, robot, regular_poses):
+    number = {"dynamic": tick.DYNAMIC, "static": tick.STATIC, "printed": tick.PRINTED}[name]
+    assert rcm.PROJECTORS.index(name) == number
+    rng = np.random.default_rng(3)
+    for q in regular_poses(10):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        trocar = shifted_trocar(s, rng)
+        gains, tip_ref = np.array([0.0, 0.0, 700.0, 50.0]), np.zeros((3, 3))
+        found = of(tick.tracking_torque, form)(s.record, 7, tip_ref, trocar, gains, number, False) - s.h
+
+        L, dX = np.linalg.norm(s.tip - s.wrist), s.J_tip @ s.v
+        to = trocar[0] - s.tip
+        e = to / np.linalg.norm(to)
+        de = (np.eye(3) - np.outer(e, e)) @ (trocar[1] - dX) / np.linalg.norm(to)
+        force = 700.0 * (s.tip + L * e - s.wrist) + 50.0 * (dX + L * de - s.J_wrist @ s.v)
+        Minv = np.linalg.inv(s.M)
+        inverse = Minv @ s.J_tip.T @ np.linalg.inv(s.J_tip @ Minv @ s.J_tip.T)
+        if name == "static":
+            inverse = np.linalg.pinv(s.J_tip)
+        elif name == "printed":
+            inverse = s.J_tip.T
+        wanted = (np.eye(7) - s.J_tip.T @ inverse.T) @ s.J_wrist.T @ force
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+
+
+@BOTH
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS)
+def test_desired_wrist_velocity_is_the_derivative(form, seed):
+    """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
+    rng = np.random.default_rng(seed)
+    start, rate, distance = rng.normal(size=3), rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.3)
+    trocar = Trocar(start + distance * unit(rng), 0.02, 3.0, unit(rng))
+    sway = 0.3 * distance * unit(rng)  # never as far as the trocar
+    span, t, step = 0.378, rng.uniform(0.0, 3.0), 1e-5
+
+    def wish(time):
+        tip, velocity = start + sway * np.sin(rate * time), sway * rate * np.cos(rate * time)
+        p, dp = trocar.at(time)
+        return of(rcm.desired_wrist, form)(tip, velocity, p, dp, span)
+
+    slope = (wish(t + step)[0] - wish(t - step)[0]) / (2.0 * step)
+    np.testing.assert_allclose(wish(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=SEEDS)
+def test_desired_wrist_puts_the_shaft_through_the_trocar(seed):
+    rng = np.random.default_rng(seed)
+    tip, trocar = rng.normal(size=3), rng.normal(size=3)
+    wrist, _ = rcm.desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), 0.378)
+    assert np.linalg.norm(wrist - tip) == pytest.approx(0.378, rel=1e-12)
+    assert float(shaft_distance(tip, wrist, trocar)) < 1e-12
+    assert (wrist - tip) @ (trocar - tip) > 0.0  # the trocar lies on the wrist's side
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=SEEDS, angle=st.floats(1e-4, 3.0), depth=st.floats(0.02, 0.3))
+def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
+    """d = lambda |N - N_d|, lambda = |P - X|/L cos(theta/2), theta between e and -u."""
+    rng = np.random.default_rng(seed)
+    span, tip, u = 0.378, rng.normal(size=3), unit(rng)
+    wrist = tip - span * u
+    across = np.cross(u, unit(rng))
+    across /= np.linalg.norm(across)
+    trocar = tip + depth * (-np.cos(angle) * u + np.sin(angle) * across)
+    wish, _ = rcm.desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), span)
+    factor = depth / span * np.cos(angle / 2.0)
+    d = float(shaft_distance(tip, wrist, trocar))
+    assert d == pytest.approx(factor * np.linalg.norm(wrist - wish), rel=1e-9, abs=1e-12)
+
+
+def test_wrist_is_accelerated_towards_where_it_belongs(robot, regular_poses):
+    rng = np.random.default_rng(5)
+    for q in regular_poses(20):
+        s = robot.state(q)
+        trocar = shifted_trocar(s, rng)
+        trocar[1] = 0.0
+        wish, _ = rcm.desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
+        tau = level_two(s, trocar, tick.DYNAMIC)
+        acceleration = s.J_wrist @ np.linalg.solve(s.M, tau)
+        assert acceleration @ (wish - s.wrist) > 0.0
+
+
+def test_no_torque_when_the_shaft_goes_through_the_trocar(robot, regular_poses):
+    for q in regular_poses(10):
+        s = robot.state(q)
+        trocar = np.array([s.tip - 0.12 * s.tool_direction, np.zeros(3)])
+        for number in range(3):
+            np.testing.assert_allclose(level_two(s, trocar, number), 0.0, atol=1e-9)

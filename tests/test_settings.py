@@ -1,0 +1,85 @@
+"""Settings that speak plainly: frozen, closed, and every error names field, value and range."""
+
+from typing import ClassVar
+
+import pytest
+from pydantic import Field
+
+from moc_opt.errors import ControlError, ScenarioError, UnknownNameError
+from moc_opt.settings import Settings
+
+
+class Inner(Settings):
+    """A table inside a table."""
+
+    KIND: ClassVar[str] = "[inner]"
+    gain: float = Field(default=1.0, gt=0.0, le=10.0)
+    steps: int = 3
+
+
+class Outer(Settings):
+    """A table of tables."""
+
+    KIND: ClassVar[str] = "outer:"
+    ERROR: ClassVar[type[ControlError]] = ControlError
+    inner: Inner = Inner()
+    name: str = "x"
+
+
+def test_defaults_and_values():
+    assert Outer().inner.gain == 1.0
+    assert Outer(inner={"gain": 2}).inner == Inner(gain=2.0)
+
+
+def test_frozen():
+    with pytest.raises(ValueError, match="frozen"):
+        Inner().gain = 2.0
+
+
+def test_unknown_field_lists_the_nearest():
+    with pytest.raises(
+        UnknownNameError, match=r"unknown \[inner\] 'gian': did you mean 'gain'\? valid names: gain, steps"
+    ):
+        Inner(gian=1.0)
+
+
+def test_unknown_field_inside_a_table():
+    with pytest.raises(UnknownNameError, match=r"\[inner\] 'step': did you mean 'steps'"):
+        Outer(inner={"step": 1})
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, 11.0, float("nan"), float("inf"), "fast", None, [1.0]])
+def test_wrong_value_names_field_value_and_range(value):
+    with pytest.raises(ScenarioError) as caught:
+        Inner(gain=value)
+    message = str(caught.value)
+    assert "[inner] gain = " in message
+    assert repr(value)[:20] in message
+    assert ": input should be" in message
+
+
+def test_range_is_in_the_message():
+    with pytest.raises(ScenarioError, match=r"gain = 11.0: input should be less than or equal to 10"):
+        Inner(gain=11.0)
+    with pytest.raises(ScenarioError, match=r"gain = -1.0: input should be greater than 0"):
+        Inner(gain=-1.0)
+
+
+def test_every_wrong_field_is_named():
+    with pytest.raises(ScenarioError, match=r"gain = 0\.0.*; .*steps = 'two'"):
+        Inner(gain=0.0, steps="two")
+
+
+def test_error_is_the_table_s_own_and_names_the_inner_field():
+    with pytest.raises(
+        ControlError, match=r"outer: inner = .*\[inner\] gain = -3\.0: input should be greater than 0"
+    ):
+        Outer(inner={"gain": -3.0})
+    with pytest.raises(ControlError, match=r"name = 5"):
+        Outer(name=5)
+
+
+def test_long_values_are_cut_short():
+    with pytest.raises(ScenarioError) as caught:
+        Inner(gain="x" * 10_000)
+    assert len(str(caught.value)) < 500
