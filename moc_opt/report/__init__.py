@@ -1,0 +1,10 @@
+"""Numbers and traces as tables, figures and pages.
+
+Nothing is loaded here, so that a terminal table does not wait for a plotting library. Import from
+
+- ``report.tables``: ``Column``, ``Table``, ``Missing``
+- ``report.figures``: one function per kind of figure
+- ``report.page``: ``Page``, a self-contained HTML file
+- ``report.export``: ``save_figures``, the same figures as SVG and PDF
+- ``report.console``: the terminal
+"""

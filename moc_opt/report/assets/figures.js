@@ -1,0 +1,98 @@
+// Unpacks plotly.js, draws every figure, and keeps it in the colours and the width of the page.
+(() => {
+  "use strict";
+  const texts = (id) => document.getElementById(id).textContent;
+  const dark = window.matchMedia("(prefers-color-scheme: dark)");
+  const touch = window.matchMedia("(pointer: coarse)");
+  const phone = 560, printed = 660;
+  const charts = [...document.querySelectorAll(".chart")];
+  let printing = false;
+
+  const unpack = async () => {
+    const packed = Uint8Array.from(atob(texts("plotly-packed")), (c) => c.charCodeAt(0));
+    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+    const script = document.createElement("script");
+    script.textContent = await new Response(stream).text();
+    document.head.append(script);
+  };
+
+  const exchange = JSON.parse(texts("dark-colors"));
+  const colors = new RegExp(Object.keys(exchange).join("|"), "gi");
+  // On a phone: smaller type, names beside points become a legend, and the legend gets two columns and its own height.
+  const narrow = ({ data, layout }) => {
+    layout.font = { ...layout.font, size: 10 };
+    layout.legend = { ...layout.legend, font: { size: 10 } };
+    layout.margin = { ...layout.margin, l: 40, r: 8 };
+    for (const axis of [layout.xaxis, layout.yaxis]) {
+      if (axis && axis.type === "log" && !axis.tickvals) axis.dtick = 1;
+    }
+    for (const trace of data) {
+      if (trace.mode !== "markers+text") continue;
+      trace.mode = "markers";
+      layout.showlegend = true;
+    }
+    const named = data.filter((trace) => trace.showlegend !== false && trace.name).length;
+    if (layout.showlegend === false || named < 6) return;
+    layout.legend = { ...layout.legend, entrywidth: 0.48, entrywidthmode: "fraction", maxheight: 400 };
+    layout.height = (layout.height || layout.template?.layout?.height || 450) + 17 * Math.ceil(named / 2);
+  };
+  const spec = (chart) => {
+    let source = texts(chart.id + "-data");
+    if (dark.matches && !printing) source = source.replace(colors, (color) => exchange[color.toLowerCase()]);
+    const figure = JSON.parse(source), width = printing ? printed : chart.clientWidth;
+    figure.layout.width = width;
+    figure.layout.autosize = false;
+    // What the reader has switched off stays off when the colours change.
+    (chart.data || []).forEach((trace, k) => { if ("visible" in trace) figure.data[k].visible = trace.visible; });
+    // A finger on a figure scrolls the page.
+    if (touch.matches) figure.layout.dragmode = false;
+    if (width < phone) narrow(figure);
+    return figure;
+  };
+  const options = (chart) => ({
+    displaylogo: false, plotlyServerURL: "", showLink: false, responsive: false, topojsonURL: "", scrollZoom: false,
+    modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
+    toImageButtonOptions: { format: "svg", filename: chart.dataset.name },
+  });
+  const draw = (chart) => {
+    const figure = spec(chart);
+    chart.style.minHeight = "";
+    return Plotly.react(chart, figure.data, figure.layout, options(chart));
+  };
+  const all = () => Promise.all(charts.map(draw));
+
+  const start = async () => {
+    if (!charts.length) return;
+    try {
+      await unpack();
+      for (const chart of charts) await draw(chart);
+    } catch (error) {
+      for (const chart of charts) chart.textContent = "This figure needs a browser of 2023 or later: " + error;
+      throw error;
+    }
+    dark.addEventListener("change", all);
+    // Once the width has come to rest, and only those that are drawn for another one.
+    let resting;
+    const watch = new ResizeObserver(() => {
+      clearTimeout(resting);
+      resting = setTimeout(() => {
+        if (!printing) charts.filter((chart) => chart.layout.width !== chart.clientWidth).forEach(draw);
+      }, 60);
+    });
+    charts.forEach((chart) => watch.observe(chart));
+    document.documentElement.dataset.drawn = "yes";
+  };
+
+  const folded = [];
+  window.addEventListener("beforeprint", () => {
+    printing = true;
+    for (const block of document.querySelectorAll("details:not([open])")) { block.open = true; folded.push(block); }
+    if (window.Plotly) all();
+  });
+  window.addEventListener("afterprint", () => {
+    printing = false;
+    for (const block of folded.splice(0)) block.open = false;
+    if (window.Plotly) all();
+  });
+  start();
+})();

@@ -1,0 +1,144 @@
+"""Figures as SVG and PDF for papers: drawn by a headless browser, which is what plotly draws in."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote
+
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from moc_opt.errors import UnknownNameError
+from moc_opt.report.errors import BrowserError, ReportError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+FORMATS = ("svg", "pdf")
+WIDTH_PX = 680
+"""Of a figure that has no width of its own: 180 mm, two columns of a journal; 12 px of type are then 9 pt."""
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
+FLAGS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+CURE = (
+    "install a browser (Debian, Ubuntu: apt-get install chromium; anywhere: python -m playwright install chromium), "
+    "or name one in the environment variable MOC_OPT_BROWSER"
+)
+
+
+def save_figures(
+    figures: Mapping[str, go.Figure], directory: str | os.PathLike[str], formats: Iterable[str] = FORMATS
+) -> list[Path]:
+    """Write each figure as DIRECTORY/NAME.FORMAT, light, as vectors, with text as text.
+
+    Args:
+        figures: name -> figure; `Page.figures` is one such mapping.
+        directory: made if it is not there.
+        formats: of "svg" and "pdf".
+
+    Returns:
+        The files, in the order of figures and formats.
+
+    Raises:
+        BrowserError: playwright or a browser is missing, or the browser failed; the message holds the cure.
+        ReportError: a name is no file name, or a file cannot be written.
+        UnknownNameError: another format.
+    """
+    wanted = list(dict.fromkeys(formats))
+    for name in wanted:
+        if name not in FORMATS:
+            raise UnknownNameError("figure format", name, FORMATS)
+    for name in figures:
+        if not name or name in (".", "..") or Path(name).name != name:
+            raise ReportError(f"figure {name!r}: give a name without a folder in it")
+    folder, written = Path(directory), []
+    with browser() as chromium:
+        drawn = dict(_draw(chromium, figures, "pdf" in wanted))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, contents in drawn.items():
+            for kind in wanted:
+                file = folder / f"{name}.{kind}"
+                file.write_bytes(contents[kind])
+                written.append(file)
+    except OSError as error:
+        raise ReportError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    return written
+
+
+@contextmanager
+def browser() -> Iterator[Browser]:
+    """A headless Chromium, closed in the end.
+
+    Raises:
+        BrowserError: playwright or a browser is missing, or it does not start.
+    """
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise BrowserError(f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}") from error
+    try:
+        with sync_playwright() as playwright:
+            program = browser_path() or playwright.chromium.executable_path
+            if not Path(program).exists():
+                raise BrowserError(f"no Chromium or Chrome was found: {CURE}")
+            chromium = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
+            try:
+                yield chromium
+            finally:
+                chromium.close()
+    except Error as error:
+        raise BrowserError(f"the browser failed: {str(error).splitlines()[0]}; {CURE}") from error
+
+
+def browser_path() -> str | None:
+    """The browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
+
+    Raises:
+        BrowserError: MOC_OPT_BROWSER names no program.
+    """
+    chosen = os.environ.get("MOC_OPT_BROWSER")
+    if chosen:
+        found = shutil.which(chosen)
+        if found is None:
+            raise BrowserError(f"MOC_OPT_BROWSER = {chosen!r} is no program: {CURE}")
+        return found
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+def _draw(
+    chromium: Browser, figures: Mapping[str, go.Figure], pdf: bool
+) -> Iterator[tuple[str, dict[str, bytes]]]:
+    page = chromium.new_page()
+    # Whatever a figure might refer to, nothing is fetched.
+    page.route("**/*", lambda route: route.abort())
+    page.set_content(
+        "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>"
+    )
+    page.add_script_tag(content=get_plotlyjs())
+    for name, figure in figures.items():
+        house = figure.layout.template.layout
+        size = {
+            "width": figure.layout.width or WIDTH_PX,
+            "height": figure.layout.height or house.height or 450,
+        }
+        url = page.evaluate(
+            "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
+            [figure.to_json(), size],
+        )
+        svg = unquote(url.partition(",")[2])
+        contents = {"svg": svg.encode()}
+        if pdf:
+            page.evaluate("svg => { document.body.innerHTML = svg }", svg)
+            width, height = (f"{side}px" for side in size.values())
+            contents["pdf"] = page.pdf(width=width, height=height, print_background=True, page_ranges="1")
+        yield name, contents
+    page.close()

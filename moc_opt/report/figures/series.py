@@ -1,0 +1,124 @@
+"""Runs over time: manipulability, tip error, RCM error and force in stacked panels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import ArrayLike, NDArray
+from plotly.subplots import make_subplots
+
+from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.style import TEMPLATE, Styles, label
+from moc_opt.trace import Trace
+
+Floats = NDArray[np.float64]
+PANELS = {
+    "mu": ("µ [m³]", 1.0),
+    "tip_error_m": ("tip error [mm]", 1e3),
+    "rcm_error_m": ("RCM error [mm]", 1e3),
+    "trocar_force_N": ("|force| [N]", 1.0),
+}
+"""Column of a trace -> label of its panel, and the factor to the unit there."""
+
+
+def time_series(
+    runs: Mapping[str, Trace], panels: Sequence[str] = tuple(PANELS), *,
+    styles: Styles | None = None, points: int = 1200,
+) -> go.Figure:  # fmt: skip
+    """Several runs over time, one panel per column, one legend entry per run for all panels.
+
+    Beside mu the largest mu that the self-motion allowed is dotted in, where it was scanned.
+    Long runs are thinned to the smallest and largest value of each stretch of time: peaks stay as high as they
+    are.
+
+    Args:
+        runs: name -> trace; a run that lacks a column is absent from its panel; of vectors the length is drawn.
+        panels: columns, from top to bottom.
+        styles: how each run looks; None deals colours out anew.
+        points: at most so many per line.
+
+    Raises:
+        ReportError: no run has any of the columns.
+        MissingDataError: a run has no `t_s`.
+    """
+    styles = styles or Styles(runs)
+    drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
+    named: set[str] = set()
+    for row, column in enumerate(panels, start=1):
+        words, factor = PANELS.get(column, (label(column), 1.0))
+        for name, trace in runs.items():
+            if column not in trace.columns:
+                continue
+            t, y = envelope(trace.t_s, factor * _lengths(trace.columns[column]), points)
+            drawn.add_scatter(
+                x=t.astype(np.float32), y=y.astype(np.float32), mode="lines", name=label(name), legendgroup=name,
+                showlegend=name not in named, row=row, col=1, connectgaps=False,
+                line={"color": styles[name].color, "dash": styles[name].dash, "width": 1.3},
+                hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
+            )  # fmt: skip
+            named.add(name)
+            scanned = (
+                ~np.isnan(trace.mu_bound)
+                if column == "mu" and "mu_bound" in trace.columns
+                else np.zeros(1, bool)
+            )
+            if scanned.any():
+                drawn.add_scatter(
+                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines", name=f"{label(name)}, largest",
+                    legendgroup=name, showlegend=False, row=row, col=1, opacity=0.8,
+                    line={"color": styles[name].color, "dash": "dot", "width": 1.3},
+                    hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
+                )  # fmt: skip
+        drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
+        # Upright, above its panel: no reader turns the head, and no phone loses width.
+        drawn.add_annotation(
+            text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
+            yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
+        )  # fmt: skip
+    if not named:
+        raise ReportError(f"no run has any of the columns {', '.join(panels)}: name columns that a trace has")
+    drawn.update_xaxes(title_text="time [s]", row=len(panels), col=1)
+    height = 80 + 155 * len(panels)
+    drawn.update_layout(template=TEMPLATE, height=height, legend_y=1.06, margin_t=30, hovermode="x unified")
+    return drawn
+
+
+def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Floats]:
+    """Thin a series to at most `points` without losing a peak.
+
+    Args:
+        t, y: (N,) times and values; NaN in y is a gap and stays one.
+        points: at least 4; a series that is no longer comes back as it is.
+
+    Returns:
+        (K,) times and values of the same series: first and last, and of every stretch the smallest and the
+        largest, in their order.
+
+    Raises:
+        ReportError: t and y are not of one length, or `points` is too small.
+    """
+    times, values = np.asarray(t, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if times.shape != values.shape or times.ndim != 1:
+        raise ReportError(f"t has shape {times.shape}, y {values.shape}: give one value per time")
+    if points < 4:
+        raise ReportError(f"points = {points}: give 4 or more")
+    if len(times) <= points:
+        return times, values
+    kept = {0, len(times) - 1}
+    for stretch in np.array_split(np.arange(len(times)), points // 2 - 1):
+        inside = values[stretch]
+        known = ~np.isnan(inside)
+        if known.any():
+            kept.add(int(stretch[known][np.argmin(inside[known])]))
+            kept.add(int(stretch[known][np.argmax(inside[known])]))
+        if not known.all():
+            kept.add(int(stretch[~known][0]))
+    chosen = np.array(sorted(kept))
+    return times[chosen], values[chosen]
+
+
+def _lengths(values: NDArray[np.float64]) -> Floats:
+    """Of a column of vectors, their lengths."""
+    return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)

@@ -1,0 +1,180 @@
+"""The house style: one plotly template, colours that colour-blind readers tell apart, light and dark.
+
+A figure is built for a light page. A page turns it dark by exchanging the colours of `DARK`, text for text,
+in the figure's JSON: so every colour used in a figure comes from here.
+"""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import ArrayLike
+
+from moc_opt.report.errors import ReportError
+from moc_opt.report.numbers import pretty_power, printable
+
+INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
+GOOD, FAIR, BAD, WORST = "#3b7fb8", "#a9c6de", "#c9ccd1", "#c4421a"
+"""Of answers: solved and optimal; optimal but not claimed; honestly failed; wrong under a claim of success."""
+
+# Okabe and Ito's palette, yellow and black replaced (they vanish on one of the two backgrounds), light -> dark.
+SERIES = MappingProxyType(
+    {
+        "#0072b2": "#4da3dd", "#d55e00": "#f0834a", "#009e73": "#3fc39d", "#b6569a": "#dc8fc4",
+        "#c98a00": "#e8b33f", "#3fa0d0": "#8accf0", "#77787b": "#a9abb0", "#6a4fb3": "#a994ea",
+    }
+)  # fmt: skip
+DARK = MappingProxyType(
+    {
+        INK: "#e4e7ea", MUTED: "#9aa3ac", GRID: "#31373d", PAPER: "#15181b",
+        GOOD: "#4f95d0", FAIR: "#34546f", BAD: "#565c63", WORST: "#f2693c", **SERIES,
+    }
+)  # fmt: skip
+"""Colour on a light page -> on a dark one."""
+
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
+SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star")
+FONT = "Inter, 'Helvetica Neue', Helvetica, Arial, 'Liberation Sans', sans-serif"
+HEIGHT_PX, MAX_POWERS = 380, 6
+
+
+@dataclass(frozen=True)
+class Style:
+    """How one run or solver looks wherever it appears."""
+
+    color: str
+    dash: str
+    symbol: str
+
+    def fill(self, opacity: float) -> str:
+        """The colour as "#rrggbbaa": the first seven characters stay those that a dark page exchanges."""
+        return f"{self.color}{round(255 * opacity):02x}"
+
+
+class Styles(Mapping[str, Style]):
+    """Name -> style. Give every figure of a page the same one, and a name looks the same in all of them."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        """Deal out colours in the order of `names`; after the last colour, dashes and markers change."""
+        colors, styles = list(SERIES), {}
+        for place, name in enumerate(dict.fromkeys(names)):
+            turn = place // len(colors)
+            symbol = SYMBOLS[place % len(SYMBOLS)]
+            styles[name] = Style(colors[place % len(colors)], DASHES[turn % len(DASHES)], symbol)
+        self._styles = styles
+
+    def __getitem__(self, name: str) -> Style:
+        try:
+            return self._styles[name]
+        except KeyError:
+            known = ", ".join(self._styles) or "none"
+            raise ReportError(f"no style for {name!r}: make Styles with it; it has {known}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._styles)
+
+    def __len__(self) -> int:
+        return len(self._styles)
+
+
+def _axis() -> dict[str, object]:
+    return {
+        "showline": True, "linecolor": MUTED, "linewidth": 1, "gridcolor": GRID, "gridwidth": 1, "zeroline": False,
+        "ticks": "outside", "ticklen": 4, "tickcolor": MUTED, "automargin": True, "exponentformat": "e",
+        "title": {"standoff": 8},
+    }  # fmt: skip
+
+
+TEMPLATE = go.layout.Template(
+    layout={
+        "font": {"family": FONT, "size": 12, "color": INK},
+        "colorway": list(SERIES), "paper_bgcolor": "rgba(0,0,0,0)", "plot_bgcolor": "rgba(0,0,0,0)",
+        "xaxis": _axis(), "yaxis": _axis(),
+        "margin": {"l": 56, "r": 16, "t": 16, "b": 48}, "height": HEIGHT_PX,
+        "legend": {
+            "orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom",
+            "bgcolor": "rgba(0,0,0,0)", "font": {"size": 12}, "title": {"text": ""},
+        },
+        "hoverlabel": {"bgcolor": PAPER, "bordercolor": MUTED, "font": {"family": FONT, "size": 12, "color": INK}},
+        "uirevision": "keep", "hovermode": "closest",
+    }
+)  # fmt: skip
+
+
+def label(name: object) -> str:
+    """A name as plotly shows it: never as the markup that plotly would read in it."""
+    return html.escape(printable(str(name)), quote=False)
+
+
+def figure(**layout: object) -> go.Figure:
+    """An empty figure in the house style."""
+    return go.Figure(layout={"template": TEMPLATE, **layout})
+
+
+def log_axis(
+    drawn: go.Figure, axis: str, title: str, values: ArrayLike, *, powers: bool = False, margin: float = 0.05
+) -> None:
+    """Make "x" or "y" a log axis.
+
+    Args:
+        drawn: the figure, changed in place.
+        axis: "x" or "y".
+        title: with the unit.
+        values: what it must show, positive: all values drawn, limits among them.
+        powers: label it in powers of ten, for residuals; else in plain numbers, for times.
+        margin: kept free at each end, as a fraction of the whole.
+
+    Raises:
+        ReportError: there is no value, or one is not positive.
+    """
+    shown = np.asarray(values, dtype=np.float64)
+    if shown.size == 0 or not (shown > 0.0).all():
+        raise ReportError(
+            f"{title}: a log axis needs values, and positive ones; leave the figure out and say why"
+        )
+    logs = np.log10(shown)
+    low, high = float(logs.min()), float(logs.max())
+    free = margin * max(high - low, 0.5)
+    low, high = low - free, high + free
+    step = 1
+    if powers:
+        step = max(1, math.ceil((high - low) / MAX_POWERS))
+        exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
+        ticks = {
+            "tickvals": [10.0**power for power in exponents],
+            "ticktext": [*map(pretty_power, exponents)],
+        }
+    else:
+        ticks = {"nticks": 7, "exponentformat": "none"}
+    # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.
+    minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
+    layout = {
+        "type": "log",
+        "title": {"text": title},
+        "minor": minor,
+        "tickangle": 0,
+        "range": [low, high],
+        **ticks,
+    }
+    drawn.update_layout({f"{axis}axis": layout})
+
+
+def rule(drawn: go.Figure, axis: str, at: float, text: str) -> None:
+    """Draw a limit: a dashed line at `at` of axis "x" or "y", and its name above the plot or inside at the right."""
+    log = drawn.layout[f"{axis}axis"].type == "log"
+    line = {"color": WORST, "width": 1.2, "dash": "dash"}
+    # plotly wants the value for a line on a log axis, its logarithm for a text.
+    place = math.log10(at) if log else at
+    note = {"text": text, "showarrow": False, "font": {"size": 11, "color": WORST}, "yanchor": "bottom"}
+    if axis == "x":
+        drawn.add_shape(type="line", x0=at, x1=at, y0=0, y1=1, yref="paper", line=line)
+        drawn.add_annotation(x=place, y=1.0, yref="paper", **note)
+    else:
+        drawn.add_shape(type="line", y0=at, y1=at, x0=0, x1=1, xref="paper", line=line)
+        drawn.add_annotation(y=place, x=1.0, xref="paper", xanchor="right", **note)

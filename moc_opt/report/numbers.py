@@ -1,0 +1,117 @@
+"""Numbers as text: significant digits, one notation for a whole column, missing values told apart."""
+
+from __future__ import annotations
+
+import math
+import re
+import unicodedata
+from collections.abc import Iterable
+from dataclasses import dataclass
+from numbers import Real
+
+MINUS, TIMES, NARROW_SPACE, INFINITY, DASH = "\u2212", "\u00d7", "\u202f", "\u221e", "\u2013"
+
+RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A value that is not there, and why: ``Missing("proxqp does not report duals")``."""
+
+    reason: str = "no value"
+
+
+@dataclass(frozen=True)
+class Notation:
+    """How the numbers of one column are written.
+
+    Attributes:
+        digits: significant digits, where `spec` is empty.
+        spec: a format specification of Python (".2f", "+.1f", "d"); it takes precedence.
+        scientific: write every number as a mantissa and a power of ten.
+        integral: every number of the column is whole, as counts are.
+    """
+
+    digits: int = 3
+    spec: str = ""
+    scientific: bool = False
+    integral: bool = False
+
+    @classmethod
+    def of(cls, values: Iterable[object], digits: int = 3, spec: str = "") -> Notation:
+        """Choose one notation for all `values`, so that a column can be compared by eye."""
+        numbers = [value for value in values if is_number(value) and math.isfinite(float(value))]  # type: ignore[arg-type]
+        # Counts come as floats too: a column of whole numbers is written as such.
+        integral = bool(numbers) and all(float(value).is_integer() for value in numbers)  # type: ignore[arg-type]
+        sizes = [abs(float(value)) for value in numbers if value]  # type: ignore[arg-type]
+        wide = bool(sizes) and (min(sizes) < 1e-4 or max(sizes) >= 1e6)
+        integral = integral and (not sizes or max(sizes) < 1e12)
+        return cls(digits, spec, scientific=wide and not integral, integral=integral)
+
+    def __call__(self, value: float) -> str:
+        """Write one number with a plain hyphen and "e" for powers of ten, as a terminal shows it."""
+        number = float(value)
+        if math.isinf(number):
+            return INFINITY if number > 0 else "-" + INFINITY
+        if self.spec:
+            return format(round(number) if self.spec.endswith("d") else number, self.spec)
+        if self.integral:
+            return (
+                f"{round(number):_}".replace("_", NARROW_SPACE)
+                if abs(number) >= 10_000
+                else f"{round(number)}"
+            )
+        if number == 0.0:
+            return "0"
+        rounded = f"{number:.{self.digits - 1}e}"
+        if self.scientific:
+            mantissa, exponent = rounded.split("e")
+            return f"{mantissa}e{int(exponent)}"
+        return f"{number:.{max(0, self.digits - 1 - int(rounded.split('e')[1]))}f}"
+
+
+def is_number(value: object) -> bool:
+    """Whether it is a real number that is no flag; numpy's scalars are."""
+    return isinstance(value, Real) and not isinstance(value, bool) and type(value).__name__ != "bool"
+
+
+def missing(value: object) -> Missing | None:
+    """The reason why there is nothing to write, or None where there is a value."""
+    if isinstance(value, Missing):
+        return value
+    if value is None or (is_number(value) and math.isnan(float(value))):  # type: ignore[arg-type]
+        return Missing()
+    return None
+
+
+def fraction_length(text: str) -> int:
+    """Characters from the decimal point on: what must be padded to align a column on its points."""
+    return len(text) - text.index(".") if "." in text and "e" not in text else 0
+
+
+def typeset(text: str, exponent_width: int = 0) -> str:
+    """HTML of a number written by `Notation`: real minus signs, and powers of ten set as powers."""
+    mantissa, _, exponent = text.partition("e")
+    mantissa = mantissa.replace("-", MINUS)
+    if not exponent:
+        return mantissa
+    style = f' style="min-width:{exponent_width}ch"' if exponent_width else ""
+    return f"{mantissa}{TIMES}10<sup{style}>{exponent.replace('-', MINUS)}</sup>"
+
+
+def pretty_unit(unit: str) -> str:
+    """The unit as it is printed: us as µs, m^3 with a raised 3."""
+    raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
+    return re.sub(r"\bus\b", "µs", raised)
+
+
+def pretty_power(power: int) -> str:
+    """A power of ten as it is printed on an axis: 1, 10, 10⁻³."""
+    return {0: "1", 1: "10"}.get(power, f"10{str(power).translate(RAISED)}")
+
+
+def printable(text: str) -> str:
+    """Without control and direction characters: a name from elsewhere must not steer terminal or page."""
+    return "".join(
+        c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text
+    )

@@ -1,0 +1,193 @@
+"""A report as one HTML file that opens by itself: no other file, no other host."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from string import Template
+from types import MappingProxyType
+from typing import Any
+
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+
+from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.style import DARK
+from moc_opt.report.numbers import DASH
+from moc_opt.report.table_html import escape
+from moc_opt.report.tables import Table
+
+MAX_BYTES = 8_000_000
+
+
+class Page:
+    """A report: call its methods in reading order, then `save`.
+
+    All texts are plain: they are escaped, a blank line begins a paragraph, and `backticks` set a name in code.
+    """
+
+    def __init__(self, title: str, subtitle: str = "") -> None:
+        self.title, self.subtitle = title, subtitle
+        self._parts: list[str] = []
+        self._sections: list[tuple[str, str]] = []
+        self._figures: dict[str, go.Figure] = {}
+        self._tables = 0
+
+    @property
+    def figures(self) -> Mapping[str, go.Figure]:
+        """Name -> figure, in the order of the page: what `save_figures` takes."""
+        return MappingProxyType(self._figures)
+
+    def headline(self, text: str) -> None:
+        """A finding in words, set apart; several make several."""
+        self._parts.append(f'<p class="headline">{_inline(text)}</p>')
+
+    def section(self, title: str) -> None:
+        """Begin a section; the table of contents lists it."""
+        name = self._name(title, {name for name, _ in self._sections})
+        self._sections.append((name, title))
+        self._parts.append(f'<h2 id="{name}">{_inline(title)}</h2>')
+
+    def text(self, text: str) -> None:
+        """Paragraphs."""
+        self._parts += [f"<p>{_inline(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()) if part]
+
+    def table(self, table: Table) -> None:
+        """A numbered table."""
+        self._tables += 1
+        self._parts.append(table.to_html(self._tables))
+
+    def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
+        """A numbered figure.
+
+        Args:
+            figure: of `report.figures`, or any plotly figure.
+            caption: what it shows and what to see in it.
+            name: of its file, where the figures are saved too; from the caption's first words if empty.
+        """
+        name = self._name(name or " ".join(caption.split()[:5]), self._figures)
+        self._figures[name] = figure
+        height = int(figure.layout.height or figure.layout.template.layout.height or 450)
+        self._parts.append(
+            f'<figure class="plot"><div class="chart" id="{name}" data-name="{name}" role="img" '
+            f'aria-label="{escape(caption)}" style="min-height:{height}px"></div>'
+            f"<figcaption><b>Figure {len(self._figures)}.</b> {_inline(caption)}</figcaption></figure>"
+        )
+
+    def environment(self, values: Mapping[str, Any], title: str = "Environment") -> None:
+        """A section on how the numbers came about: machine, versions, seed, configuration.
+
+        Args:
+            values: nested mappings and lists of plain values; every mapping at the top is folded away.
+            title: of the section.
+        """
+        self.section(title)
+        plain = {key: value for key, value in values.items() if not isinstance(value, Mapping)}
+        if plain:
+            self._parts.append(_definitions(plain))
+        for key, value in values.items():
+            if isinstance(value, Mapping):
+                summary = f"<summary>{escape(str(key))}</summary>"
+                self._parts.append(f"<details>{summary}{_definitions(value)}</details>")
+
+    def html(self) -> str:
+        """The whole file as text."""
+        links = [f'<li><a href="#{name}">{_inline(title)}</a></li>' for name, title in self._sections]
+        contents = f'<nav aria-label="Contents"><ol>{"".join(links)}</ol></nav>' if len(links) > 1 else ""
+        data = [_script(f"{name}-data", _plain_json(figure)) for name, figure in self._figures.items()]
+        scripts = [_asset("tables.js")]
+        if self._figures:
+            data += [
+                _script("dark-colors", json.dumps(dict(DARK))),
+                _script("plotly-packed", _packed_plotly()),
+            ]
+            scripts.append(_asset("figures.js"))
+        return Template(_asset("page.html")).substitute(
+            title=escape(self.title), style=_asset("page.css"), body="\n".join(self._parts), contents=contents,
+            subtitle=f'<p class="subtitle">{_inline(self.subtitle)}</p>' if self.subtitle else "",
+            data="\n".join(data), scripts="\n".join(scripts),
+        )  # fmt: skip
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the file, all or nothing: an older one of that name stays until the new one is there.
+
+        Raises:
+            ReportError: it would be larger than MAX_BYTES, or cannot be written.
+        """
+        file, content = Path(path), self.html().encode()
+        if len(content) > MAX_BYTES:
+            sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
+            largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+            raise ReportError(
+                f"{file}: the page has {len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}: "
+                f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
+            )
+        unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            unfinished.write_bytes(content)
+            unfinished.replace(file)
+        except OSError as error:
+            # Where there was no folder, there is nothing to clear away either.
+            with suppress(OSError):
+                unfinished.unlink()
+            raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
+        return file
+
+    @staticmethod
+    def _name(text: str, taken: Iterable[str]) -> str:
+        """A name for addresses and files, unlike those that are taken."""
+        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:60] or "part"
+        name, count = words, 1
+        while name in taken:
+            count += 1
+            name = f"{words}-{count}"
+        return name
+
+
+def _inline(text: str) -> str:
+    """Escaped text with `backticks` as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
+
+
+def _definitions(values: Mapping[str, Any]) -> str:
+    rows = []
+    for key, value in values.items():
+        shown = _definitions(value) if isinstance(value, Mapping) and value else escape(_value(value))
+        rows.append(f"<dt>{escape(str(key))}</dt><dd>{shown}</dd>")
+    return f"<dl>{''.join(rows)}</dl>"
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_value, value)) or DASH
+    return DASH if value is None or value in ("", {}) else str(value)
+
+
+def _plain_json(figure: go.Figure) -> str:
+    text: str = figure.to_json()
+    return text
+
+
+def _script(name: str, text: str) -> str:
+    """Data for the page's scripts; no text in it can end the element."""
+    escaped = text.replace("<", "\\u003c")
+    return f'<script type="application/json" id="{name}">{escaped}</script>'
+
+
+def _asset(name: str) -> str:
+    return resources.files("moc_opt.report").joinpath("assets", name).read_text(encoding="utf-8").strip()
+
+
+@cache
+def _packed_plotly() -> str:
+    """plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()

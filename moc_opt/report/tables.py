@@ -1,0 +1,157 @@
+"""A table of results, for the terminal and for a page: one notation per column, best values emphasised."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from moc_opt.report import numbers, table_html
+from moc_opt.report.errors import ReportError
+from moc_opt.report.numbers import Missing, Notation, is_number, printable
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a table.
+
+    Attributes:
+        key: where a row holds the value.
+        title, unit: the heading; the unit ("us", "mm") stands below it.
+        digits: significant digits of its numbers.
+        format: a format specification (".2f", "+.1f", "d") in place of significant digits.
+        align: None: numbers to the right, texts to the left.
+        better: which end is good: its best values are emphasised and sorted to the top first.
+        help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
+    """
+
+    key: str
+    title: str
+    unit: str = ""
+    digits: int = 3
+    format: str = ""
+    align: Literal["left", "right", "center"] | None = None
+    better: Literal["low", "high"] | None = None
+    help: str = ""
+
+    def __post_init__(self) -> None:
+        if self.digits < 1:
+            raise ReportError(
+                f"column {self.key!r}: digits = {self.digits}: give one or more significant digits"
+            )
+        if self.better not in (None, "low", "high"):
+            raise ReportError(f"column {self.key!r}: better = {self.better!r} is none of 'low', 'high', None")
+        try:
+            Notation(spec=self.format)(1.0)
+        except ValueError as error:
+            raise ReportError(
+                f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one"
+            ) from error
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value made ready: `text` as the terminal shows it, `sort` what it is ordered by (None: last)."""
+
+    text: str
+    sort: float | str | None
+    numeric: bool = False
+    why: Missing | None = None
+    best: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of results under typed columns.
+
+    Attributes:
+        title: a few words; a page numbers it.
+        columns: from left to right; the first one names the row.
+        rows: key -> text, flag, number, None, or `Missing(reason)`; absent keys are missing, further ones ignored.
+        caption: what the reader must know, in sentences.
+    """
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Mapping[str, Any]] = field(default_factory=list)
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        keys = [column.key for column in self.columns]
+        if not keys:
+            raise ReportError(f"table {self.title!r} has no columns: give one or more")
+        if len(set(keys)) < len(keys):
+            raise ReportError(f"table {self.title!r}: two columns have the same key in {', '.join(keys)}")
+
+    def cells(self, column: Column) -> list[Cell]:
+        """The column, one cell per row, written in one notation."""
+        values = [row.get(column.key) for row in self.rows]
+        notation = Notation.of(values, column.digits, column.format)
+        cells = [_cell(value, notation) for value in values]
+        finite = [cell for cell in cells if cell.numeric and math.isfinite(float(cell.sort or 0.0))]
+        if column.better is None or len(finite) < 2:
+            return cells
+        choose = min if column.better == "low" else max
+        winner = choose(finite, key=lambda cell: float(cell.sort or 0.0))
+        # What reads the same is equally good: a digit that is not shown decides nothing.
+        return [
+            Cell(c.text, c.sort, c.numeric, c.why, best=c.numeric and c.text == winner.text) for c in cells
+        ]
+
+    def to_rich(self) -> RichTable:
+        """The table for a terminal."""
+        drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left")
+        drawn.title = Text(printable(self.title), style="bold")
+        drawn.caption = Text(printable(self.caption)) if self.caption else None
+        columns = []
+        for column in self.columns:
+            cells = self.cells(column)
+            pad = max((numbers.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
+            columns.append([_rich(cell, pad) for cell in cells])
+            heading = Text(printable(column.title))
+            if column.unit:
+                heading.append(f"\n{numbers.pretty_unit(column.unit)}", style="dim")
+            drawn.add_column(heading, justify=column.align or table_html.alignment(cells))
+        for row in zip(*columns, strict=True):
+            drawn.add_row(*row)
+        return drawn
+
+    def to_text(self) -> str:
+        """The table as plain text, as wide as it needs to be."""
+        console = Console(
+            file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False
+        )
+        console.print(self.to_rich())
+        written: str = console.file.getvalue()  # type: ignore[attr-defined]
+        return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
+
+    def to_html(self, number: int | None = None) -> str:
+        """The table as a fragment of a page, sortable there; every text is escaped.
+
+        Args:
+            number: of the table on its page.
+        """
+        return table_html.draw(self, number)
+
+
+def _cell(value: Any, notation: Notation) -> Cell:
+    why = numbers.missing(value)
+    if why is not None:
+        return Cell(numbers.DASH, None, why=why)
+    if is_number(value):
+        return Cell(notation(value), float(value), numeric=True)
+    if type(value).__name__ in ("bool", "bool_"):
+        return Cell("yes" if value else "no", "yes" if value else "no")
+    return Cell(printable(str(value)), str(value))
+
+
+def _rich(cell: Cell, pad: int) -> Text:
+    spaces = " " * (pad - numbers.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
+    return Text(cell.text + spaces, style="bold" if cell.best else "dim" if cell.why else "")

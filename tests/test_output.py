@@ -1,0 +1,93 @@
+"""What every benchmark leaves behind: complete files or none, JSON that others can read, where it came from."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import output
+
+
+def test_files_appear_whole(tmp_path):
+    path = tmp_path / "new" / "summary.json"
+    output.write_atomically(path, b"one")
+    output.write_atomically(path, b"two")
+    assert path.read_bytes() == b"two"
+    assert os.listdir(path.parent) == ["summary.json"]
+
+
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "summary.json"
+    output.write_atomically(path, b"old")
+
+    def broken(source, target):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", broken)
+    with pytest.raises(OSError, match="disk full"):
+        output.write_atomically(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["summary.json"]
+
+
+def test_json_knows_no_nan(tmp_path):
+    path = tmp_path / "a.json"
+    output.write_json(
+        path, {"b": np.float64(1.5), "a": [np.nan, np.inf, (1, True)], "c": {2: np.int64(3)}, "d": None}
+    )
+    text = path.read_text()
+    assert json.loads(text) == {"a": [None, None, [1, True]], "b": 1.5, "c": {"2": 3}, "d": None}
+    assert text.index('"a"') < text.index('"b"')
+    assert text.endswith("\n")
+
+
+def test_rows_may_have_different_columns(tmp_path):
+    path = tmp_path / "rows.parquet"
+    output.write_rows(path, iter([{"part": "x", "us": 1.0}, {"part": "y", "count": 2, "us": np.nan}]))
+    table = pq.read_table(path)
+    assert table.column_names == ["part", "us", "count"]
+    assert table.to_pylist() == [
+        {"part": "x", "us": 1.0, "count": None}, {"part": "y", "us": None, "count": 2},
+    ]  # fmt: skip
+
+
+def test_environment_says_where_numbers_come_from():
+    found = output.environment({"x": 1}, 7, ["--quick"])
+    assert found["seed"] == 7
+    assert found["config"] == {"x": 1}
+    assert found["arguments"] == ["--quick"]
+    assert found["threads"] == os.environ["OMP_NUM_THREADS"]
+    assert found["versions"]["numpy"] == np.__version__
+    assert set(output.PACKAGES) == set(found["versions"])
+    assert found["machine"]["cores"] == os.cpu_count()
+    assert found["machine"]["processor"]
+    output.plain(found)
+
+
+def test_a_package_that_is_missing_has_no_version(monkeypatch):
+    monkeypatch.setattr(output, "PACKAGES", ("numpy", "a-package-that-nobody-has"))
+    assert output.environment({}, 0)["versions"] == {
+        "numpy": np.__version__,
+        "a-package-that-nobody-has": None,
+    }
+
+
+def test_commit_is_none_outside_a_checkout(tmp_path, monkeypatch):
+    monkeypatch.setattr(output, "__file__", str(tmp_path / "output.py"))
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    assert output.environment({}, 0)["commit"] is None
+
+
+def test_options_that_every_benchmark_has():
+    given = output.parser("speed", "about").parse_args(["a.toml", "--out", "b", "--seed", "3", "--quick"])
+    assert (given.config, given.out, given.seed, given.quick) == (Path("a.toml"), Path("b"), 3, True)
+    none = output.parser("speed", "about").parse_args([])
+    assert (none.config, none.out, none.seed, none.quick) == (None, Path("results/speed"), None, False)
+
+
+@pytest.mark.parametrize("name", ["solvers", "speed"])
+def test_default_configurations_ship(name):
+    assert output.default_config(name).is_file()

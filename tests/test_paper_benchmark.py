@@ -1,0 +1,357 @@
+"""The paper's experiment: fair trials, verdicts that follow from the numbers, and a command that leaves its files."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import paper, paper_figures, paper_swivel, paper_verdict
+from benchmarks.output import default_config
+from benchmarks.paper_config import Config
+from benchmarks.paper_trials import (
+    BASELINES,
+    DAMPED,
+    MATCHED,
+    OWN,
+    Job,
+    Measurement,
+    run_job,
+    seeds,
+    trials,
+    variant,
+)
+from benchmarks.paper_verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
+from benchmarks.statistics import Interval
+from moc_opt import scenario
+from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
+from moc_opt.report.errors import BrowserError
+from moc_opt.report.export import browser
+from moc_opt.robots import load_data
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.tasks.board import BOARD_TASKS
+
+TINY = """
+tasks = ["circle"]
+trials = 2
+solvers = ["exact", "rnn-printed"]
+processes = 1
+[groups.tuned]
+about = "few and short trials"
+control = { preset = "tuned" }
+[swivel]
+starts = 2
+[scenario]
+duration_s = 0.7
+judge = false
+bound_samples = 0
+"""
+SHORT = Scenario(judge=False, bound_samples=0, duration_s=0.3, control={"preset": "tuned"})
+
+
+@pytest.fixture(scope="module")
+def trial():
+    return trials(SHORT, ["circle"], [5])[0][1]
+
+
+def measured(controller, trial, value, phase="whole", window="", metric="tip_error_mean_mm", **more):
+    metrics = {metric: value, "ticks": 100.0, **more}
+    return Measurement("g", controller, "circle", trial, 0, phase, window, metrics)
+
+
+# the trials
+
+
+def test_trials_take_sizes_and_depth_from_the_virtual_tasks():
+    drawn = trials(SHORT, list(BOARD_TASKS), seeds(0, 0, 6))
+    assert [task for task, _ in drawn] == ["circle"] * 2 + ["sinusoid"] * 2 + ["spiral"] * 2
+    assert len({scene.seed for _, scene in drawn}) == 6
+    for task, scene in drawn:
+        assert scene.task.sizes == dict(BOARD_TASKS[task].sizes)
+        assert scene.trocar.depth_m == BOARD_TASKS[task].depth_m
+        assert scene.start.swivel == "random"
+
+
+def test_every_controller_meets_the_same_start_plant_and_noise(trial):
+    setups = [Setup(variant(trial, name)) for name in (*BASELINES, "exact", "rnn-printed")]
+    for other in setups[1:]:
+        np.testing.assert_array_equal(other.q_start, setups[0].q_start)
+        np.testing.assert_array_equal(other.trocar.point, setups[0].trocar.point)
+        assert other.plant.mismatch.mass_scale == setups[0].plant.mismatch.mass_scale
+        np.testing.assert_array_equal(other.plant.measure().q, setups[0].plant.measure().q)
+
+
+@pytest.mark.parametrize("preset", ["paper", "tuned"])
+def test_gains_and_compensation_are_equal_on_both_sides(trial, preset):
+    case = trial.change(control={"preset": preset})
+    tables = load_data("lwr4").gains
+    moc = variant(case, "exact").control
+    for name in BASELINES:
+        dcac = variant(case, name).control
+        assert dcac.law == "dcac"
+        assert dcac.observer_gain_per_s == moc.observer_gain_per_s
+        assert (dcac.feedforward, dcac.projector) == (moc.feedforward, moc.projector)
+        ours, theirs = moc.resolve_gains(tables), dcac.resolve_gains(tables)
+        for gain in ("K_X", "D_X", "K_N", "D_N"):
+            if name == OWN:
+                assert theirs[gain] == tables["dcac"][gain]
+            else:
+                assert theirs[gain] == ours[gain]
+    assert variant(case, MATCHED).control.dcac_damping == 0.0
+    assert variant(case, DAMPED).control.dcac_damping > 1.0
+
+
+def test_a_job_measures_every_controller_in_every_phase(trial):
+    found = run_job(Job("g", "circle", trial, (*BASELINES, "exact"), keep_traces=True))
+    assert found.broken == []
+    seen = {(m.controller, m.phase, m.window_of) for m in found.measurements}
+    for name in (*BASELINES, "exact"):
+        assert {(name, "whole", ""), (name, "travelling", "exact")} <= seen
+        assert found.samples[name, "circle"]["trocar_force_N"].ndim == 1
+        assert name in found.traces
+    by_key = {(m.controller, m.phase): m.metrics for m in found.measurements}
+    assert by_key[MATCHED, "whole"]["mu_gain_percent"] == 0.0
+    assert by_key["exact", "whole"]["mu_gain_percent"] != 0.0
+    assert not any(name.endswith("_us") for m in found.measurements for name in m.metrics)
+    shares = {
+        m.phase: m.metrics["share_of_ticks"]
+        for m in found.measurements
+        if m.window_of and m.controller == "exact"
+    }
+    assert sum(shares.values()) == pytest.approx(1.0)
+
+
+def test_a_run_that_breaks_off_is_a_result_with_its_reason(trial, monkeypatch):
+    run = scenario.run
+
+    def runs_away(case):
+        if case.control.law == "moc":
+            raise PlantError("the arm ran away")
+        return run(case)
+
+    monkeypatch.setattr(scenario, "run", runs_away)
+    found = run_job(Job("g", "circle", trial, (MATCHED, "exact")))
+    assert {m.controller for m in found.measurements} == {MATCHED}
+    assert [entry["controller"] for entry in found.broken] == ["exact"]
+    assert found.broken[0]["error"] == "PlantError: the arm ran away"
+
+
+def test_the_same_job_gives_the_same_numbers(trial):
+    job = Job("g", "circle", trial, (MATCHED, "exact"))
+    assert run_job(job).measurements == run_job(job).measurements
+
+
+# the verdict
+
+
+UP, DOWN, NONE = (
+    Interval(20.0, 12.0, 30.0, 15),
+    Interval(-20.0, -30.0, -12.0, 15),
+    Interval(1.0, -3.0, 5.0, 15),
+)
+
+
+@pytest.mark.parametrize(
+    ("own", "matched", "wanted"),
+    [
+        (DOWN, DOWN, HOLDS),
+        (DOWN, NONE, GAINS_ONLY),
+        (DOWN, UP, GAINS_ONLY),
+        (NONE, NONE, FAILS),
+        (UP, UP, FAILS),
+        (NONE, DOWN, HOLDS),
+        (None, None, FAILS),
+    ],
+)
+def test_verdict_on_an_error(own, matched, wanted):
+    assert judge_claim(CLAIMS[1], own, matched) == wanted
+
+
+def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval():
+    mu = CLAIMS[0]
+    assert mu.confirmed(Interval(10.0, 7.1, 13.0, 15))
+    assert not mu.confirmed(Interval(10.0, 6.9, 13.0, 15))
+    assert not mu.confirmed(Interval(10.0, float("nan"), float("nan"), 1))
+
+
+def test_pairs_match_trials_and_leave_out_what_is_missing():
+    found = [
+        measured("exact", "a", 1.0), measured("exact", "b", 2.0), measured(MATCHED, "b", 20.0),
+        measured(MATCHED, "a", 10.0), measured("exact", "c", 3.0),
+        measured(MATCHED, "a", 99.0, "settled", "rnn"),
+    ]  # fmt: skip
+    assert paper_verdict.pairs(found, "g", "exact", MATCHED, "tip_error_mean_mm") == (
+        [1.0, 2.0],
+        [10.0, 20.0],
+    )
+    assert paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm").value == pytest.approx(
+        -90.0
+    )
+    assert paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled") is None
+
+
+def test_phases_are_compared_in_the_windows_of_the_same_moc():
+    found = [
+        measured("exact", "a", 1.0, "settled", "exact"), measured(MATCHED, "a", 2.0, "settled", "exact"),
+        measured(MATCHED, "a", 50.0, "settled", "rnn"), measured("rnn", "a", 100.0, "settled", "rnn"),
+    ]  # fmt: skip
+    for moc, change in (("exact", -50.0), ("rnn", 100.0)):
+        assert paper_verdict.effect(found, "g", moc, MATCHED, "tip_error_mean_mm", "settled").value == change
+
+
+def test_a_trial_counts_by_its_ticks_in_the_phase():
+    """One trial of 1000 settled ticks at -10 %, one of 10 at +100 %."""
+    found = [
+        measured("exact", "a", 0.9, "settled", "exact", ticks=1000.0),
+        measured(MATCHED, "a", 1.0, "settled", "exact", ticks=1000.0),
+        measured("exact", "b", 2.0, "settled", "exact", ticks=10.0),
+        measured(MATCHED, "b", 1.0, "settled", "exact", ticks=10.0),
+    ]
+    change = paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled")
+    assert change.value == pytest.approx(100 * (920 / 1010 - 1))
+
+
+def complete(controller, trial, scale, phase="whole", window="", gain=20.0):
+    metrics = {"tip_error_mean_mm": 0.05 * scale, "rcm_error_mean_mm": 0.4 * scale, "trocar_force_mean_N": 0.3 * scale,
+               "mu_mean": 0.3, "mu_gain_percent": gain, "share_of_ticks": 0.5, "ticks": 100.0}  # fmt: skip
+    return Measurement("g", controller, "circle", trial, 0, phase, window, metrics)
+
+
+def test_goals_are_read_off_the_right_numbers():
+    rng = np.random.default_rng(0)
+
+    def experiment(settled, gains):
+        found = []
+        for trial, gain in enumerate(gains):
+            noise = 1.0 + 0.02 * rng.standard_normal()
+            found += [
+                complete("exact", str(trial), 1.0, gain=gain),
+                complete("exact", str(trial), settled * noise, "settled", "exact"),
+                complete(MATCHED, str(trial), 1.0, "settled", "exact"),
+            ]
+        return {row["goal"]: row["reached"] for row in paper_verdict.goals(found, "g", "exact")}
+
+    assert all(experiment(1.0, [10.0, 18.0, 25.0, 20.0]).values())
+    assert not experiment(1.0, [1.0, 2.0, 3.0, 4.0])["mu_gain"]
+    assert not experiment(1.0, [-1.0, 40.0, 40.0, 40.0])["mu_worst"]
+    worse = experiment(1.08, [20.0] * 4)
+    assert not worse["settled_tip"]
+    assert worse["tip_mean"]
+
+
+def test_verdicts_name_every_claim_and_every_baseline():
+    scales = {"exact": 1.0, OWN: 3.0, MATCHED: 1.0, DAMPED: 0.9}
+    found = [complete(name, str(k), scale) for name, scale in scales.items() for k in range(4)]
+    rows = {row["claim"]: row for row in paper_verdict.verdicts(found, "g", "exact")}
+    assert rows["mu"]["verdict"] == FAILS
+    assert rows["tip"]["verdict"] == GAINS_ONLY
+    assert rows["tip"]["own_percent"] == pytest.approx(-100 * 2 / 3)
+    assert rows["tip"]["damped_percent"] == pytest.approx(100 / 0.9 - 100)
+
+
+# the starting swivel
+
+
+def test_a_start_at_the_largest_mu_gains_least():
+    base = SHORT.change(duration_s=2.5)
+    [(_, trial)] = trials(base, ["circle"], [5])
+    rows = [paper_swivel.gain((trial, start, "exact")) for start in paper_swivel.starts(trial, 2)]
+    assert [row["fraction"] for row in rows] == sorted(row["fraction"] for row in rows)
+    [top] = [row for row in rows if row["at_maximum"]]
+    assert top["mu_start"] == max(row["mu_start"] for row in rows)
+    assert abs(top["gain_percent"]) < 2.0
+    summary = paper_swivel.summary(rows)
+    assert summary["gain_max_percent"] > summary["gain_at_maximum_percent"] + 3.0
+
+
+# the configuration and the command
+
+
+def test_the_configuration_that_ships_is_the_papers_experiment():
+    config = Config.load(default_config("paper"))
+    jobs = config.jobs()
+    assert len(jobs) == 15 * len(config.groups)
+    of_paper = [job for job in jobs if job.group == "paper"]
+    assert {task: sum(job.task == task for job in of_paper) for task in config.tasks} == dict.fromkeys(
+        ("circle", "sinusoid", "spiral"), 5
+    )
+    assert {"exact", "rnn", "rnn-printed", *BASELINES} == set(of_paper[0].controllers)
+    assert of_paper[0].trial.control.damping == 0.0
+    tuned = [job.trial for job in jobs if job.group == "tuned"]
+    assert [t.seed for t in tuned] == [job.trial.seed for job in of_paper]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error", "message"),
+    [
+        (('"circle"', '"circel"'), UnknownNameError, "did you mean 'circle'"),
+        (('"rnn-printed"', '"rnn-print"'), UnknownNameError, "did you mean 'rnn-printed'"),
+        (('"tuned" }', '"tunde" }'), UnknownNameError, "did you mean 'tuned'"),
+        (("groups.tuned", "groups.other"), UnknownNameError, "unknown group 'tuned'"),
+        (("[swivel]", "[settings.exact]\nepsilon = 1\n[swivel]"), UnknownNameError, "epsilon"),
+        (("trials = 2", "trials = 0"), ScenarioError, "trials = 0"),
+        (("trials = 2", "trails = 2"), UnknownNameError, "did you mean 'trials'"),
+        (("[swivel]", "[swivel"), ScenarioError, r"bad\.toml"),
+    ],
+)
+def test_wrong_configurations_are_refused_before_anything_moves(tmp_path, wrong, error, message):
+    file = tmp_path / "bad.toml"
+    assert wrong[0] in TINY
+    file.write_text(TINY.replace(*wrong))
+    with pytest.raises(error, match=message):
+        Config.load(file)
+
+
+def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monkeypatch):
+    def no_browser(drawn, folder):
+        assert {
+            "swivel",
+            "trial-tuned",
+            *(f"figure7-tuned-{short}" for short in ("mu", "tip", "rcm", "force")),
+        } == set(drawn)
+        raise BrowserError("no browser here")
+
+    monkeypatch.setattr(paper_figures, "save", no_browser)
+    file = tmp_path / "tiny.toml"
+    file.write_text(TINY)
+    assert paper.main([str(file), "--out", str(tmp_path / "a"), "--json"]) == 0
+    printed = capsys.readouterr()
+    summary = json.loads(printed.out)
+    assert "no browser here" in printed.err  # and the run goes on
+    assert set(summary["tuned"]) == {*BASELINES, "exact", "rnn-printed"}
+    assert summary["tuned"]["exact"]["trials"] == 2
+    assert {row["claim"] for row in summary["verdict"]} == {claim.name for claim in CLAIMS}
+    assert summary["swivel"]["starts"] == 3
+    rows = pq.read_table(tmp_path / "a" / "rows.parquet").to_pylist()
+    assert {row["part"] for row in rows} == {"trials", "swivel"}
+    environment = json.loads((tmp_path / "a" / "environment.json").read_text())
+    assert environment["config"]["groups"]["tuned"]["about"] == "few and short trials"
+    assert "shared" in environment["timing"]
+    html = (tmp_path / "a" / "report.html").read_text()
+    assert "few and short trials" in html or "Few and short trials" in html
+
+    assert paper.main([str(file), "--out", str(tmp_path / "b"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == summary
+    assert paper.main([str(file), "--out", str(tmp_path / "c"), "--json", "--seed", "7"]) == 0
+    assert json.loads(capsys.readouterr().out) != summary
+
+
+def test_wrong_input_ends_the_command_with_a_message(tmp_path, capsys):
+    assert paper.main([str(tmp_path / "none.toml"), "--out", str(tmp_path)]) == 2
+    assert "none.toml" in capsys.readouterr().err
+
+
+def test_figures_are_saved_as_pixels_and_as_vectors(tmp_path):
+    try:
+        with browser():
+            pass
+    except BrowserError as error:
+        pytest.skip(str(error))
+    row = {"fraction": 0.5, "mu_start": 0.3, "gain_percent": 10.0, "at_maximum": False}
+    drawn = paper_figures.swivel_figure(
+        [row, {**row, "fraction": 0.7, "at_maximum": True}, {"error": "broke off"}]
+    )
+    written = paper_figures.save({"swivel": drawn}, tmp_path)
+    assert [file.name for file in written] == ["swivel.svg", "swivel.png"]
+    assert (tmp_path / "swivel.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (tmp_path / "swivel.svg").read_text()

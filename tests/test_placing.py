@@ -1,0 +1,97 @@
+"""Poses that are found really are solutions inside the limits; what is not found is explained."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.control.rcm import desired_wrist
+from moc_opt.errors import TaskError
+from moc_opt.placing import pose_through, pose_with_tip, solve_pose, wrist_through
+from moc_opt.tasks import shaft_distance
+
+
+def inside(robot, q):
+    return bool(((q >= robot.q_min) & (q <= robot.q_max)).all())
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=30)
+def test_the_wish_for_the_wrist_is_the_controllers(seed):
+    tip, tip_velocity, trocar, trocar_velocity = np.random.default_rng(seed).normal(size=(4, 3))
+    mine = wrist_through(tip, tip_velocity, trocar, trocar_velocity, 0.378)
+    theirs = desired_wrist(tip, tip_velocity, trocar, trocar_velocity, 0.378)
+    np.testing.assert_allclose(mine, theirs, atol=1e-12)
+
+
+def test_a_pose_nearby_is_found_again(robot, regular_poses):
+    rng = np.random.default_rng(1)
+    for q in regular_poses(30):
+        state = robot.state(q)
+        placed = solve_pose(robot, q + rng.uniform(-0.1, 0.1, 7), state.tip, state.wrist)
+        assert placed.found
+        assert inside(robot, placed.q)
+        again = robot.state(placed.q)
+        np.testing.assert_allclose(again.tip, state.tip, atol=1e-6)
+        np.testing.assert_allclose(again.wrist, state.wrist, atol=1e-6)
+
+
+def test_a_joint_at_its_limit_lets_the_others_take_over(robot):
+    """The start is on a limit, and the shortest way to the goal is through it."""
+    q = np.array(robot.data.q_home)
+    q[2] = robot.q_min[2] + 1e-3
+    state = robot.state(q)
+    elbow = np.linalg.svd(state.A[:, :6])[2][-1]
+    there = q.copy()
+    there[:6] += 0.05 * elbow * np.sign(elbow[2])
+    goal = robot.state(there)
+    q[2] = robot.q_min[2]
+    placed = solve_pose(robot, q, goal.tip + np.array([0.0, 0.03, 0.0]))
+    assert placed.found
+    assert inside(robot, placed.q)
+
+
+def test_out_of_reach_it_goes_as_near_as_it_can(robot):
+    placed = solve_pose(robot, robot.data.q_home, np.array([3.0, 0.0, 0.3]), iterations=200)
+    assert not placed.found
+    reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched
+    assert placed.miss_m == pytest.approx(3.0 - reach, abs=0.05)
+
+
+@given(st.integers(0, 10_000))
+@settings(deadline=None, max_examples=25)
+def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
+    rng = np.random.default_rng(seed)
+    state = robot.state(robot.random_regular_pose(rng))
+    trocar = state.tip - rng.uniform(0.02, 0.28) * state.tool_direction
+    q = pose_through(robot, state.tip, trocar)
+    found = robot.state(q)
+    assert inside(robot, q)
+    np.testing.assert_allclose(found.tip, state.tip, atol=1e-6)
+    assert shaft_distance(found.tip, found.wrist, trocar) < 1e-6
+
+
+def test_the_tip_alone_can_be_placed(robot):
+    point = np.array([0.5, 0.3, 0.3])
+    q = pose_with_tip(robot, robot.data.q_home, point)
+    assert inside(robot, q)
+    np.testing.assert_allclose(robot.state(q).tip, point, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tip", "trocar", "message"),
+    [
+        ((0.58, 0, 0.05), (0.58, 0, 0.45), "400 mm from the tip"),
+        ((0.58, 0, 0.05), (0.58, 0, 0.05), "0 mm from the tip"),
+        ((1.2, 0, 0.05), (1.2, 0, 0.2), "out of reach"),
+        ((0.58, 0, np.nan), (0.58, 0, 0.2), "finite"),
+    ],
+)
+def test_impossible_places_are_explained(robot, tip, trocar, message):
+    with pytest.raises(TaskError, match=message):
+        pose_through(robot, tip, trocar)
+
+
+def test_an_incision_out_of_reach_says_how_far(robot):
+    with pytest.raises(TaskError, match=r"incision = \[1\.5.* out of reach: the tip gets to \d+ mm"):
+        pose_with_tip(robot, robot.data.q_home, (1.5, 0.0, 0.05))

@@ -1,0 +1,241 @@
+"""Pages in a real browser: they open without errors or requests, sort, switch, and fit a phone and a sheet of paper.
+
+Skipped where playwright or a Chromium is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.report import export, figures
+from moc_opt.report.errors import BrowserError
+from moc_opt.report.export import save_figures
+from moc_opt.report.figures.style import DARK, INK
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Missing, Table
+from moc_opt.trace import Trace
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless browser for the module."""
+    try:
+        with export.browser() as running:
+            yield running
+    except BrowserError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with a wide table and every kind of figure."""
+    rng = np.random.default_rng(2)
+    names = [f"solver-{k}" for k in range(9)]
+    times = {name: rng.lognormal(k, 0.2, 400) for k, name in enumerate(names)}
+    t = 0.002 * np.arange(3000)
+    runs = {
+        name: Trace({
+            "t_s": t, "mu": 0.3 + 0.01 * np.sin(t + k), "tip_error_m": 1e-4 * rng.random(3000),
+            "rcm_error_m": 1e-3 * rng.random(3000), "trocar_force_N": rng.normal(size=(3000, 3)),
+        }) for k, name in enumerate(("DCAC", "MOC"))
+    }  # fmt: skip
+    page = Page("A report", "of made-up numbers")
+    page.headline("Nothing is found.")
+    page.section("Table")
+    columns = [Column("name", "solver"), Column("value", "time", "us", better="low", help="of a solve")]
+    columns += [Column(f"c{k}", f"column {k}", "rad/s") for k in range(12)]
+    values = [2.5, Missing("no licence"), 1e-3, float("inf"), 30.0, -4.0]
+    page.table(
+        Table("Times", columns, [{"name": names[k], "value": value} for k, value in enumerate(values)])
+    )
+    page.section("Figures")
+    page.figure(figures.time_series(runs), "Runs.", name="runs")
+    page.figure(figures.latency_ecdf(times, 2000.0), "Times.", name="ecdf")
+    page.figure(figures.latency_violin(times, 2000.0), "Times again.", name="violin")
+    page.figure(figures.residual_strip(times, "residual"), "Residuals.", name="residuals")
+    page.figure(
+        figures.box_plots({n: {"circle": v, "line": v} for n, v in times.items()}, "y", log=True), "Boxes."
+    )
+    points = {name: (float(k + 1), 10.0**-k) for k, name in enumerate(names)}
+    page.figure(figures.accuracy_against_time(points), "Accuracy.", name="accuracy")
+    page.figure(
+        figures.solution_quality({name: {"verified": 3, "silently_wrong": 1} for name in names}), "Quality."
+    )
+    page.environment({"seed": 2, "machine": {"a_rather_long_key_without_any_gap_in_it": "x" * 200}})
+    return page.save(tmp_path_factory.mktemp("report") / "report.html")
+
+
+POLLING_MS = 50
+
+
+class Visits:
+    """Open pages by the width of the screen they were opened on, and what went wrong in them."""
+
+    def __init__(self, chromium: Any, report: Path) -> None:
+        self.chromium, self.address = chromium, report.as_uri()
+        self.pages: dict[int, Any] = {}
+        self.trouble: list[str] = []
+        self.requests: list[str] = []
+
+    def __call__(self, width: int = 1000, scheme: str = "light") -> Any:
+        page = self.pages.get(width) or self._open(width)
+        # A page behind another one is not rendered: it would notice neither widths nor colours.
+        page.bring_to_front()
+        page.set_viewport_size({"width": width, "height": 800})
+        page.emulate_media(color_scheme=scheme)
+        color = DARK[INK] if scheme == "dark" else INK
+        page.wait_for_function(
+            f"document.querySelector('#ecdf').layout.template.layout.font.color === '{color}'",
+            polling=POLLING_MS,
+        )
+        return page
+
+    def _open(self, width: int) -> Any:
+        page = self.chromium.new_page(viewport={"width": width, "height": 800}, color_scheme="light")
+        page.on("console", lambda message: self.trouble.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: self.trouble.append(str(error)))
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.goto(self.address)
+        page.wait_for_selector("html[data-drawn=yes]", timeout=60_000)
+        self.pages[width] = page
+        return page
+
+
+@pytest.fixture(scope="module")
+def visits(chromium: Any, report: Path) -> Iterator[Visits]:
+    """Pages are opened once: a browser that shares its processor takes seconds to draw one."""
+    opened = Visits(chromium, report)
+    yield opened
+    for page in opened.pages.values():
+        page.close()
+
+
+@pytest.fixture
+def visit(visits: Visits) -> Iterator[Visits]:
+    """A function that opens the page; in the end there must have been no error and no request."""
+    yield visits
+    assert visits.trouble == []
+    fetched = [url for url in visits.requests if not url.startswith(("data:", "blob:"))]
+    assert fetched == [visits.address] * len(visits.pages)
+
+
+def column(page: Any, place: int) -> list[str]:
+    return [text.strip() for text in page.locator(f"tbody tr > :nth-child({place})").all_inner_texts()]
+
+
+def test_every_figure_is_drawn(visit: Visits) -> None:
+    page = visit()
+    charts = page.eval_on_selector_all(
+        ".chart", "charts => charts.map(c => c.querySelectorAll('.main-svg').length)"
+    )
+    assert len(charts) == 7
+    assert min(charts) >= 1
+
+
+def test_a_heading_sorts_by_mouse_and_keyboard(visit: Visits) -> None:
+    page = visit()
+    before = column(page, 1)
+    heading = page.locator("th[scope=col]").nth(1)
+    heading.locator("button").click()
+    assert heading.get_attribute("aria-sort") == "ascending"
+    names = [f"solver-{k}" for k in (5, 2, 0, 4, 3, 1)]
+    assert column(page, 1) == names
+    assert column(page, 2)[-2:] == ["∞", "–a"], "the missing value is last"
+    page.keyboard.press("Enter")
+    assert heading.get_attribute("aria-sort") == "descending"
+    assert column(page, 1) == [*names[:5][::-1], names[5]]
+    page.locator("th[scope=col] button").first.press("Space")
+    assert heading.get_attribute("aria-sort") == "none"
+    assert column(page, 1) == before
+
+
+def test_the_legend_hides_a_run_in_every_panel_and_in_every_light(visit: Visits) -> None:
+    page = visit()
+    shown = "() => document.querySelector('#runs').data.map(trace => trace.visible ?? true)"
+    assert page.evaluate(shown) == [True] * 8
+    lines = page.locator("#runs .scatterlayer .js-line")
+    assert lines.count() == 8
+    page.locator("#runs .legendtoggle").first.click()
+    page.wait_for_function(
+        "document.querySelectorAll('#runs .scatterlayer .js-line').length === 4", polling=POLLING_MS
+    )
+    page = visit(scheme="dark")
+    assert page.evaluate(shown).count("legendonly") == 4
+    assert lines.count() == 4
+    page.locator("#runs .legendtoggle").first.click()
+    page.wait_for_function(
+        "document.querySelectorAll('#runs .scatterlayer .js-line').length === 8", polling=POLLING_MS
+    )
+
+
+def test_dark_pages_have_dark_figures(visit: Visits) -> None:
+    page = visit(scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(21, 24, 27)"
+    texts = page.eval_on_selector_all(
+        "#ecdf .xtick text", "found => found.map(t => getComputedStyle(t).fill)"
+    )
+    assert set(texts) == {"rgb(228, 231, 234)"}
+
+
+@pytest.mark.parametrize(("opened", "width"), [(360, 360), (1000, 768), (1000, 360)])
+def test_nothing_is_wider_than_the_screen(visit: Visits, opened: int, width: int) -> None:
+    page = visit(opened)
+    page.set_viewport_size({"width": width, "height": 800})
+    page.wait_for_function(
+        f"document.querySelector('#ecdf .main-svg').getBoundingClientRect().width < {width}",
+        polling=POLLING_MS,
+    )
+    page.evaluate("document.querySelectorAll('details').forEach(block => { block.open = true })")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    inner, outer = page.locator(".scroll").evaluate("box => [box.scrollWidth, box.clientWidth]")
+    assert inner > outer, "the table scrolls in its own box"
+    widths = page.eval_on_selector_all(
+        ".chart .main-svg", "found => found.map(s => s.getBoundingClientRect().right)"
+    )
+    assert max(widths) <= width
+    page.evaluate("document.querySelectorAll('details').forEach(block => { block.open = false })")
+
+
+def test_print_is_light_and_unfolded(visit: Visits) -> None:
+    page = visit(scheme="dark")
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    page.wait_for_function(
+        "document.querySelector('#ecdf').layout.template.layout.font.color === '#1f2328'", polling=POLLING_MS
+    )
+    assert page.locator("details:not([open])").count() == 0
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    page.wait_for_function(
+        "document.querySelector('#ecdf').layout.template.layout.font.color === '#e4e7ea'", polling=POLLING_MS
+    )
+    assert page.locator("details[open]").count() == 0
+    assert page.pdf().startswith(b"%PDF")
+
+
+def test_figures_are_saved_as_vectors(chromium: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = figures.box_plots({"DCAC": {"circle": [1.0, 2.0, 3.0]}}, "error [mm]")
+    # playwright runs one browser at a time in a thread: lend it the module's.
+    monkeypatch.setattr(export, "browser", lambda: _lent(chromium))
+    files = save_figures({"one": made, "two": made}, tmp_path / "new")
+    assert [file.name for file in files] == ["one.svg", "one.pdf", "two.svg", "two.pdf"]
+    assert files[0].read_text(encoding="utf-8").startswith("<svg")
+    assert "error [mm]" in files[0].read_text(encoding="utf-8")
+    pdf = files[1].read_bytes()
+    assert pdf.startswith(b"%PDF")
+    assert b"/Subtype /Image" not in pdf
+    assert pdf.count(b"/Type /Page\n") == 1
+
+
+class _lent:
+    def __init__(self, chromium: Any) -> None:
+        self.chromium = chromium
+
+    def __enter__(self) -> Any:
+        return self.chromium
+
+    def __exit__(self, *error: object) -> None:
+        """Leave it running."""

@@ -1,0 +1,270 @@
+"""Figures: what is drawn is what was given, limits are where they belong, names stay names."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from moc_opt.report import figures
+from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.style import DARK, INK
+from moc_opt.trace import Trace
+
+Rng = np.random.Generator
+
+
+@pytest.fixture
+def rng() -> Rng:
+    return np.random.default_rng(5)
+
+
+def run(ticks: int, rng: Rng, **columns: object) -> Trace:
+    t = 0.002 * np.arange(ticks)
+    return Trace({
+        "t_s": t, "mu": 0.3 + 0.01 * np.sin(t), "tip_error_m": 1e-4 * rng.random(ticks),
+        "rcm_error_m": 1e-3 * rng.random(ticks), "trocar_force_N": rng.normal(size=(ticks, 3)), **columns,
+    })  # type: ignore[dict-item]  # fmt: skip
+
+
+def test_every_colour_turns_dark(rng: Rng) -> None:
+    samples = {name: rng.lognormal(3, 0.2, 50) for name in "abcdefghij"}
+    made = [
+        figures.latency_ecdf(samples, 500.0), figures.latency_violin(samples, 500.0),
+        figures.residual_strip(samples, "residual", limit=1.0), figures.box_plots({"a": {"t": [1.0, 2.0]}}, "y"),
+        figures.accuracy_against_time({"a": (1.0, 1e-3), "b": (2.0, 1e-6)}),
+        figures.solution_quality({"a": {"verified": 1.0, "unclaimed": 2.0, "failed": 1.0, "silently_wrong": 1.0}}),
+        figures.time_series({"a": run(20, rng)}),
+    ]  # fmt: skip
+    for figure in made:
+        used = {color[:7] for color in re.findall(r'"(#[0-9a-fA-F]{6,8})"', figure.to_json())}
+        assert used, "a figure without a colour"
+        assert used <= set(DARK)
+
+
+def test_dark_colours_are_not_exchanged_again() -> None:
+    assert not set(DARK) & set(DARK.values())
+
+
+def test_styles_differ_and_stay() -> None:
+    names = [f"solver {k}" for k in range(20)]
+    styles = figures.Styles(names)
+    assert len({(style.color, style.dash) for style in styles.values()}) == 20
+    assert figures.Styles(names[:3])["solver 2"] == styles["solver 2"]
+    with pytest.raises(ReportError, match="solver 99"):
+        styles["solver 99"]
+
+
+def test_names_are_never_markup(rng: Rng) -> None:
+    name = '<a href="x">bad</a>'
+    made = [
+        figures.latency_ecdf({name: [1.0, 2.0]}), figures.latency_violin({name: [1.0, 2.0]}),
+        figures.residual_strip({name: [1.0, 2.0]}, "r"), figures.box_plots({name: {name: [1.0, 2.0]}}, "y"),
+        figures.accuracy_against_time({name: (1.0, 1.0)}), figures.solution_quality({name: {"verified": 1.0}}),
+        figures.time_series({name: run(9, rng)}),
+    ]  # fmt: skip
+    for figure in made:
+        shown = [trace.name for trace in figure.data if trace.name] + list(figure.layout.yaxis.ticktext or ())
+        shown += [text for trace in figure.data if trace.type == "bar" for text in trace.y]
+        shown += [text for trace in figure.data if trace.type == "box" for text in trace.x]
+        assert any("&lt;a" in text for text in shown)
+        assert not any("<a" in text for text in shown)
+
+
+@settings(deadline=None, max_examples=50)
+@given(arrays(np.float64, st.integers(1, 60), elements=st.floats(0.5, 1e4)))
+def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
+    (line,) = figures.latency_ecdf({"a": times}).data
+    for x, y in zip(line.x, line.y, strict=True):
+        below = np.count_nonzero(times < x) / len(times)
+        assert below < y <= np.count_nonzero(times <= x) / len(times) + 1e-12
+    (late,) = figures.latency_ecdf({"a": times}, tail=True).data
+    assert late.x[-1] == times.max()
+    assert late.y[-1] == pytest.approx(1 / len(times))
+
+
+def test_an_ecdf_of_many_samples_stays_small_and_true(rng: Rng) -> None:
+    times = rng.lognormal(3, 1, 50_000)
+    (line,) = figures.latency_ecdf({"a": times}, tail=True).data
+    assert len(line.x) < 900
+    assert np.max(np.abs(line.y - [np.mean(times >= x) for x in line.x])) < 1e-12
+    assert set(np.sort(times)[-20:]) <= set(line.x), "the slowest are all there"
+
+
+def test_infinite_times_count_as_late() -> None:
+    (line,) = figures.latency_ecdf({"a": [1.0, 2.0, math.inf, math.inf, math.nan]}).data
+    assert line.y[-1] == 0.5
+    assert "2 × ∞" in figures.latency_violin({"a": [1.0, 2.0, math.inf, math.inf]}).layout.yaxis.ticktext[0]
+
+
+@pytest.mark.parametrize("build", [figures.latency_ecdf, figures.latency_violin])
+def test_the_deadline_is_drawn_where_it_is_and_in_sight(build: object) -> None:
+    made: go.Figure = build({"a": [1.0, 2.0, 3.0]}, 2000.0)  # type: ignore[operator]
+    (line,) = made.layout.shapes
+    (note,) = made.layout.annotations
+    assert line.x0 == line.x1 == 2000.0
+    assert note.x == pytest.approx(math.log10(2000.0)), "plotly places texts on log axes by the logarithm"
+    low, high = made.layout.xaxis.range
+    assert low < 0.0
+    assert high > math.log10(2000.0)
+
+
+def test_a_name_without_samples_says_so() -> None:
+    samples = {"dead": [math.nan], "alive": [1.0, 2.0]}
+    assert [line.name for line in figures.latency_ecdf(samples, tail=True).data] == [
+        "dead (no sample)",
+        "alive",
+    ]
+    for made in (figures.latency_violin(samples), figures.residual_strip(samples, "r")):
+        assert list(made.layout.yaxis.ticktext) == ["alive", "dead (no sample)"]
+        assert {trace.name for trace in made.data if trace.name} == {"alive"}
+    made = figures.box_plots({"a": {"one": [], "two": [1.0]}, "b": {"one": [2.0], "two": [3.0]}}, "y")
+    assert list(made.layout.xaxis.categoryarray) == ["one", "two"]
+    assert [list(box.x) for box in made.data] == [["two"], ["one", "two"]]
+
+
+def test_residuals_of_zero_are_drawn_at_the_floor() -> None:
+    made = figures.residual_strip({"a": [0.0, 1e-9, 1e-3]}, "residual", floor=1e-15)
+    points = made.data[0]
+    assert min(points.x) == 1e-15
+    assert max(points.x) == 1e-3
+    assert made.layout.xaxis.range[0] < -15
+    assert "10⁻¹⁵" in made.layout.xaxis.ticktext
+
+
+def test_boxes_are_tukeys() -> None:
+    values = [*range(1, 12), 100.0, math.nan]
+    (box,) = figures.box_plots({"DCAC": {"circle": values}}, "error [mm]").data
+    known = np.array(values[:-1], dtype=float)
+    assert (box.q1[0], box.median[0], box.q3[0]) == tuple(np.percentile(known, (25, 50, 75)))
+    assert (box.lowerfence[0], box.upperfence[0]) == (1.0, 11.0)
+    assert list(box.y[0]) == [100.0]
+
+
+def test_a_box_keeps_its_outermost_points(rng: Rng) -> None:
+    values = np.concatenate([rng.normal(size=5000), 10 + rng.random(500)])
+    (box,) = figures.box_plots({"a": {"t": values}}, "y").data
+    assert len(box.y[0]) <= 40
+    assert max(box.y[0]) == values.max()
+
+
+def test_pareto_front() -> None:
+    points = {
+        "slow": (9.0, 1e-9),
+        "both": (1.0, 1e-6),
+        "worse": (2.0, 1e-6),
+        "fast": (0.5, 1e-2),
+        "equal": (1.0, 1e-5),
+    }
+    assert figures.pareto(points) == ["fast", "both", "slow"]
+    made = figures.accuracy_against_time({**points, "unknown": (math.nan, 1.0)})
+    filled = {trace.name for trace in made.data if trace.name and trace.marker.color != "#ffffff"}
+    assert filled == {"fast", "both", "slow"}
+    assert "unknown" not in {trace.name for trace in made.data}
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    st.dictionaries(
+        st.text("ab", min_size=1),
+        st.tuples(st.floats(0.1, 1e3), st.floats(1e-9, 1.0)),
+        min_size=1,
+        max_size=9,
+    )
+)
+def test_nobody_beats_the_front(points: dict[str, tuple[float, float]]) -> None:
+    front = set(figures.pareto(points))
+    for name, (time, error) in points.items():
+        beaten = any(t <= time and e <= error and (t, e) != (time, error) for t, e in points.values())
+        if beaten:
+            assert name not in front
+    assert {points[name] for name in front} == {
+        p for p in points.values()
+        if not any(t <= p[0] and e <= p[1] and (t, e) != p for t, e in points.values())
+    }  # fmt: skip
+
+
+def test_qualities_add_up() -> None:
+    counts = figures.outcomes({"claimed_solved": 90, "verified_solved": 85, "silently_wrong": 10}, 100)
+    assert counts == {"verified": 80, "unclaimed": 5, "failed": 5, "silently_wrong": 10}
+    made = figures.solution_quality({"a": counts, "b": {"verified": 3}})
+    assert sum(bar.x[1] for bar in made.data) == pytest.approx(100.0), "rows run from the bottom"
+    assert [bar.x[0] for bar in made.data] == [100.0, 0.0, 0.0, 0.0]
+
+
+def test_panels_share_one_legend(rng: Rng) -> None:
+    made = figures.time_series({"DCAC": run(50, rng), "MOC": run(60, rng)})
+    assert len(made.data) == 8
+    for name in ("DCAC", "MOC"):
+        lines = [trace for trace in made.data if trace.legendgroup == name]
+        assert [line.showlegend for line in lines] == [True, False, False, False]
+    tip = made.data[2]
+    assert max(tip.y) <= 0.1001, "millimetres"
+
+
+def test_the_largest_mu_stands_beside_mu(rng: Rng) -> None:
+    bound = np.full(50, np.nan)
+    bound[[0, 25, 49]] = 0.34
+    made = figures.time_series({"MOC": run(50, rng, mu_bound=bound)}, ["mu"])
+    dotted = made.data[1]
+    assert dotted.line.dash == "dot"
+    assert list(dotted.y) == [0.34] * 3
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    arrays(np.float64, st.integers(1, 400), elements=st.floats(-1e6, 1e6) | st.just(math.nan)),
+    st.integers(4, 60),
+)
+def test_an_envelope_loses_no_peak(y: np.ndarray, points: int) -> None:
+    t = np.arange(len(y), dtype=float)
+    kept_t, kept_y = figures.envelope(t, y, points)
+    assert np.all(np.diff(kept_t) > 0)
+    np.testing.assert_array_equal(y[kept_t.astype(int)], kept_y)
+    assert (kept_t[0], kept_t[-1]) == (0, len(y) - 1)
+    if not np.isnan(y).all():
+        assert np.nanmax(kept_y) == np.nanmax(y)
+        assert np.nanmin(kept_y) == np.nanmin(y)
+    assert np.isnan(kept_y).any() == np.isnan(y).any()
+    if not np.isnan(y).any():
+        assert len(kept_t) <= points or len(y) <= points
+
+
+def test_a_long_run_stays_small(rng: Rng) -> None:
+    made = figures.time_series({name: run(50_000, rng) for name in "abcdef"})
+    assert len(made.to_json()) < 700_000
+
+
+@pytest.mark.parametrize(
+    ("build", "word"),
+    [
+        (lambda: figures.latency_ecdf({}), "finite sample"),
+        (lambda: figures.latency_ecdf({"x": [math.nan]}, 9.0, tail=True), "finite sample"),
+        (lambda: figures.residual_strip({"x": [math.inf]}, "r", limit=1.0), "finite sample"),
+        (lambda: figures.latency_violin({"x": [-1.0]}), "negative"),
+        (lambda: figures.latency_violin({"x": [1.0]}, 0.0), "positive"),
+        (lambda: figures.residual_strip({"x": [0.0]}, "r", floor=0.0), "positive"),
+        (lambda: figures.box_plots({"x": {"t": [math.inf]}}, "y"), "x, t"),
+        (lambda: figures.box_plots({"x": {"t": [0.0]}}, "y", log=True), "x, t"),
+        (lambda: figures.accuracy_against_time({"x": (0.0, 1.0)}), "'x'"),
+        (lambda: figures.solution_quality({"x": {"good": 1.0}}), "good"),
+        (lambda: figures.solution_quality({"x": {"failed": -1.0}}), "-1"),
+        (lambda: figures.time_series({}), "mu"),
+        (lambda: figures.envelope([1.0], [1.0, 2.0]), "shape"),
+        (lambda: figures.envelope([1.0], [1.0], 3), "points = 3"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(build: object, word: str) -> None:
+    with pytest.raises(ReportError, match=word):
+        build()  # type: ignore[operator]
+
+
+def test_the_house_style_is_used() -> None:
+    made = figures.box_plots({"a": {"t": [1.0]}}, "y")
+    assert made.layout.template.layout.font.color == INK

@@ -1,0 +1,166 @@
+"""Pages: one file that asks for nothing, holds what was given, and is written all or nothing."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+import pytest
+
+from moc_opt.report import figures, page
+from moc_opt.report.errors import ReportError
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+
+NASTY = "</script><img src='http://example.org/x'>$title & `code`"
+
+
+class Resources(HTMLParser):
+    """Whatever a browser might fetch, all element names, ids and inline scripts."""
+
+    def __init__(self, source: str) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.tags: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.data: dict[str, str] = {}
+        self._inside: str | None = None
+        self.styles = ""
+        self.text = ""
+        self.feed(source)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        known = dict(attrs)
+        for name in ("src", "href", "srcset", "data", "poster", "action", "background", "xlink:href"):
+            if known.get(name) and not (tag == "a" and name == "href"):
+                self.fetched.append(str(known[name]))
+        if tag == "a":
+            self.links.append(str(known["href"]))
+        self.styles += known.get("style") or ""
+        if "id" in known:
+            self.ids.append(str(known["id"]))
+        self._inside = str(known.get("id", tag)) if tag in ("script", "style") else None
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = None
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "style":
+            self.styles += data
+        elif self._inside:
+            self.data[self._inside] = data
+        else:
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def full() -> Page:
+    """A page with one of everything, and texts that would like to be markup."""
+    rng = np.random.default_rng(1)
+    made = Page(f"Title {NASTY}", f"Subtitle {NASTY}")
+    made.headline(f"Headline {NASTY}")
+    made.section("Results")
+    made.text(f"First {NASTY}\n\nSecond `name`.")
+    made.table(Table("Times", [Column("n", "solver"), Column("t", "time", "us")], [{"n": NASTY, "t": 1.5}]))
+    made.figure(figures.latency_ecdf({NASTY: rng.lognormal(size=100)}, 9.0), f"Times of {NASTY}", name="ecdf")
+    made.figure(
+        figures.box_plots({NASTY: {NASTY: rng.random(9)}}, "error [mm]"), "The same words twice over again"
+    )
+    made.section("Results")
+    made.figure(figures.solution_quality({"a": {"verified": 1}}), "The same words twice over indeed")
+    made.environment(
+        {"seed": 3, "machine": {"cpu": NASTY, "cores": [1, 2], "none": None, "deep": {"er": True}}}
+    )
+    return made
+
+
+def test_nothing_is_fetched(full: Page) -> None:
+    found = Resources(full.html())
+    assert [address for address in found.fetched if not address.startswith("data:")] == []
+    assert "@import" not in found.styles
+    assert "url(" not in found.styles
+    scripts = "".join(found.data.values())
+    assert not re.search(r"\b(fetch|XMLHttpRequest|import|WebSocket|sendBeacon)\s*\(", scripts)
+    assert "link" in found.tags, "an icon of its own, or the browser asks for one"
+
+
+def test_texts_stay_texts(full: Page) -> None:
+    found = Resources(full.html())
+    assert "img" not in found.tags
+    assert found.text.count("<img src='http://example.org/x'>$title & ") >= 5
+    assert found.tags.count("code") >= 4
+    assert found.tags.count("script") == 6, "three figures, the colours, plotly, our own"
+
+
+def test_no_data_end_their_element() -> None:
+    found = Resources(page._script("inside", json.dumps(NASTY)))
+    assert found.tags == ["script"]
+    assert json.loads(found.data["inside"]) == NASTY
+
+
+def test_data_come_back(full: Page) -> None:
+    found = Resources(full.html())
+    for name, figure in full.figures.items():
+        assert json.loads(found.data[f"{name}-data"]) == json.loads(figure.to_json())
+    unpacked = gzip.decompress(base64.b64decode(found.data["plotly-packed"])).decode()
+    assert "plotly.js v" in unpacked[:200]
+
+
+def test_names_and_numbers(full: Page) -> None:
+    assert list(full.figures) == ["ecdf", "the-same-words-twice-over", "the-same-words-twice-over-2"]
+    found = Resources(full.html())
+    assert len(set(found.ids)) == len(found.ids)
+    assert found.links == ["#results", "#results-2", "#environment"]
+    assert {link[1:] for link in found.links} <= set(found.ids)
+    for words in ("Table 1.", "Figure 1.", "Figure 2.", "Figure 3."):
+        assert found.text.count(words) == 1
+
+
+def test_environment_is_all_there(full: Page) -> None:
+    source = full.html()
+    block = source[source.index("<details><summary>machine") :]
+    assert "1, 2" in block
+    assert "<dt>er</dt><dd>True</dd>" in block
+    assert "<dt>none</dt><dd>–</dd>" in block
+    assert "<dt>seed</dt><dd>3</dd>" in source
+
+
+def test_a_page_without_figures_has_no_plotly() -> None:
+    made = Page("Plain")
+    made.text("Only words.")
+    assert len(made.html()) < 30_000
+
+
+def test_save_is_reproducible_and_small(full: Page, tmp_path: Path) -> None:
+    first, second = full.save(tmp_path / "a" / "report.html"), full.save(tmp_path / "b.html")
+    assert first.read_bytes() == second.read_bytes()
+    assert first.stat().st_size < 3_000_000
+    assert [file.name for file in first.parent.iterdir()] == ["report.html"]
+
+
+def test_a_page_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Page("Large")
+    made.figure(go.Figure(go.Scatter(y=np.random.default_rng(0).random(2000))), "Noise.", name="noise")
+    old = made.save(tmp_path / "report.html").read_bytes()
+    monkeypatch.setattr(page, "MAX_BYTES", 100_000)
+    with pytest.raises(ReportError, match=r"noise \(0\.0 MB\)"):
+        made.save(tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_bytes() == old
+
+
+def test_what_cannot_be_written_is_said(full: Page, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ReportError, match="cannot be written"):
+        full.save(tmp_path / "file" / "report.html")
+    (tmp_path / "folder.html").mkdir()
+    with pytest.raises(ReportError, match="cannot be written"):
+        full.save(tmp_path / "folder.html")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["file", "folder.html"]

@@ -1,0 +1,392 @@
+"""The speed benchmark: what it compares is comparable, the peers do the job they are timed at, the goals are judged."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import output, peers, speed, speed_setup, speed_solve
+from benchmarks.bare import BARE
+from benchmarks.peers import check
+from benchmarks.peers.base import TipGradient, wrist_reference
+from benchmarks.speed_goals import GOALS, judge_goals
+from benchmarks.speed_report import headline, tables, write_report
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.solvers import available, create
+from moc_opt.solvers.exact import Exact
+from moc_opt.subproblem import judge
+
+INSTALLED = [name for name in BARE if available().get(name, "") is None]
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    """Subproblems of slowly changing random arms without structure."""
+    return speed_solve.random_problems(7, 120, np.random.default_rng(4))
+
+
+@pytest.fixture(scope="module")
+def work(robot):
+    return check.job(robot)
+
+
+# --- the libraries by hand ---
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_by_hand_the_answer_is_the_adapter_s_and_optimal(name, sequence):
+    solver = create(name)
+    session, bare = solver.start(sequence[0]), BARE[name](solver, sequence[0])
+    answers = [bare(qp)[0] for qp in sequence]
+    for qp, x in zip(sequence, answers, strict=True):
+        np.testing.assert_allclose(x, session.solve(qp).x, atol=1e-6)
+    found = judge(np.array([qp.row for qp in sequence]), np.array(answers))
+    assert (found.primal < 1e-6).all()
+    assert (found.relative < 1e-3).all()
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_by_hand_multipliers_are_read(name, sequence):
+    """P x + p + A^T y vanishes inside the box, in the library's own scale and sign."""
+    solver, qp = create(name), sequence[0]
+    x, y = BARE[name](solver, qp)(qp)
+    A = qp.reduced().A
+    inside = (x > qp.lower + 1e-6) & (x < qp.upper - 1e-6)
+    scale = solver.cost_scale
+    ends = [np.abs((scale * (qp.P @ x + qp.p) + sign * (A.T @ y))[inside]).max() for sign in (1.0, -1.0)]
+    assert np.shape(y) == (5,)
+    assert min(ends) < 1e-4 * max(ends)
+
+
+@pytest.mark.parametrize("name", INSTALLED)
+def test_by_hand_the_parts_are_the_whole(name, sequence):
+    solver = create(name)
+    whole, part = BARE[name](solver, sequence[0]), BARE[name](solver, sequence[0])
+    for qp in sequence[:20]:
+        part.load(qp)
+        np.testing.assert_allclose(whole(qp)[0], part.solve(qp)[0], atol=1e-6)
+
+
+def test_what_does_other_work_is_not_compared(sequence, monkeypatch):
+    class Lazy:
+        def __init__(self, settings, qp):
+            self.x = create("exact").start(qp).solve(qp).x
+
+        def __call__(self, qp):
+            return self.x, np.zeros(5)
+
+    assert speed_solve.disagreement(INSTALLED[0], create(INSTALLED[0]), sequence) is None
+    monkeypatch.setitem(BARE, INSTALLED[0], Lazy)
+    assert "differ by" in speed_solve.disagreement(INSTALLED[0], create(INSTALLED[0]), sequence)
+
+
+# --- the solver alone ---
+
+
+@pytest.mark.parametrize("n", [6, 7, 9])
+def test_random_problems_are_feasible_and_rigid(n):
+    for qp in speed_solve.random_problems(n, 20, np.random.default_rng(n)):
+        tool = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
+        np.testing.assert_allclose(tool @ (qp.J_tip - qp.J_wrist), 0.0, atol=1e-12)
+        assert abs(tool @ (qp.v_tip - qp.v_wrist)) < 1e-12
+        assert np.linalg.matrix_rank(qp.A, tol=1e-9) == min(5, n)
+        assert Exact().start(qp).solve(qp).status.label == "solved"
+
+
+def test_residuals_are_those_of_the_answers(sequence):
+    found = speed_solve.residuals(sequence)
+    assert found["solves"] == found["solved"] == len(sequence)
+    assert found["primal_max"] < 1e-12
+    assert found["natural_max"] < 1e-12
+    answers = [Exact().start(qp).solve(qp) for qp in sequence]
+    judged = judge(
+        np.array([qp.row for qp in sequence]),
+        np.array([answer.x for answer in answers]),
+        np.array([answer.y for answer in answers]),
+    )
+    assert found["natural_max"] == judged.natural.max()
+
+
+def test_kernel_and_batch_take_time(sequence):
+    rows = np.array([qp.row for qp in sequence])
+    assert 0.01 < speed_solve.kernel_us(rows, seconds=0.02) < 1e4
+    found = speed_solve.batch(rows, 1000)
+    assert found["batch"] == 1000
+    assert found["batch_million_s"] == pytest.approx(1e6 / found["batch_solves_per_s"])
+
+
+# --- peers ---
+
+
+def test_gradient_for_peers_is_the_model_s(robot, regular_poses):
+    gradient = TipGradient(robot)
+    for q in regular_poses(5):
+        np.testing.assert_allclose(gradient(q), robot.state(q).grad_mu, atol=1e-14)
+
+
+def test_wrist_reference_puts_the_shaft_through_the_trocar(robot):
+    state = robot.state(robot.data.q_home)
+    tip_ref = np.array([state.tip + 0.01, [0.02, -0.01, 0.03], np.zeros(3)])
+    trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+    wrist, rate = wrist_reference(tip_ref, trocar, state.tool_span)
+    assert check.shaft_distance(tip_ref[0], wrist, trocar[0]) < 1e-12
+    assert np.linalg.norm(wrist - tip_ref[0]) == pytest.approx(state.tool_span)
+    later, _ = wrist_reference(
+        tip_ref + np.array([1e-6 * tip_ref[1], np.zeros(3), np.zeros(3)]), trocar, state.tool_span
+    )
+    np.testing.assert_allclose((later - wrist) / 1e-6, rate, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", list(peers.PEERS))
+def test_a_peer_that_is_listed_does_the_job(name, robot, work):
+    reason = peers.missing(name)
+    if reason is not None:
+        pytest.skip(reason)
+    peer = peers.create(name, robot, check.PERIOD_S)
+    poses, given = check.perform(peer, robot, work)
+    assert check.verdict(poses, robot, work).failure is None
+    assert len(given) == len(poses) == len(work.tip_refs)
+
+
+class Puppet:
+    """A velocity-level controller of five lines, to be made wrong in one respect."""
+
+    level = "velocity"
+
+    def __init__(self, robot, *, tip=1.0, shaft=1.0, climb=30.0):
+        self.robot, self.parts, self.climb = robot, np.repeat([tip, shaft], 3), climb
+
+    def tick(self, q, v, tip_ref, trocar):
+        state = self.robot.state(q)
+        wrist, rate = wrist_reference(tip_ref, trocar, state.tool_span)
+        error = np.r_[tip_ref[0] - state.tip, wrist - state.wrist]
+        wanted = self.parts * (np.r_[tip_ref[1], rate] + 100.0 * error)
+        pinv = np.linalg.pinv(state.A, rcond=1e-9)
+        return pinv @ wanted + (np.eye(7) - pinv @ state.A) @ (self.climb * state.grad_mu)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({}, None),
+        ({"tip": -1.0}, "tip is"),
+        ({"tip": 0.1}, "tip is"),
+        ({"shaft": 0.02}, "shaft is|tip is"),
+        ({"climb": 0.0}, "manipulability rose"),
+        ({"climb": -30.0}, "manipulability rose"),
+    ],
+)
+def test_who_does_not_do_the_job_is_found_out(wrong, words, robot, work):
+    poses, _ = check.perform(Puppet(robot, **wrong), robot, work)
+    failure = check.verdict(poses, robot, work).failure
+    assert failure is None if words is None else any(word in failure for word in words.split("|"))
+
+
+def test_a_torque_peer_moves_the_ideal_arm(robot, work):
+    class Hold:
+        level = "torque"
+
+        def tick(self, q, v, tip_ref, trocar):
+            return robot.state(q, v).h
+
+    short = work._replace(tip_refs=work.tip_refs[:50], trocars=work.trocars[:50])
+    poses, given = check.perform(Hold(), robot, short)
+    np.testing.assert_allclose(poses, np.tile(work.q_start, (50, 1)), atol=1e-12)
+    assert "tip is" in check.verdict(*check.perform(Hold(), robot, work)[:1], robot, work).failure
+    assert len(given) == 50
+
+
+def test_what_is_not_finite_has_not_done_the_job(robot, work):
+    assert check.verdict(np.full((500, 7), np.nan), robot, work).failure is not None
+
+
+def test_unknown_peers_and_missing_packages(robot, monkeypatch):
+    with pytest.raises(UnknownNameError, match=r"peer 'tsit'.*'tsid'"):
+        peers.create("tsit", robot, 0.002)
+    entry = peers.Entry("benchmarks.peers.nobody", "Nobody", "a_package_that_nobody_has", "pip install it")
+    monkeypatch.setitem(peers.PEERS, "nobody", entry)
+    assert peers.missing("nobody") == "package 'a_package_that_nobody_has' is not installed: pip install it"
+    monkeypatch.setitem(peers.PEERS, "crash", entry._replace(package="numpy"))
+    assert "crash" in peers.missing("crash")  # the other process knows no such peer: its words are the reason
+
+
+def test_a_process_that_dies_is_a_reason(monkeypatch):
+    if find_spec("mink") is None:
+        pytest.skip("mink is not installed")
+    dead = subprocess.CompletedProcess([], -6, "", "")
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: dead)
+    assert peers.missing("mink") == "its process ended with status -6"
+
+
+# --- goals, report, command ---
+
+
+def made_up(**changes):
+    """A summary with a number for everything that the report and the goals ask for."""
+    times = {"tick_p50_us": 20.0, "tick_p99_us": 30.0, "tick_p99_9_us": 90.0}
+    solve = {
+        "solve_p50_us": 1.4, "solve_p99_us": 2.0, "solve_p99_9_us": 3.0, "kernel_us": 0.5, "batch_million_s": 2.0,
+        "batch_solves_per_s": 5e5, "primal_max": 1e-15, "natural_max": 1e-15, "loss_max": 1e-14,
+    }  # fmt: skip
+    summary = {
+        "tick": {"exact": times, "c": {**times, "tick_p50_us": 3.0}},
+        "tick_parts": {"solver": times},
+        "peers": {"rival": {**times, "level": "torque", "tip_error_max_mm": 0.1, "tick_p50_us": 100.0}},
+        "exact": {"recorded": solve, "n = 7": solve},
+        "adapters": {"daqp": {"ratio": 1.04, "by_hand_p50_us": 5.0}, "osqp": {"ratio": 1.01}},
+        "beyond_the_library": {"daqp": {"beyond_us": 1.0}},
+        "loop": {
+            "python": {"factor": 40.0, **times}, "c": {"factor": 70.0, **times}, "two processes": {"speed_up": 1.9},
+        },
+        "setup": {"moc_opt": {"import_s": 0.01, "first_tick_s": 1.0}},
+        "embedded": {},
+        "clock": {"cost": {"p50_us": 0.04}},
+        "not_run": {},
+        **changes,
+    }  # fmt: skip
+    summary["goals"] = judge_goals(summary)
+    return summary
+
+
+def test_goals_are_reached_by_a_summary_that_reaches_them():
+    assert {found["reached"] for found in made_up()["goals"].values()} == {"yes"}
+    assert set(made_up()["goals"]) == set(GOALS)
+
+
+def test_goals_that_are_missed_or_not_measured_say_so():
+    worse = made_up(
+        adapters={"daqp": {"ratio": 1.01, "by_hand_p50_us": 5.0}, "osqp": {"ratio": 1.06}}, peers={},
+        loop={"python": {"factor": 29.0, "tick_p50_us": 20.0, "tick_p99_9_us": 101.0}}, setup={},
+    )["goals"]  # fmt: skip
+    assert worse["adapters"] == {**worse["adapters"], "value": 1.06, "reached": "no"}
+    assert worse["loop"]["reached"] == worse["loop_tick_p99_9"]["reached"] == "no"
+    missing = {name for name, found in worse.items() if found["reached"] == "not measured"}
+    assert missing == {"peers", "peers_c", "import", "first_tick", "two_processes", "c_loop"}
+    assert all(worse[name]["value"] is None for name in missing)
+
+
+def test_report_and_headline_are_made_of_the_numbers(tmp_path):
+    summary = made_up(loop={"python": {"factor": 12.0, "tick_p50_us": 20.0}})
+    said = headline(summary)
+    assert "20.0 us" in said
+    assert "12 times real time" in said
+    assert "rival, takes 100.0 us" in said
+    assert "not reached: " in said.lower()
+    rival = next(row for row in tables(summary)["peers"].rows if row["name"] == "rival")
+    assert rival["times_ours"] == pytest.approx(5.0)
+    assert rival["times_c"] == pytest.approx(100.0 / 3.0)
+    write_report(tmp_path / "report.html", summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0})
+    page = (tmp_path / "report.html").read_text()
+    assert "rival" in page
+    assert "12.0" in page
+
+
+def test_times_of_new_processes_are_those_they_tell(monkeypatch):
+    monkeypatch.setattr(speed_setup, "IMPORT", "print('{\"import_s\": 0.25}')")
+    monkeypatch.setattr(speed_setup, "FIRST_TICK", "print('{\"first_tick_s\": 1.5}')")
+    steps = []
+    found, rows = speed_setup.setup_times(2, steps.append)
+    assert found["moc_opt"]["import_s"] == 0.25
+    assert found["moc_opt"]["first_tick_s"] == 1.5
+    assert found["moc_opt"]["import_process_s"] > 0.0
+    assert len(rows) == 4
+    assert len(steps) == 6
+    assert speed_setup.setup_times(0, steps.append) == ({}, [])
+
+
+def test_first_tick_program_runs():
+    done = subprocess.run(
+        [sys.executable, "-c", speed_setup.FIRST_TICK], capture_output=True, text=True, check=True
+    )
+    found = json.loads(done.stdout)
+    parts = found["libraries_s"] + found["model_s"] + found["start_and_tick_s"]
+    assert found["first_tick_s"] == pytest.approx(parts)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("tock = 1", "'tock'.*'tick'"),
+        ("[tick]\nsolvers = ['daqp']", "'exact' must be among them"),
+        ("[tick]\nsolvers = ['exact', 'dapq']", "'dapq'.*'daqp'"),
+        ("[adapters]\nnames = ['exakt']", "adapter 'exakt'"),
+        ("[peers]\nnames = ['minc']", "'minc'.*'mink'"),
+        ("[loop]\nmemory_s = [2.0, 1.0]", "shorter length first"),
+        ("[tick", "cannot be used as a configuration"),
+    ],
+)
+def test_nonsense_in_a_configuration_is_named(text, words, tmp_path, capsys):
+    path = tmp_path / "speed.toml"
+    path.write_text(text)
+    assert speed.main([str(path), "--out", str(tmp_path / "out")]) == 2
+    assert re.search(words, capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_default_configuration_is_complete_and_quick_is_less():
+    config = speed.Config.load(output.default_config("speed"))
+    quick = config.quick()
+    assert quick.tick.ticks < config.tick.ticks
+    assert quick.tick.solvers == config.tick.solvers
+    assert quick.loop.duration_s < config.loop.duration_s
+    with pytest.raises(ScenarioError, match="cannot be used"):
+        speed.Config.load(output.default_config("nobody"))
+
+
+SMALL = """
+[tick]
+solvers = ["exact", "proxqp"]
+ticks = 100
+rounds = 1
+[exact]
+joints = [6]
+problems = 100
+batch = 1000
+[adapters]
+names = ["proxqp"]
+rounds = 1
+[loop]
+duration_s = 0.3
+runs = 1
+two_process_rounds = 0
+memory_s = [0.1, 0.2]
+[setup]
+processes = 0
+[peers]
+names = []
+"""
+
+
+def test_command_leaves_its_four_files(tmp_path, capsys):
+    (tmp_path / "small.toml").write_text(SMALL)
+    out = tmp_path / "out"
+    assert speed.main([str(tmp_path / "small.toml"), "--out", str(out), "--seed", "3"]) == 0
+    assert sorted(path.name for path in out.iterdir()) == [
+        "environment.json", "report.html", "rows.parquet", "summary.json",
+    ]  # fmt: skip
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["tick"]["exact"]["tick_p50_us"] > 0.0
+    assert summary["tick"]["proxqp"]["tick_p50_us"] > summary["tick"]["exact"]["tick_p50_us"]
+    assert summary["exact"]["n = 6"]["natural_max"] < 1e-12
+    assert summary["adapters"]["proxqp"]["ratio"] > 0.5
+    assert summary["loop"]["python"]["factor"] > 0.0
+    assert summary["loop"]["memory"]["growth_bytes_per_tick"] < 100.0
+    assert summary["goals"]["tick_p50"]["value"] == summary["tick"]["exact"]["tick_p50_us"]
+    assert summary["goals"]["peers"]["reached"] == "not measured"
+    environment = json.loads((out / "environment.json").read_text())
+    assert environment["seed"] == 3
+    assert environment["config"]["tick"]["ticks"] == 100
+    rows = pq.read_table(out / "rows.parquet").to_pylist()
+    assert {"tick", "tick_parts", "exact", "adapters", "loop"} <= {row["part"] for row in rows}
+    assert "Goals" in capsys.readouterr().out
+
+
+def test_errors_are_of_the_package():
+    assert issubclass(peers.PeerError, MocOptError)
+    assert all(dataclasses.is_dataclass(create(name)) for name in INSTALLED)

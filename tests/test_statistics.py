@@ -1,0 +1,106 @@
+"""Bootstrap intervals: they cover, they pair, and they say so where there is nothing to say."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.statistics import Interval, StatisticsError, mean, relative_change
+
+SAMPLES = st.lists(st.floats(0.1, 10.0), min_size=3, max_size=12)
+
+
+def test_interval_of_the_mean_covers_the_truth_about_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(200):
+        found = mean(rng.normal(3.0, 1.0, 15))
+        inside += found.low <= 3.0 <= found.high
+    # 95 % nominal; a bootstrap of 15 samples is known to cover a little less.
+    assert 0.86 <= inside / 200 <= 0.99
+
+
+def test_interval_of_the_mean_is_as_wide_as_the_standard_error_says():
+    values = np.random.default_rng(1).normal(0.0, 1.0, 200)
+    found = mean(values)
+    error = values.std(ddof=1) / np.sqrt(len(values))
+    assert found.value == pytest.approx(values.mean())
+    assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.1)
+
+
+def test_pairs_are_resampled_together():
+    """Trials that differ a hundredfold, but by the same ratio: only the ratio counts."""
+    control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
+    found = relative_change(1.2 * control, control)
+    assert found.value == pytest.approx(20.0)
+    assert (found.low, found.high) == pytest.approx((20.0, 20.0))
+    unpaired = relative_change(1.2 * control[::-1], control)
+    assert unpaired.value == pytest.approx(20.0)
+    assert unpaired.high - unpaired.low > 50.0
+
+
+def test_noise_around_no_change_leaves_zero_inside():
+    rng = np.random.default_rng(2)
+    control = rng.uniform(1.0, 2.0, 15)
+    found = relative_change(control * (1.0 + 0.05 * rng.standard_normal(15)), control)
+    assert found.low < 0.0 < found.high
+
+
+@settings(max_examples=15, deadline=None)
+@given(SAMPLES, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
+def test_a_change_does_not_depend_on_the_unit(values, factor):
+    """Powers of two: rounding would break ties between resamples of few samples."""
+    control = np.array(values)
+    treated = control[::-1] * 1.5
+    a, b = relative_change(treated, control), relative_change(factor * treated, factor * control)
+    np.testing.assert_allclose(b[:3], a[:3], rtol=1e-6, atol=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(SAMPLES)
+def test_the_value_lies_in_its_interval(values):
+    found = mean(values)
+    assert found.low - 1e-12 <= found.value <= found.high + 1e-12
+    assert found.samples == len(values)
+
+
+def test_equal_samples_have_an_interval_of_no_width():
+    assert mean([2.0, 2.0, 2.0]) == Interval(2.0, 2.0, 2.0, 3)
+
+
+def test_one_sample_has_no_interval():
+    found = mean([2.0])
+    assert found.value == 2.0
+    assert np.isnan(found.low)
+    assert np.isnan(found.high)
+
+
+def test_same_seed_same_interval():
+    values = np.random.default_rng(3).uniform(size=10)
+    assert mean(values, seed=4) == mean(values, seed=4)
+    assert mean(values, seed=4) != mean(values, seed=5)
+
+
+def test_confidence_widens():
+    values = np.random.default_rng(3).uniform(size=10)
+    narrow, wide = mean(values, confidence=0.5), mean(values, confidence=0.99)
+    assert wide.low < narrow.low < narrow.high < wide.high
+
+
+@pytest.mark.parametrize("bad", [[], [1.0, np.nan], [[1.0, 2.0]]])
+def test_no_statistic_of_nothing(bad):
+    with pytest.raises(StatisticsError, match="samples"):
+        mean(bad)
+
+
+def test_pairs_must_be_pairs():
+    with pytest.raises(StatisticsError, match="2 samples, control 3"):
+        relative_change([1.0, 2.0], [1.0, 2.0, 3.0])
+    with pytest.raises(StatisticsError, match="mean 0"):
+        relative_change([1.0, 2.0], [-1.0, 1.0])
+
+
+def test_entries_and_text_name_the_figure():
+    found = Interval(1.0, 0.5, 1.5, 4)
+    assert found.entries("x") == {"x": 1.0, "x_low": 0.5, "x_high": 1.5}
+    assert str(found) == "1 [0.5, 1.5]"

@@ -1,0 +1,198 @@
+"""The folder of a sweep: killed, full, damaged or foreign, nothing is lost or taken for whole."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import sweep_store, sweep_table
+from benchmarks.sweep_errors import StoreError
+from benchmarks.sweep_plan import Plan
+from benchmarks.sweep_store import Store
+from tests.sweeps import GRID, config, do, made_up
+
+
+@pytest.fixture
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shards of 3 runs and row groups of 5, so that 12 runs meet every border."""
+    monkeypatch.setattr(sweep_store, "SHARD", 3)
+    for module in (sweep_store, sweep_table):
+        monkeypatch.setattr(module, "BLOCK", 5)
+
+
+@pytest.fixture
+def whole(small_pieces: None, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """rows.parquet of the sweep that nothing disturbs."""
+    return do(Plan(config()), tmp_path_factory.mktemp("whole") / "sweep")[0]
+
+
+def test_the_tables_hold_the_plan_and_the_figures(whole: bytes, tmp_path: Path) -> None:
+    plan = Plan(config())
+    do(plan, tmp_path)
+    rows = pq.read_table(tmp_path / "rows.parquet")
+    assert rows["index"].to_pylist() == list(range(12))
+    assert rows["run"].to_pylist() == [plan.run_id(i) for i in range(12)]
+    assert rows["control.damping"].to_pylist()[::4] == GRID["control.damping"]
+    assert rows["mu_mean"].to_pylist()[:3] == [1e-6, 1.0 + 1e-6, 0.1 + 1e-6]
+    assert rows["error"].to_pylist()[3] == "SolverError: made up"
+    assert rows["mu_mean"].to_pylist()[3] is None
+    assert rows["loss_max"].null_count == 12  # NaN is no figure
+    assert not {"timing_shared", "wall_s", "tick_p50_us", "deadline_misses"} & set(rows.column_names)
+    clock = pq.read_table(tmp_path / "clock.parquet")
+    assert {"wall_s", "tick_p50_us", "deadline_misses"} <= set(clock.column_names)
+    assert clock["timing_shared"].to_pylist() == [False] * 12
+
+
+def test_the_order_of_the_runs_leaves_no_trace(whole: bytes, tmp_path: Path) -> None:
+    for seed in range(3):
+        shuffled = lambda left, seed=seed: np.random.default_rng(seed).permutation(left).tolist()  # noqa: E731
+        assert do(Plan(config()), tmp_path / str(seed), todo=shuffled)[0] == whole
+
+
+class Killed(BaseException):
+    """The process was killed: from here on nothing it does reaches the disk."""
+
+
+@pytest.fixture
+def failing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[[int, bool, Callable[[], BaseException], bool], None]:
+    """Let the n-th step on the disk fail, before or after its effect, for once or for good."""
+    replace, unlink = os.replace, Path.unlink
+
+    def arm(n: int, after: bool, error: Callable[[], BaseException], for_good: bool) -> None:
+        steps = iter(range(10**9))
+
+        def wrapped(real: Callable[..., None]) -> Callable[..., None]:
+            def step(*args: Any, **options: Any) -> None:
+                now = next(steps)
+                if now == n and after:
+                    real(*args, **options)
+                if now == n or (for_good and now > n):
+                    raise error()
+                real(*args, **options)
+
+            return step
+
+        monkeypatch.setattr(os, "replace", wrapped(replace))
+        monkeypatch.setattr(Path, "unlink", wrapped(unlink))
+
+    return arm
+
+
+def test_killed_at_every_step_it_goes_on_to_the_same_bytes(
+    whole: bytes, failing: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, seen = Plan(config()).number_runs(), 0
+    for n in range(200):
+        for after in (False, True):
+            folder = tmp_path / f"{n}{after}"
+            failing(n, after, Killed, True)
+            try:
+                do(plan, folder)
+            except Killed:
+                seen += 1
+                monkeypatch.undo()
+                again: list[int] = []
+                small(monkeypatch)
+                bytes_, dropped = do(plan, folder, todo=lambda left, again=again: again.extend(left) or left)
+                assert bytes_ == whole, (n, after)
+                assert dropped == []
+                assert len(again) <= 12
+                assert not list(folder.rglob(".*.*.*")), "a torn file stays"
+                continue
+            monkeypatch.undo()
+            small(monkeypatch)
+            assert seen >= 2 * (1 + 12 + 4 + 12 + 2)
+            return
+    raise AssertionError("the sweep never ends")
+
+
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See small_pieces."""
+    monkeypatch.setattr(sweep_store, "SHARD", 3)
+    for module in (sweep_store, sweep_table):
+        monkeypatch.setattr(module, "BLOCK", 5)
+
+
+def test_full_disk_at_every_step_is_said_and_survived(
+    whole: bytes, failing: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = Plan(config()).number_runs()
+    full = lambda: OSError(errno.ENOSPC, "No space left on device")  # noqa: E731
+    for n in range(0, 31, 3):
+        folder = tmp_path / str(n)
+        failing(n, False, full, False)
+        with pytest.raises(
+            StoreError, match=r"No space left.*of 12 runs are safe.*start the same command again"
+        ):
+            do(plan, folder)
+        monkeypatch.undo()
+        small(monkeypatch)
+        assert do(plan, folder) == (whole, [])
+
+
+def test_damaged_files_are_named_and_their_runs_done_again(whole: bytes, tmp_path: Path) -> None:
+    plan = Plan(config())
+    with Store(tmp_path, plan) as store:
+        for i in range(8):  # two shards, two single files
+            result = made_up(plan.scenario(i).model_dump(mode="json"), 1.0)
+            store.add(
+                i, {key: result[key] for key in ("error", "figures", "wall_s")} | {"timing_shared": False}
+            )
+    shard, *_ = sorted((tmp_path / "shards").iterdir())
+    shard.write_bytes(shard.read_bytes()[:-40])
+    one, two = sorted((tmp_path / "runs").iterdir())
+    one.write_text(one.read_text().replace("timing", "tinimg"))
+    two.write_bytes(b"")
+    again: list[int] = []
+    bytes_, dropped = do(plan, tmp_path, todo=lambda left: again.extend(left) or left)
+    assert bytes_ == whole
+    assert sorted(dropped) == sorted(map(str, (shard, one, two)))
+    assert again == [0, 1, 2, 6, 7, 8, 9, 10, 11]
+
+
+def test_a_folder_of_another_sweep_is_refused_and_left_alone(whole: bytes, tmp_path: Path) -> None:
+    do(Plan(config()), tmp_path)
+    other = Plan(config(grid={**GRID, "control.damping": [1e-3]}, seeds=1))
+    with pytest.raises(
+        StoreError, match=r"another sweep: grid.control.damping is \[0.001\] here and \[1e-06"
+    ):
+        Store(tmp_path, other).__enter__()
+    assert (tmp_path / "rows.parquet").read_bytes() == whole
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "rows.parquet").write_bytes(b"mine")
+    with pytest.raises(StoreError, match="no sweep's folder"):
+        Store(foreign, other).__enter__()
+    assert sorted(p.name for p in foreign.iterdir()) == [".lock", "rows.parquet"]
+
+
+def test_results_of_other_code_are_not_continued(
+    whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    do(Plan(config()), tmp_path)
+    monkeypatch.setattr("benchmarks.sweep_plan.code_version", lambda: "0.1.0+changed")
+    with pytest.raises(StoreError, match=r"moc_opt is '0.1.0\+changed' here and '0"):
+        Store(tmp_path, Plan(config())).__enter__()
+
+
+def test_one_sweep_at_a_time_owns_a_folder(tmp_path: Path) -> None:
+    plan = Plan(config())
+    with Store(tmp_path, plan), pytest.raises(StoreError, match="another sweep is writing"):
+        Store(tmp_path, plan).__enter__()
+    with Store(tmp_path, plan):
+        pass
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="Not a directory"):
+        Store(tmp_path / "file" / "sweep", Plan(config())).__enter__()

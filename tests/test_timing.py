@@ -1,0 +1,118 @@
+"""The clock: what it counts, in which order, and what it makes of it."""
+
+import gc
+from time import perf_counter_ns
+
+import numpy as np
+import pytest
+
+from benchmarks.timing import Timed, clock_cost_us, each_us, interleaved, percentiles, ratios, side_by_side
+
+
+def spin(us):
+    """Keep the processor busy for so long."""
+    end = perf_counter_ns() + us * 1000
+    while perf_counter_ns() < end:
+        pass
+
+
+def test_every_call_is_timed_and_its_result_kept():
+    results = []
+    times = each_us(spin, [50, 500, 50], results)
+    assert times.shape == (3,)
+    assert times[0] >= 50
+    assert times[1] >= 500
+    assert results == [None, None, None]
+    assert each_us(lambda item: 2 * item, [], results).shape == (0,)
+
+
+def test_preparation_is_not_counted():
+    prepared = []
+
+    def prepare(item):
+        prepared.append(item)
+        spin(3000)
+
+    times = each_us(lambda item: None, [1, 2, 3], prepare=prepare)
+    assert prepared == [1, 2, 3]
+    assert np.median(times) < 1000
+
+
+def test_collector_is_off_while_the_clock_runs_and_as_before_afterwards():
+    during = []
+    each_us(lambda item: during.append(gc.isenabled()), [1])
+    assert during == [False]
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        each_us(lambda item: None, [1])
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_an_error_switches_the_collector_on_again():
+    with pytest.raises(ZeroDivisionError):
+        each_us(lambda item: 1 // item, [0])
+    assert gc.isenabled()
+
+
+def test_interleaved_takes_turns_chunk_by_chunk():
+    log = []
+    entries = {
+        "a": Timed(lambda item: log.append(("a", item)), range(10)),
+        "b": Timed(lambda item: log.append(("b", item)), range(100, 112)),
+    }
+    times = interleaved(entries, rounds=2, chunk=5, lead=1)
+    assert {name: found.shape for name, found in times.items()} == {"a": (4, 4), "b": (4, 4)}
+    chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
+    assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
+    # A round without a clock, then two with it; who begins changes from chunk to chunk.
+    assert [chunk[0][0] for chunk in chunks] == ["a", "b", "b", "a"] * 3
+    assert [item for name, item in log if name == "a"] == [*range(10)] * 3
+    assert [item for name, item in log if name == "b"] == [*range(100, 110)] * 3
+
+
+def test_interleaved_tells_slow_from_fast():
+    slow = Timed(lambda item: spin(400), range(20))
+    fast = Timed(lambda item: spin(100), range(20))
+    times = interleaved({"slow": slow, "fast": fast}, rounds=1, chunk=10, lead=2)
+    found = ratios(times["slow"], times["fast"])
+    assert found.shape == (2,)
+    assert 2.0 < np.median(found) < 6.0
+
+
+@pytest.mark.parametrize(("chunk", "lead"), [(11, 2), (5, 5), (3, 4)])
+def test_interleaved_refuses_chunks_that_leave_nothing(chunk, lead):
+    with pytest.raises(ValueError, match="lead < chunk <= items"):
+        interleaved({"a": Timed(abs, range(10))}, chunk=chunk, lead=lead)
+
+
+def test_interleaved_prepares_each_item():
+    prepared = []
+    interleaved({"a": Timed(lambda item: None, range(6), prepared.append)}, rounds=1, chunk=3, lead=0)
+    assert prepared == [*range(6)] * 2
+
+
+def test_side_by_side_goes_through_all_items_each_round():
+    counts = {"a": 0, "b": 0}
+
+    def counted(name):
+        def call(item):
+            counts[name] += item
+
+        return call
+
+    times = side_by_side({name: counted(name) for name in counts}, [1] * 60, rounds=3)
+    assert {name: found.shape for name, found in times.items()} == {"a": (3, 60), "b": (3, 60)}
+    assert counts == {"a": 230, "b": 230}  # 50 to warm up, three rounds of 60
+
+
+def test_percentiles_leave_out_what_has_no_time():
+    found = percentiles(np.array([np.nan, *np.arange(1001.0)]), "solve")
+    assert found == pytest.approx({"solve_p50_us": 500.0, "solve_p99_us": 990.0, "solve_p99_9_us": 999.0})
+    assert percentiles(np.array([np.nan]), "solve") == {}
+
+
+def test_the_clock_itself_costs_little():
+    assert 0.0 < clock_cost_us(200) < 50.0
