@@ -1,8 +1,7 @@
 """Level 1, the tip: Cartesian compliance on top of the arm's own dynamics.
 
 F_T = K_X (X_d - X) + D_X (dX_d - J_T v),   tau_tip = h + J_T^T F_T
-(Su et al. 2019, the paper's Cartesian compliance law; with ``feedforward`` the acceleration
-Lambda_T (ddX_d - dJ_T v) is added, which the paper's law has not.)
+(Su et al. 2019, the paper's Cartesian compliance law.)
 """
 
 from __future__ import annotations

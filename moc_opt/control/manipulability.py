@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
+from moc_opt.control.feedforward import independent_rows
 
 Array = NDArray[np.float64]
 
@@ -45,17 +46,8 @@ def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
     than the kernel does, whatever sign a fresh decomposition would have chosen. The dependent
     wrist row along u is left out. False near a singularity: start again from a decomposition.
     """
-    r, n = Z.shape
-    a = np.zeros(3)
-    a[np.argmin(np.abs(u))] = 1.0
-    b1 = np.cross(u, a)
-    b1 /= np.sqrt(dot(b1, b1))
-    b2 = np.cross(u, b1)
-    A5 = np.zeros((5, n))
-    A5[:3] = A[:3]
-    for j in range(n):
-        A5[3, j] = b1[0] * A[3, j] + b1[1] * A[4, j] + b1[2] * A[5, j]
-        A5[4, j] = b2[0] * A[3, j] + b2[1] * A[4, j] + b2[2] * A[5, j]
+    r = Z.shape[0]
+    A5, _ = independent_rows(A, u)
     S = gram(A5)
     factor = cholesky(S)
     for i in range(5):  # also catches NaN

@@ -51,7 +51,7 @@ class ControlSettings(Settings):
     )
 
     projector: Literal["dynamic", "static", "printed"] = "dynamic"
-    feedforward: bool = Field(default=False, description="acceleration feed-forward of the tip")
+    feedforward: bool = Field(default=False, description="acceleration feed-forward of tip and wrist")
     observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
     limit_torque: bool = True
 

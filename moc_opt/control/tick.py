@@ -7,7 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.compliance import compliance_force, task_inertia
-from moc_opt.control.dense import cholesky, solve_factored, times, transpose_times
+from moc_opt.control.dense import cholesky, times, transpose_times
+from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
 from moc_opt.control.manipulability import (
     consistent_wrist_velocity,
     follow_null_space,
@@ -34,17 +35,19 @@ def tracking_torque(
         trocar: (2, 3) rows P_t, dP_t.
         gains: K_X, D_X, K_N, D_N, ...
         projector: DYNAMIC, STATIC or PRINTED.
-        feedforward: add Lambda_T (ddX_d - dJ_T v).
+        feedforward: add the accelerations of tip and desired wrist.
     """
     s = state_views(record, n)
     J_tip, J_wrist = s.A[:3], s.A[3:]
     tip_velocity, wrist_velocity = times(J_tip, s.v), times(J_wrist, s.v)
-    W, mobility = task_inertia(J_tip, cholesky(s.M))
+    M_factor = cholesky(s.M)
+    W, mobility = task_inertia(J_tip, M_factor)
 
     force = compliance_force(gains[0], gains[1], tip_ref[0], tip_ref[1], s.tip, tip_velocity)
-    if feedforward:
-        force = force + solve_factored(mobility, tip_ref[2] - s.drift[:3])
     tau: Array = s.h + transpose_times(J_tip, force)
+    if feedforward:
+        bend = desired_wrist_acceleration(s.tip, tip_velocity, tip_ref[2], trocar[0], trocar[1], s.scalars[1])
+        tau += motion_feedforward(s.A, s.u, M_factor, s.drift, tip_ref[2], bend)
 
     wish, wish_velocity = desired_wrist(s.tip, tip_velocity, trocar[0], trocar[1], s.scalars[1])
     turn = compliance_force(gains[2], gains[3], wish, wish_velocity, s.wrist, wrist_velocity)

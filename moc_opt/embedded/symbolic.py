@@ -118,8 +118,6 @@ class _Law:
         mobility = ca.chol(Y.T @ Y)
 
         force = gains["K_X"] * (X_d - self.at.tip) + gains["D_X"] * (dX_d - dX)
-        if self.settings.feedforward:
-            force += _solve_factored(mobility, ddX_d - dynamics.drift(self.at, J_tip, v))
         N_d, dN_d = self._desired_wrist(dX)
         tau_wrist = J_wrist.T @ (gains["K_N"] * (N_d - self.at.wrist) + gains["D_N"] * (dN_d - dN))
         if self.settings.projector == "dynamic":
@@ -128,7 +126,29 @@ class _Law:
             at_tip = _solve_factored(ca.chol(J_tip @ J_tip.T), J_tip @ tau_wrist)
         else:
             at_tip = J_tip @ tau_wrist
-        return self.h + tau_wrist + J_tip.T @ (force - at_tip)
+        tau = self.h + tau_wrist + J_tip.T @ (force - at_tip)
+        return tau + self._feedforward(factor, dX, ddX_d) if self.settings.feedforward else tau
+
+    def _feedforward(self, factor: SX, dX: SX, ddX_d: SX) -> SX:
+        """Accelerations of tip and desired wrist, see `moc_opt.control.feedforward`."""
+        at, v = self.at, self.s["v"]
+        to_trocar = self.s["trocar"][:3] - at.tip
+        distance = ca.norm_2(to_trocar)
+        e = to_trocar / distance
+        slip = self.s["trocar"][3:] - dX
+        closing = ca.dot(e, slip)
+        turn = (slip - closing * e) / distance
+        pull = -ddX_d - 2 * closing * turn
+        ddN_d = ddX_d + self.span * ((pull - ca.dot(e, pull) * e) / distance - ca.dot(turn, turn) * e)
+        across = ca.vertcat(
+            *((at.R @ ca.SX(b)).T for b in _across(self.arm.offsets[0] - self.arm.offsets[1]))
+        )
+        A5 = ca.vertcat(at.J_tip, across @ at.J_wrist)
+        wish = ca.vertcat(
+            ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v))
+        )
+        Y = ca.solve(factor, A5.T)
+        return A5.T @ _solve_factored(ca.chol(Y.T @ Y), wish)
 
     def _third_level(self, solver: Solver | None, period: float) -> SX:
         """M Z^T (Z M Z^T)^-1 Z push; Z is z beside the unit vectors of the idle joints.

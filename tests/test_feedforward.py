@@ -1,0 +1,51 @@
+"""With a perfect model the feed-forward gives tip and wrist the accelerations that were asked for."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from moc_opt.control.dense import cholesky
+from moc_opt.control.feedforward import desired_wrist_acceleration, independent_rows, motion_feedforward
+from moc_opt.control.rcm import desired_wrist
+
+SPAN = 0.378
+
+
+def test_wrist_acceleration_is_the_derivative_of_its_velocity():
+    """Along a tip that moves on a parabola and a trocar at constant velocity."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        tip, velocity, acceleration = rng.normal(size=3), 0.1 * rng.normal(size=3), rng.normal(size=3)
+        trocar, drift = tip + 0.15 * rng.normal(size=3), 0.05 * rng.normal(size=3)
+
+        def wrist_velocity(t, x=tip, v=velocity, a=acceleration, p=trocar, dp=drift):
+            return desired_wrist(x + v * t + 0.5 * a * t * t, v + a * t, p + dp * t, dp, SPAN)[1]
+
+        found = desired_wrist_acceleration(tip, velocity, acceleration, trocar, drift, SPAN)
+        assert_allclose(found, (wrist_velocity(1e-6) - wrist_velocity(-1e-6)) / 2e-6, rtol=1e-6, atol=1e-5)
+
+
+def test_independent_rows_lose_nothing(robot, regular_poses):
+    for q in regular_poses(10):
+        s = robot.state(q)
+        A5, across = independent_rows(np.array(s.A), np.array(s.tool_direction))
+        assert np.linalg.matrix_rank(A5, tol=1e-9) == 5
+        assert_allclose(across @ across.T, np.eye(2), atol=1e-14)
+        assert_allclose(across @ s.tool_direction, 0.0, atol=1e-14)
+        # what is left out follows: u^T J_W = u^T J_T
+        assert_allclose(s.tool_direction @ s.J_wrist, s.tool_direction @ A5[:3], atol=1e-12)
+
+
+def test_both_points_get_their_accelerations(robot, regular_poses):
+    rng = np.random.default_rng(2)
+    for q in regular_poses(10):
+        s = robot.state(q, rng.normal(size=robot.n))
+        u, turn = s.tool_direction, (s.J_tip - s.J_wrist) @ s.v
+        tip = rng.normal(size=3)
+        # a rigid tool: the points close in on each other at |turn|^2 / L
+        wrist = tip + np.cross(u, rng.normal(size=3)) + (turn @ turn / s.tool_span) * u
+        tau = motion_feedforward(
+            np.array(s.A), np.array(u), cholesky(np.array(s.M)), np.r_[s.drift_tip, s.drift_wrist], tip, wrist
+        )
+        qdd = np.linalg.solve(s.M, tau)
+        assert_allclose(s.J_tip @ qdd + s.drift_tip, tip, atol=1e-9)
+        assert_allclose(s.J_wrist @ qdd + s.drift_wrist, wrist, atol=1e-8)
