@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from moc_opt.report import export, figures
-from moc_opt.report.errors import BrowserError
+from moc_opt.report.errors import BrowserMissingError
 from moc_opt.report.export import save_figures
 from moc_opt.report.figures.style import DARK, INK
 from moc_opt.report.page import Page
@@ -27,7 +27,7 @@ def chromium() -> Iterator[Any]:
     try:
         with export.browser() as running:
             yield running
-    except BrowserError as missing:
+    except BrowserMissingError as missing:
         pytest.skip(str(missing))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.report import figures
-from moc_opt.report.errors import BrowserError, ReportError
+from moc_opt.report.errors import BrowserError, BrowserMissingError, ReportError
 from moc_opt.report.export import browser_path, save_figures
 
 FIGURES = {"one": figures.box_plots({"a": {"t": [1.0]}}, "y")}
@@ -28,7 +28,7 @@ def test_no_browser(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MOC_OPT_BROWSER", raising=False)
     monkeypatch.setenv("PATH", "")
     monkeypatch.setenv("PLAYWRIGHT_BROWSERS_PATH", str(tmp_path / "none"))
-    with pytest.raises(BrowserError, match="apt-get install chromium"):
+    with pytest.raises(BrowserMissingError, match="apt-get install chromium"):
         save_figures(FIGURES, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -47,8 +47,9 @@ def test_a_program_that_is_no_browser(tmp_path: Path, monkeypatch: pytest.Monkey
     fake.write_text("#!/bin/sh\nexit 3\n")
     fake.chmod(0o755)
     monkeypatch.setenv("MOC_OPT_BROWSER", str(fake))
-    with pytest.raises(BrowserError, match="the browser failed"):
+    with pytest.raises(BrowserError, match="the browser failed") as caught:
         save_figures(FIGURES, tmp_path / "out")
+    assert not isinstance(caught.value, BrowserMissingError)
 
 
 def test_format_and_name_are_checked_first(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from moc_opt.report import figures
 from moc_opt.report.errors import ReportError
+from moc_opt.report.figures import labels
 from moc_opt.report.figures.style import DARK, INK
 from moc_opt.trace import Trace
 
@@ -188,6 +189,40 @@ def test_nobody_beats_the_front(points: dict[str, tuple[float, float]]) -> None:
         p for p in points.values()
         if not any(t <= p[0] and e <= p[1] and (t, e) != p for t, e in points.values())
     }  # fmt: skip
+
+
+@settings(deadline=None)
+@given(
+    st.dictionaries(
+        st.text("abc", min_size=1, max_size=12),
+        st.tuples(st.floats(-300, 300), st.floats(-150, 150)),
+        max_size=12,
+    )
+)
+def test_names_do_not_cover_each_other(points: dict[str, tuple[float, float]]) -> None:
+    sides = labels.label_sides(points, list(points)[:2])
+    assert set(sides) == set(points)
+    boxes = [labels._boxes(name, *points[name])[side] for name, side in sides.items() if side]
+    for k, one in enumerate(boxes):
+        for two in boxes[:k]:
+            assert labels._shared(one, two) <= labels.TOLERATED_PX2
+
+
+def test_names_without_room_go_to_the_legend() -> None:
+    close = {f"a rather long name {k}": (10.0 + 0.01 * k, 1e-3) for k in range(12)}
+    made = figures.accuracy_against_time({**close, "far": (1e3, 1e-9)})
+    listed = {trace.name for trace in made.data if trace.showlegend}
+    written = {trace.name for trace in made.data if trace.mode == "markers+text"}
+    assert listed | written == {*close, "far"}
+    assert not listed & written
+    assert listed
+    assert "far" in written
+    assert made.layout.showlegend
+
+
+def test_units_are_printed() -> None:
+    made = figures.accuracy_against_time({"a": (1.0, 1.0)}, x_label="time of us [us]")
+    assert made.layout.xaxis.title.text == "time of us [µs]"
 
 
 def test_qualities_add_up() -> None:

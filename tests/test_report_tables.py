@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import MocOptError
 from moc_opt.report.errors import ReportError
-from moc_opt.report.numbers import Missing, Notation, fraction_length, pretty_power, pretty_unit, typeset
+from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit, typeset
 from moc_opt.report.tables import Column, Table
 
 NASTY = "<script>alert(1)</script>\"'&[bold]\x1b[31m\u202e"
@@ -59,6 +59,7 @@ def test_a_column_has_one_notation() -> None:
     assert texts([12_000, 1]) == ["12\u202f000", "1"]
     assert texts([1.25, -2.0], format="+.1f") == ["+1.2", "-2.0"]
     assert texts([3.0, 2.5], format="d") == ["3", "2"]
+    assert texts([1.2e-7, 0.0, 3.0e12], format=".1e") == ["1.2e-7", "0", "3.0e12"]
     assert texts([9.996, 0.5], digits=3) == ["10.0", "0.500"]
 
 
@@ -91,6 +92,8 @@ def test_missing_infinite_and_flags() -> None:
 def test_the_best_value_is_what_reads_best() -> None:
     assert best([2.0, 1.0, None, math.inf, 1.0004], better="low") == [False, True, False, False, True]
     assert best([2.5, 1.0, -math.inf, math.inf], better="high") == [True, False, False, False]
+    assert best([1.0, 1.0, 1.0, 2.0], better="low") == [False] * 4, "most of them: no emphasis"
+    assert best([1.0, 1.0, 3.0, 2.0], better="low") == [True, True, False, False]
     assert best([2.0, 1.0]) == [False, False]
     assert best([2.0, None], better="low") == [False, False]
 

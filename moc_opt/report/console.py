@@ -13,7 +13,7 @@ from typing import IO, Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from moc_opt.report.numbers import printable
+from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
 T = TypeVar("T")

@@ -10,4 +10,8 @@ class ReportError(MocOptError, ValueError):
 
 
 class BrowserError(ReportError):
-    """No browser can be driven here; the message holds what to install."""
+    """A browser cannot be driven here; the message holds the cure."""
+
+
+class BrowserMissingError(BrowserError):
+    """There is none, or nothing to drive it with; the message holds what to install."""

@@ -14,7 +14,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from moc_opt.errors import UnknownNameError
-from moc_opt.report.errors import BrowserError, ReportError
+from moc_opt.report.errors import BrowserError, BrowserMissingError, ReportError
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -79,17 +79,20 @@ def browser() -> Iterator[Browser]:
     """A headless Chromium, closed in the end.
 
     Raises:
-        BrowserError: playwright or a browser is missing, or it does not start.
+        BrowserMissingError: playwright or a browser is missing.
+        BrowserError: it does not start, or breaks down.
     """
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
-        raise BrowserError(f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}") from error
+        raise BrowserMissingError(
+            f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}"
+        ) from error
     try:
         with sync_playwright() as playwright:
             program = browser_path() or playwright.chromium.executable_path
             if not Path(program).exists():
-                raise BrowserError(f"no Chromium or Chrome was found: {CURE}")
+                raise BrowserMissingError(f"no Chromium or Chrome was found: {CURE}")
             chromium = playwright.chromium.launch(executable_path=program, args=list(FLAGS))
             try:
                 yield chromium

@@ -21,7 +21,7 @@ from plotly.offline import get_plotlyjs
 
 from moc_opt.report.errors import ReportError
 from moc_opt.report.figures.style import DARK
-from moc_opt.report.numbers import DASH
+from moc_opt.report.notation import DASH
 from moc_opt.report.table_html import escape
 from moc_opt.report.tables import Table
 

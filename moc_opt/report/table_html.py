@@ -8,14 +8,14 @@ from string import ascii_lowercase
 from textwrap import wrap
 from typing import TYPE_CHECKING, Literal
 
-from moc_opt.report.numbers import Missing, fraction_length, pretty_unit, printable, typeset
+from moc_opt.report.notation import Missing, fraction_length, pretty_unit, printable, typeset
 
 if TYPE_CHECKING:
     from moc_opt.report.tables import Cell, Column, Table
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
 FIGURE_SPACE, POINT_SPACE = "\u2007", "\u2008"
-HEADING_WIDTH = 10
+HEADING_WIDTH, LONG_TEXT = 10, 40
 
 
 def escape(text: str) -> str:
@@ -99,7 +99,7 @@ def _cells(column: Column, cells: Sequence[Cell], letters: dict[str, str], headi
     drawn = []
     for cell in cells:
         order = "" if cell.sort is None else f' data-sort="{escape(str(cell.sort))}"'
-        mark = " best" if cell.best else ""
+        mark = " best" if cell.best else " long" if not cell.numeric and len(cell.text) > LONG_TEXT else ""
         drawn.append(
             f'<{tag}{scope} class="{align}{mark}"{order}>{_content(cell, fraction, power, letters)}</{tag}>'
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from rich import box
@@ -13,9 +13,9 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from moc_opt.report import numbers, table_html
+from moc_opt.report import notation, table_html
 from moc_opt.report.errors import ReportError
-from moc_opt.report.numbers import Missing, Notation, is_number, printable
+from moc_opt.report.notation import Missing, Notation, is_number, printable
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,8 @@ class Column:
         digits: significant digits of its numbers.
         format: a format specification (".2f", "+.1f", "d") in place of significant digits.
         align: None: numbers to the right, texts to the left.
-        better: which end is good: its best values are emphasised and sorted to the top first.
+        better: which end is good: its best values are emphasised, unless most rows have them, and sorted to the
+            top first.
         help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
     """
 
@@ -93,17 +94,19 @@ class Table:
     def cells(self, column: Column) -> list[Cell]:
         """The column, one cell per row, written in one notation."""
         values = [row.get(column.key) for row in self.rows]
-        notation = Notation.of(values, column.digits, column.format)
-        cells = [_cell(value, notation) for value in values]
+        written = Notation.of(values, column.digits, column.format)
+        cells = [_cell(value, written) for value in values]
         finite = [cell for cell in cells if cell.numeric and math.isfinite(float(cell.sort or 0.0))]
         if column.better is None or len(finite) < 2:
             return cells
         choose = min if column.better == "low" else max
         winner = choose(finite, key=lambda cell: float(cell.sort or 0.0))
         # What reads the same is equally good: a digit that is not shown decides nothing.
-        return [
-            Cell(c.text, c.sort, c.numeric, c.why, best=c.numeric and c.text == winner.text) for c in cells
-        ]
+        ahead = [cell.numeric and cell.text == winner.text for cell in cells]
+        if sum(ahead) > max(1, sum(cell.numeric for cell in cells) / 2):
+            # Emphasis on nearly everything says nothing.
+            return cells
+        return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
 
     def to_rich(self) -> RichTable:
         """The table for a terminal."""
@@ -113,11 +116,11 @@ class Table:
         columns = []
         for column in self.columns:
             cells = self.cells(column)
-            pad = max((numbers.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
+            pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
             columns.append([_rich(cell, pad) for cell in cells])
             heading = Text(printable(column.title))
             if column.unit:
-                heading.append(f"\n{numbers.pretty_unit(column.unit)}", style="dim")
+                heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
             drawn.add_column(heading, justify=column.align or table_html.alignment(cells))
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
@@ -141,17 +144,19 @@ class Table:
         return table_html.draw(self, number)
 
 
-def _cell(value: Any, notation: Notation) -> Cell:
-    why = numbers.missing(value)
+def _cell(value: Any, written: Notation) -> Cell:
+    why = notation.missing(value)
     if why is not None:
-        return Cell(numbers.DASH, None, why=why)
+        return Cell(notation.DASH, None, why=why)
     if is_number(value):
-        return Cell(notation(value), float(value), numeric=True)
+        return Cell(written(value), float(value), numeric=True)
     if type(value).__name__ in ("bool", "bool_"):
         return Cell("yes" if value else "no", "yes" if value else "no")
     return Cell(printable(str(value)), str(value))
 
 
 def _rich(cell: Cell, pad: int) -> Text:
-    spaces = " " * (pad - numbers.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
+    spaces = (
+        " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
+    )
     return Text(cell.text + spaces, style="bold" if cell.best else "dim" if cell.why else "")

@@ -29,6 +29,7 @@
     for (const trace of data) {
       if (trace.mode !== "markers+text") continue;
       trace.mode = "markers";
+      trace.showlegend = true;
       layout.showlegend = true;
     }
     const named = data.filter((trace) => trace.showlegend !== false && trace.name).length;

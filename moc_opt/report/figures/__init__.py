@@ -1,5 +1,6 @@
 """Figures: plain data or traces in, a plotly figure in the house style out."""
 
+from moc_opt.report.figures.boxes import box_plots
 from moc_opt.report.figures.comparisons import (
     OUTCOMES,
     accuracy_against_time,
@@ -7,7 +8,7 @@ from moc_opt.report.figures.comparisons import (
     pareto,
     solution_quality,
 )
-from moc_opt.report.figures.distributions import box_plots, latency_ecdf, latency_violin, residual_strip
+from moc_opt.report.figures.distributions import latency_ecdf, latency_violin, residual_strip
 from moc_opt.report.figures.series import PANELS, envelope, time_series
 from moc_opt.report.figures.style import Style, Styles
 

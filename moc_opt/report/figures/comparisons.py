@@ -8,10 +8,12 @@ import numpy as np
 import plotly.graph_objects as go
 
 from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.labels import label_sides
 from moc_opt.report.figures.style import (
     BAD,
     FAIR,
     GOOD,
+    HEIGHT_PX,
     INK,
     MUTED,
     PAPER,
@@ -19,8 +21,11 @@ from moc_opt.report.figures.style import (
     Styles,
     figure,
     label,
+    legend_height,
     log_axis,
 )
+
+MARGIN = 0.12
 
 OUTCOMES = {
     "verified": ("claimed and verified", GOOD, ""),
@@ -55,19 +60,22 @@ def accuracy_against_time(
                 f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0"
             )
     known = {name: (time, max(error, floor)) for name, (time, error) in known.items()}
-    log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=0.12)
-    log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=0.12)
+    log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
+    log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
     front = pareto(known)
     _staircase(drawn, [known[name] for name in front])
-    for (name, (time, error)), side in zip(known.items(), _sides(known, front), strict=True):
-        best, style = name in front, styles[name]
+    sides = label_sides(_pixels(known), front)
+    for name, (time, error) in known.items():
+        best, style, side = name in front, styles[name], sides[name]
         drawn.add_scatter(
-            x=[time], y=[error], mode="markers+text", name=label(name), text=[label(name)], cliponaxis=False,
-            textposition=side, textfont={"size": 11, "color": INK if best else MUTED},
+            x=[time], y=[error], mode="markers+text" if side else "markers", name=label(name), text=[label(name)],
+            textposition=side, textfont={"size": 11, "color": INK if best else MUTED}, cliponaxis=False,
             marker={"color": style.color if best else PAPER, "symbol": style.symbol, "size": 10,
-                    "line": {"color": style.color, "width": 2}},
+                    "line": {"color": style.color, "width": 2}}, showlegend=side is None,
             hovertemplate=f"{x_label}: %{{x:.3g}}<br>{y_label}: %{{y:.3g}}<extra>%{{fullData.name}}</extra>",
         )  # fmt: skip
+    crowded = [trace.name for trace in drawn.data if trace.showlegend]
+    drawn.update_layout(showlegend=bool(crowded), height=HEIGHT_PX + legend_height(crowded))
     return drawn
 
 
@@ -81,46 +89,12 @@ def _staircase(drawn: go.Figure, front: list[tuple[float, float]]) -> None:
     )  # fmt: skip
 
 
-def _sides(points: Mapping[str, tuple[float, float]], front: list[str]) -> list[str]:
-    """On which side of its point each name stands, so that names cover neither each other nor points.
-
-    Reckoned for a plot of usual size, in pixels; the side with the least overlap wins. The front's own line
-    runs above and to the right of its points: their names stand below.
-    """
+def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """Where the points lie in a plot of usual size, from its middle, y downwards [px]."""
     logs = np.log10(np.array(list(points.values())))
-    extent = np.maximum(np.ptp(logs, axis=0), [0.5, 1.0]) * [1.24, -1.12]
-    centres = (logs - logs.mean(axis=0)) / extent * [680.0, 310.0]
-    taken = [(x - 7, y - 7, x + 7, y + 7) for x, y in centres]
-    chosen = []
-    for place, (name, (x, y)) in enumerate(zip(points, centres, strict=True)):
-        wide, tall = 6.3 * len(name), 14.0
-        boxes = {
-            "top center": (x - wide / 2, y - 8 - tall, x + wide / 2, y - 8),
-            "bottom center": (x - wide / 2, y + 8, x + wide / 2, y + 8 + tall),
-            "middle right": (x + 9, y - tall / 2, x + 9 + wide, y + tall / 2),
-            "middle left": (x - 9 - wide, y - tall / 2, x - 9, y + tall / 2),
-            "top right": (x + 5, y - 6 - tall, x + 5 + wide, y - 6),
-            "bottom right": (x + 5, y + 6, x + 5 + wide, y + 6 + tall),
-            "top left": (x - 5 - wide, y - 6 - tall, x - 5, y - 6),
-            "bottom left": (x - 5 - wide, y + 6, x - 5, y + 6 + tall),
-        }
-        others = [box for k, box in enumerate(taken) if k != place]
-        shy = {side: 40.0 for side in boxes if not side.startswith("bottom")} if name in front else {}
-        cost = {
-            side: shy.get(side, 0.0) + sum(_overlap(box, other) for other in others)
-            for side, box in boxes.items()
-        }
-        side = min(cost, key=lambda side: cost[side])
-        taken.append(boxes[side])
-        chosen.append(side)
-    return chosen
-
-
-def _overlap(one: tuple[float, ...], two: tuple[float, ...]) -> float:
-    """Area that two rectangles (left, top, right, bottom) share."""
-    wide = min(one[2], two[2]) - max(one[0], two[0])
-    tall = min(one[3], two[3]) - max(one[1], two[1])
-    return max(wide, 0.0) * max(tall, 0.0)
+    extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
+    centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]
+    return {name: (float(x), float(y)) for name, (x, y) in zip(points, centres, strict=True)}
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:

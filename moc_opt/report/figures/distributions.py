@@ -1,4 +1,4 @@
-"""Distributions: of solve times, of residuals, of what a paper shows as box plots."""
+"""Distributions of solve times and of residuals, on log axes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.report.errors import ReportError
-from moc_opt.report.figures.style import PAPER, Style, Styles, figure, label, log_axis, rule
+from moc_opt.report.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
@@ -34,9 +34,9 @@ def latency_ecdf(
     Raises:
         ReportError: there is no finite time at all, or one is negative.
     """
-    drawn, styles = figure(legend_y=1.08), styles or Styles(samples)
+    drawn, styles = figure(legend_y=1.08, height=320 + legend_height(samples)), styles or Styles(samples)
     for name, values in samples.items():
-        known = _known(name, values)
+        known = known_samples(name, values)
         count, times = len(known), np.maximum(np.sort(known[np.isfinite(known)]), CLOCK_US)
         if not len(times):
             drawn.add_scatter(x=[], y=[], name=f"{label(name)} (no sample)", line_color=styles[name].color)
@@ -74,7 +74,7 @@ def latency_violin(
     drawn, styles = figure(showlegend=False), styles or Styles(samples)
     names, ends = list(samples)[::-1], []
     for row, name in enumerate(names):
-        known, style = _known(name, samples[name]), styles[name]
+        known, style = known_samples(name, samples[name]), styles[name]
         times = np.maximum(known[np.isfinite(known)], CLOCK_US)
         if not len(times):
             continue
@@ -118,7 +118,7 @@ def residual_strip(
     drawn, styles = figure(showlegend=False), styles or Styles(samples)
     names, ends = list(samples)[::-1], []
     for row, name in enumerate(names):
-        known, style = _known(name, samples[name]), styles[name]
+        known, style = known_samples(name, samples[name]), styles[name]
         values = np.sort(np.maximum(known[np.isfinite(known)], floor))
         if not len(values):
             continue
@@ -140,54 +140,11 @@ def residual_strip(
     return drawn
 
 
-def box_plots(
-    groups: Mapping[str, Samples], value_label: str, *, log: bool = False, styles: Styles | None = None
-) -> go.Figure:
-    """Box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
-
-    Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths (Tukey); samples
-    beyond are points, at most forty a box, the outermost always among them.
-
-    Args:
-        groups: controller -> task -> samples; NaN is left out, and a box without samples leaves its place empty.
-        value_label: of the value axis, with the unit.
-        log: a log axis of values; the whiskers are then those of the logarithms.
-        styles: how each controller looks; None deals colours out anew.
-
-    Raises:
-        ReportError: a sample is infinite, or not positive under `log`.
-    """
-    drawn, styles = (
-        figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32),
-        styles or Styles(groups),
-    )
-    shown: list[float] = []
-    for name, group in groups.items():
-        known = {task: _known(f"{name}, {task}", values, signed=True) for task, values in group.items()}
-        boxes = {task: _box(f"{name}, {task}", values, log) for task, values in known.items() if len(values)}
-        shown += [value for *five, beyond in boxes.values() for value in (*five, *beyond)]
-        lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
-        style = styles[name]
-        drawn.add_box(
-            x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            y=list(beyond), boxpoints="outliers", name=label(name), offsetgroup=name, fillcolor=style.fill(0.28),
-            line={"color": style.color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
-        )  # fmt: skip
-    tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
-    drawn.update_xaxes(
-        showgrid=False, ticks="", type="category", categoryarray=list(tasks), range=[-0.5, len(tasks) - 0.5]
-    )
-    drawn.update_yaxes(title_text=value_label, rangemode="normal" if log else "tozero")
-    if log and shown:
-        log_axis(drawn, "y", value_label, shown, powers=True)
-    return drawn
-
-
 def _rows(drawn: go.Figure, names: list[str], samples: Samples) -> None:
     """Names at the left instead of numbers, and a height that gives each its room."""
     words = []
     for name in names:
-        known = _known(name, samples[name])
+        known = known_samples(name, samples[name])
         infinite = int(np.isinf(known).sum())
         words.append(
             label(name) + (f" ({infinite} × ∞)" if infinite else "" if len(known) else " (no sample)")
@@ -219,7 +176,7 @@ def _marks(drawn: go.Figure, row: int, name: str, style: Style, values: Mapping[
     )  # fmt: skip
 
 
-def _known(name: str, values: ArrayLike, *, signed: bool = False) -> Floats:
+def known_samples(name: str, values: ArrayLike, *, signed: bool = False) -> Floats:
     """The samples that are not NaN, maybe none; not negative unless `signed`."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
@@ -255,19 +212,3 @@ def _log_density(times: Floats) -> tuple[Floats, Floats]:
     centre, used = 0.5 * (edges[1:] + edges[:-1]), weight > 0
     density = np.exp(-0.5 * ((at[:, None] - centre[used]) / width) ** 2) @ weight[used]
     return 10.0**at, density / density.max()
-
-
-def _box(name: str, values: Floats, log: bool) -> tuple[float, float, float, float, float, list[float]]:
-    """Lower whisker, quartiles, upper whisker, and the samples beyond, thinned."""
-    values = np.sort(values)
-    if np.isinf(values).any() or (log and values[0] <= 0.0):
-        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: this axis cannot show that")
-    scale = np.log10(values) if log else values
-    q1, q3 = np.percentile(scale, (25, 75))
-    # The smallest allowance is for rounding, where all samples are the same.
-    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)
-    near = (scale >= q1 - reach) & (scale <= q3 + reach)
-    inside, beyond = values[near], values[~near]
-    kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, 40).astype(int))] if len(beyond) else beyond
-    q1, median, q3 = np.percentile(values, (25, 50, 75))
-    return float(inside[0]), float(q1), float(median), float(q3), float(inside[-1]), kept.tolist()

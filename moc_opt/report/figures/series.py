@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from plotly.subplots import make_subplots
 
 from moc_opt.report.errors import ReportError
-from moc_opt.report.figures.style import TEMPLATE, Styles, label
+from moc_opt.report.figures.style import TEMPLATE, Styles, label, legend_height
 from moc_opt.trace import Trace
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,7 @@ def time_series(
     if not named:
         raise ReportError(f"no run has any of the columns {', '.join(panels)}: name columns that a trace has")
     drawn.update_xaxes(title_text="time [s]", row=len(panels), col=1)
-    height = 80 + 155 * len(panels)
+    height = 70 + 155 * len(panels) + legend_height(runs)
     drawn.update_layout(template=TEMPLATE, height=height, legend_y=1.06, margin_t=30, hovermode="x unified")
     return drawn
 

@@ -17,7 +17,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
 from moc_opt.report.errors import ReportError
-from moc_opt.report.numbers import pretty_power, printable
+from moc_opt.report.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, FAIR, BAD, WORST = "#3b7fb8", "#a9c6de", "#c9ccd1", "#c4421a"
@@ -99,7 +99,7 @@ TEMPLATE = go.layout.Template(
         "margin": {"l": 56, "r": 16, "t": 16, "b": 48}, "height": HEIGHT_PX,
         "legend": {
             "orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom",
-            "bgcolor": "rgba(0,0,0,0)", "font": {"size": 12}, "title": {"text": ""},
+            "bgcolor": "rgba(0,0,0,0)", "font": {"size": 12}, "title": {"text": ""}, "tracegroupgap": 0,
         },
         "hoverlabel": {"bgcolor": PAPER, "bordercolor": MUTED, "font": {"family": FONT, "size": 12, "color": INK}},
         "uirevision": "keep", "hovermode": "closest",
@@ -115,6 +115,13 @@ def label(name: object) -> str:
 def figure(**layout: object) -> go.Figure:
     """An empty figure in the house style."""
     return go.Figure(layout={"template": TEMPLATE, **layout})
+
+
+def legend_height(names: Iterable[str], width: float = 620.0) -> int:
+    """Height that a legend above a plot takes [px]: what the figure must be higher, to leave the plot its own."""
+    lengths = [len(name) for name in names]
+    columns = max(1, int(width / (6.6 * max(lengths, default=1) + 46.0)))
+    return 20 * math.ceil(len(lengths) / columns)
 
 
 def log_axis(
@@ -156,7 +163,7 @@ def log_axis(
     minor = {"ticks": "outside", "ticklen": 2, "tickcolor": MUTED, "dtick": "D1" if step == 1 else 1}
     layout = {
         "type": "log",
-        "title": {"text": title},
+        "title": {"text": pretty_units(title)},
         "minor": minor,
         "tickangle": 0,
         "range": [low, high],

@@ -54,7 +54,8 @@ class Notation:
         if math.isinf(number):
             return INFINITY if number > 0 else "-" + INFINITY
         if self.spec:
-            return format(round(number) if self.spec.endswith("d") else number, self.spec)
+            written = format(round(number) if self.spec.endswith("d") else number, self.spec)
+            return _tidy(written) if "e" in written else written
         if self.integral:
             return (
                 f"{round(number):_}".replace("_", NARROW_SPACE)
@@ -65,9 +66,14 @@ class Notation:
             return "0"
         rounded = f"{number:.{self.digits - 1}e}"
         if self.scientific:
-            mantissa, exponent = rounded.split("e")
-            return f"{mantissa}e{int(exponent)}"
+            return _tidy(rounded)
         return f"{number:.{max(0, self.digits - 1 - int(rounded.split('e')[1]))}f}"
+
+
+def _tidy(written: str) -> str:
+    """Python's 5.4e-07 as 5.4e-7, and a plain 0."""
+    mantissa, exponent = written.split("e")
+    return f"{mantissa}e{int(exponent)}" if float(mantissa) else "0"
 
 
 def is_number(value: object) -> bool:
@@ -103,6 +109,11 @@ def pretty_unit(unit: str) -> str:
     """The unit as it is printed: us as µs, m^3 with a raised 3."""
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
     return re.sub(r"\bus\b", "µs", raised)
+
+
+def pretty_units(text: str) -> str:
+    """A label with the units in its [brackets] as they are printed."""
+    return re.sub(r"\[([^\]]*)\]", lambda match: f"[{pretty_unit(match[1])}]", text)
 
 
 def pretty_power(power: int) -> str:

@@ -1,0 +1,74 @@
+"""Box plots in the manner of the paper's Figure 7: by task, one colour per controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import plotly.graph_objects as go
+
+from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.distributions import Floats, Samples, known_samples
+from moc_opt.report.figures.style import Styles, figure, label, log_axis
+from moc_opt.report.notation import pretty_units
+
+
+def box_plots(
+    groups: Mapping[str, Samples], value_label: str, *, log: bool = False, styles: Styles | None = None
+) -> go.Figure:
+    """Box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
+
+    Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths (Tukey); samples
+    beyond are points, at most forty a box, the outermost always among them.
+
+    Args:
+        groups: controller -> task -> samples; NaN is left out, and a box without samples leaves its place empty.
+        value_label: of the value axis, with the unit.
+        log: a log axis of values; the whiskers are then those of the logarithms.
+        styles: how each controller looks; None deals colours out anew.
+
+    Raises:
+        ReportError: a sample is infinite, or not positive under `log`.
+    """
+    drawn, styles = (
+        figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32),
+        styles or Styles(groups),
+    )
+    shown: list[float] = []
+    for name, group in groups.items():
+        known = {
+            task: known_samples(f"{name}, {task}", values, signed=True) for task, values in group.items()
+        }
+        boxes = {task: _box(f"{name}, {task}", values, log) for task, values in known.items() if len(values)}
+        shown += [value for *five, beyond in boxes.values() for value in (*five, *beyond)]
+        lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6
+        style = styles[name]
+        drawn.add_box(
+            x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
+            y=list(beyond), boxpoints="outliers", name=label(name), offsetgroup=name, fillcolor=style.fill(0.28),
+            line={"color": style.color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
+        )  # fmt: skip
+    tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)
+    drawn.update_xaxes(
+        showgrid=False, ticks="", type="category", categoryarray=list(tasks), range=[-0.5, len(tasks) - 0.5]
+    )
+    drawn.update_yaxes(title_text=pretty_units(value_label), rangemode="normal" if log else "tozero")
+    if log and shown:
+        log_axis(drawn, "y", value_label, shown, powers=True)
+    return drawn
+
+
+def _box(name: str, values: Floats, log: bool) -> tuple[float, float, float, float, float, list[float]]:
+    """Lower whisker, quartiles, upper whisker, and the samples beyond, thinned."""
+    values = np.sort(values)
+    if np.isinf(values).any() or (log and values[0] <= 0.0):
+        raise ReportError(f"{name!r} reaches from {values[0]} to {values[-1]}: this axis cannot show that")
+    scale = np.log10(values) if log else values
+    q1, q3 = np.percentile(scale, (25, 75))
+    # The smallest allowance is for rounding, where all samples are the same.
+    reach = 1.5 * (q3 - q1) + 1e-12 * abs(q3)
+    near = (scale >= q1 - reach) & (scale <= q3 + reach)
+    inside, beyond = values[near], values[~near]
+    kept = beyond[np.unique(np.linspace(0, len(beyond) - 1, 40).astype(int))] if len(beyond) else beyond
+    q1, median, q3 = np.percentile(values, (25, 50, 75))
+    return float(inside[0]), float(q1), float(median), float(q3), float(inside[-1]), kept.tolist()
