@@ -69,6 +69,7 @@ EXPECT = {
     "casadi:qrqp": Expect(certified=0.0, undamped=None),  # gives no reason; cycles without damping
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
     "nlp-ipopt": NLP,
+    "nlp-fatrop": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
     # Through qpsolvers these two hand out no reason.
     "qpsolvers:daqp": Expect(certified=0.0),
     "qpsolvers:highs": Expect(certified=0.0),

@@ -45,7 +45,7 @@ def test_by_hand_the_answer_is_the_adapter_s_and_optimal(name, sequence):
     session, bare = solver.start(sequence[0]), BARE[name](solver, sequence[0])
     answers = [bare(qp)[0] for qp in sequence]
     for qp, x in zip(sequence, answers, strict=True):
-        np.testing.assert_allclose(x, session.solve(qp).x, atol=1e-6)
+        np.testing.assert_allclose(x, session.solve(qp).x, atol=1e-4)
     found = judge(np.array([qp.row for qp in sequence]), np.array(answers))
     assert (found.primal < 1e-6).all()
     assert (found.relative < 1e-3).all()
@@ -70,7 +70,7 @@ def test_by_hand_the_parts_are_the_whole(name, sequence):
     whole, part = BARE[name](solver, sequence[0]), BARE[name](solver, sequence[0])
     for qp in sequence[:20]:
         part.load(qp)
-        np.testing.assert_allclose(whole(qp)[0], part.solve(qp)[0], atol=1e-6)
+        np.testing.assert_allclose(whole(qp)[0], part.solve(qp)[0], atol=1e-4)
 
 
 def test_what_does_other_work_is_not_compared(sequence, monkeypatch):

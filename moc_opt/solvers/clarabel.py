@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -76,16 +77,20 @@ class ClarabelSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        A, b, _ = equalities(qp, self._settings.rows)
-        self._shape = m, n = A.shape
-        self._upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])  # upper triangle of P
-        self._P, self._q, self._b = np.empty(len(self._upper)), np.empty(n), np.empty(m + 2 * n)
+        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
+        upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])  # upper triangle of P
+        self._P, self._q, self._b = np.empty(len(upper)), np.empty(n), np.empty(m + 2 * n)
         self._A = np.ones((n, m + 2))
         self._A[:, m + 1] = -1.0
         self._back = 1.0 / self._settings.cost_scale
-        self._load(qp, A, b)
+        self._load = Loader(
+            self._settings.rows, self._settings.cost_scale, P=np.empty((n, n)), packed=self._P, p=self._q,
+            A=self._A[:, :m].T, low=self._b[:m], high=self._b[:m], lower=self._b[m + n :], upper=self._b[m : m + n],
+            signs=(1.0, -1.0, 1.0),
+        )  # fmt: skip
+        self._load(qp)
         below = np.concatenate([np.append(np.arange(m), [m + j, m + n + j]) for j in range(n)])
-        P = sparse.csc_matrix((self._P, self._upper // n, np.cumsum(np.arange(n + 1))), shape=(n, n))
+        P = sparse.csc_matrix((self._P, upper // n, np.cumsum(np.arange(n + 1))), shape=(n, n))
         stacked = (self._A.ravel(), below, (m + 2) * np.arange(n + 1))
         options = clarabel.DefaultSettings()
         options.verbose, options.presolve_enable, options.max_threads = False, False, 1
@@ -95,26 +100,14 @@ class ClarabelSession:
         matrix = sparse.csc_matrix(stacked, shape=(m + 2 * n, n))
         self._core: Any = clarabel.DefaultSolver(P, self._q, matrix, self._b, cones, options)
 
-    def _load(self, qp: NullSpaceQP, A: Array, b: Array) -> None:
-        """Copy the numbers of ``qp`` into the buffers."""
-        (m, n), part, scale = self._shape, qp.fields, self._settings.cost_scale
-        qp.P.take(self._upper, out=self._P)
-        self._P *= scale
-        np.multiply(qp.p, scale, out=self._q)
-        self._A[:, :m] = A.T
-        self._b[:m], self._b[m : m + n] = b, part.upper
-        np.negative(part.lower, out=self._b[m + n :])
-
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's starts a new workspace."""
-        A, b, lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
+        if not self._load(qp):
             self._build(qp)
-        self._load(qp, A, b)
         self._core.update(P=self._P, q=self._q, A=self._A.ravel(), b=self._b)
         found = self._core.solve()
         status = next((ours for theirs, ours in _STATUS if found.status == theirs), Status.NUMERICAL)
         if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
             return no_answer(qp.n, status, found.iterations)
-        y = np.dot(np.array(found.z[: self._shape[0]]), lift) * self._back
+        y = self._load.lifted(np.array(found.z[: self._shape[0]]), self._back)
         return Solution(np.array(found.x), y, status, found.iterations)

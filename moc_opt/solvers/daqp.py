@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -28,6 +29,7 @@ _STATUS = {
     -4: Status.MAX_ITER,
     -7: Status.TIME_LIMIT,
 }
+_HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,18 @@ class DAQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        A, b, _ = equalities(qp, self._settings.rows)
-        self._shape = m, n = A.shape
+        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
         self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
         self._lower, self._upper = np.empty(n + m), np.empty(n + m)
         self._fresh = np.concatenate([np.zeros(n, dtype=np.int32), np.full(m, EQUALITY, dtype=np.int32)])
         self._sense = self._fresh.copy()
         self._back = 1.0 / self._settings.cost_scale
-        self._load(qp, A, b)
+        lower, upper = self._lower, self._upper
+        self._load = Loader(
+            self._settings.rows, self._settings.cost_scale, P=self._P, p=self._p, A=self._A,
+            low=lower[n:], high=upper[n:], lower=lower[:n], upper=upper[:n],
+        )  # fmt: skip
+        self._load(qp)
         self._core = Model()
         settings = self._settings
         self._core.settings = {
@@ -94,21 +100,10 @@ class DAQPSession:
         }  # fmt: skip
         self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
-    def _load(self, qp: NullSpaceQP, A: Array, b: Array) -> None:
-        """Copy the numbers of ``qp`` into the buffers."""
-        n, part, scale = self._shape[1], qp.fields, self._settings.cost_scale
-        np.multiply(qp.P, scale, out=self._P)
-        np.multiply(qp.p, scale, out=self._p)
-        self._A[:] = A
-        self._lower[:n], self._upper[:n] = part.lower, part.upper
-        self._lower[n:] = self._upper[n:] = b
-
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's starts a new workspace."""
-        A, b, lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
+        if not self._load(qp):
             self._build(qp)
-        self._load(qp, A, b)
         core, n = self._core, self._shape[1]
         sense = None
         if not self._settings.warm:
@@ -117,6 +112,6 @@ class DAQPSession:
         core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
         x, _, code, info = core.solve()
         status = _STATUS.get(code, Status.NUMERICAL)
-        if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
+        if status not in _HAS_X:
             return no_answer(n, status, info["iterations"])
-        return Solution(x, np.dot(info["lam"][n:], lift) * self._back, status, info["iterations"])
+        return Solution(x, self._load.lifted(info["lam"][n:], self._back), status, info["iterations"])

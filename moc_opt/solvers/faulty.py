@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import SolverError
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
+from moc_opt.solvers.exact import Exact
 from moc_opt.subproblem import NullSpaceQP, fields
 
 Array = NDArray[np.float64]
@@ -30,8 +31,8 @@ class Faulty:
     Args:
         inner: the solver that answers otherwise.
         kind: "fail" gives no answer and says so, "nan" claims success for NaN, "lie" claims success for
-            the best answer to the opposite gradient (feasible, and only the optimality check sees it),
-            "outside" for an answer beyond the box, "raise" raises.
+            the best answer to the opposite gradient (feasible: only an optimality check sees it),
+            "outside" for an answer beyond the box, "raise" raises. The solver inside is not asked then.
         rate: share of faulty ticks, 0 to 1.
         seed: of the draw; the same seed spoils the same ticks.
 
@@ -50,6 +51,10 @@ class Faulty:
         if self.rate > 1.0:
             raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
 
+    def spoilt(self, ticks: int) -> NDArray[np.bool_]:
+        """Which of the first answers of a session are spoilt, (ticks,)."""
+        return draw(self.seed, self.rate, ticks)
+
     @property
     def name(self) -> str:
         """Of the solver inside, and what is wrong with it."""
@@ -61,15 +66,23 @@ class Faulty:
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
         """A session with a draw of its own."""
-        return FaultySession(self, self.inner.start(qp))
+        return FaultySession(self, self.inner.start(qp), qp)
+
+
+def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
+    """A seeded share of the ticks, (ticks,); a longer draw begins like a shorter one."""
+    return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
 class FaultySession:
     """``faults`` counts the answers that were spoilt."""
 
-    def __init__(self, settings: Faulty, inner: Session) -> None:
+    def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
         self._rng = np.random.default_rng(settings.seed)
+        self._liar = Exact().start(qp)
+        if hasattr(inner, "observe"):
+            self.observe = inner.observe  # the controller looks for it
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
@@ -88,4 +101,4 @@ class FaultySession:
             return Solution(10.0 * qp.upper + 1.0, None, Status.SOLVED)
         row = np.array(qp.row)
         fields(row).grad_mu[:] *= -1.0
-        return self._inner.solve(NullSpaceQP.from_row(row))
+        return self._liar.solve(NullSpaceQP.from_row(row))

@@ -38,6 +38,7 @@ _STATUS = {
     "Solve_Succeeded": Status.SOLVED,
     "Maximum_Iterations_Exceeded": Status.MAX_ITER,
     "Infeasible_Problem_Detected": Status.INFEASIBLE,
+    "0": Status.SOLVED,  # fatrop's; its 1 says no more than "not solved"
 }
 
 
@@ -80,7 +81,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class NLP:
-    """Settings that both solvers share; use ``SQP`` or ``Ipopt``.
+    """Settings that all of them share; use ``SQP``, ``Ipopt`` or ``Fatrop``.
 
     Args:
         kinematics: tip, wrist and mu as CasADi functions; ``robot.kinematics()``.
@@ -199,6 +200,34 @@ class Ipopt(NLP):
         }
 
 
+@dataclass(frozen=True)
+class Fatrop(NLP):
+    """The interior-point method FATROP (Vanroye et al. 2023), made for optimal control.
+
+    One control period is a single stage of it, so that nothing of its structure is made use of. It can
+    say that it failed, not why.
+    """
+
+    name: ClassVar[str] = "nlp-fatrop"
+    plugin: ClassVar[str] = "fatrop"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.hessian != "exact":
+            raise SolverError(f"{self.name}: hessian = {self.hessian!r} is not to be had; 'exact' is")
+
+    def options(self) -> dict[str, Any]:
+        """Silent, and without a search for stages."""
+        return {
+            "print_time": False,
+            "error_on_fail": False,
+            "structure_detection": "none",
+            "fatrop.print_level": 0,
+            "fatrop.max_iter": self.max_iter,
+            "fatrop.tol": self.eps,
+        }
+
+
 class _Call:
     """A CasADi function through its buffer: a plain call costs ten times as much."""
 
@@ -259,9 +288,13 @@ class NLPSession:
         if not self._settings.warm:
             self._forget()
         np.clip(self._x0, part.lower, part.upper, out=self._x0)
-        self._solver.run()
+        try:
+            self._solver.run()
+        except RuntimeError:  # fatrop raises where a closed box leaves more equations than joints
+            self._forget()
+            return no_answer(n, Status.NUMERICAL)
         stats = self._solver.stats()
-        status = _STATUS.get(stats["return_status"], Status.NUMERICAL)
+        status = _STATUS.get(str(stats["return_status"]), Status.NUMERICAL)
         iterations = int(stats["iter_count"])
         if not (np.isfinite(self._x).all() and np.isfinite(self._multipliers).all()):
             self._forget()

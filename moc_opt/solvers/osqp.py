@@ -16,6 +16,7 @@ from osqp import ext_builtin
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -94,17 +95,19 @@ class OSQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        A, b, _ = equalities(qp, self._settings.rows)
-        self._shape = m, n = A.shape
+        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
         # The upper triangle of P and the columns of [A; I], column by column: explicit zeros stay.
         upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])
-        self._upper = upper
         self._P = np.empty(len(upper))
         self._A = np.ones((n, m + 1))
         self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
         self._back = 1.0 / self._settings.cost_scale
         self._zeros = np.zeros(n), np.zeros(m + n)
-        self._load(qp, A, b)
+        self._load = Loader(
+            self._settings.rows, self._settings.cost_scale, P=np.empty((n, n)), packed=self._P, p=self._q,
+            A=self._A[:, :m].T, low=self._l[:m], high=self._u[:m], lower=self._l[m:], upper=self._u[m:],
+        )  # fmt: skip
+        self._load(qp)
         ends = np.cumsum(np.arange(n + 1))
         P_csc = sparse.csc_matrix((self._P, upper // n, ends), shape=(n, n))
         below = np.concatenate([np.append(np.arange(m), m + j) for j in range(n)])
@@ -122,24 +125,12 @@ class OSQPSession:
             core.CSC(P_csc), self._q, core.CSC(A_csc), self._l, self._u, m + n, n, options
         )
 
-    def _load(self, qp: NullSpaceQP, A: Array, b: Array) -> None:
-        """Copy the numbers of ``qp`` into the buffers."""
-        m, scale, part = self._shape[0], self._settings.cost_scale, qp.fields
-        qp.P.take(self._upper, out=self._P)
-        self._P *= scale
-        np.multiply(qp.p, scale, out=self._q)
-        self._A[:, :m] = A.T
-        self._l[:m] = self._u[:m] = b
-        self._l[m:], self._u[m:] = part.lower, part.upper
-
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's starts a new workspace."""
-        A, b, lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
+        if not self._load(qp):
             self._build(qp)
         m, n = self._shape
         core = self._core
-        self._load(qp, A, b)
         core.update_data_vec(q=self._q, l=self._l, u=self._u)
         core.update_data_mat(P_x=self._P, P_i=None, A_x=self._A.reshape(-1), A_i=None)
         if not self._settings.warm:
@@ -151,4 +142,4 @@ class OSQPSession:
         if status not in _HAS_X:
             return no_answer(n, status, info.iter)
         found = core.solution
-        return Solution(found.x, np.dot(found.y[:m], lift) * self._back, status, info.iter)
+        return Solution(found.x, self._load.lifted(found.y[:m], self._back), status, info.iter)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -25,6 +26,7 @@ _STATUS = {
     piqp.PIQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
     piqp.PIQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
+_HAS_X = (Status.SOLVED, Status.MAX_ITER)
 
 
 @dataclass(frozen=True)
@@ -70,36 +72,31 @@ class PIQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        A, b, _ = equalities(qp, self._settings.rows)
-        self._shape = m, n = A.shape
+        m, n = equalities(qp, self._settings.rows).A.shape
         # The library wants columns; handed rows it would copy them at every call.
         self._P, self._A, self._p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
+        self._b, self._lower, self._upper = np.empty(m), np.empty(n), np.empty(n)
+        self._load = Loader(
+            self._settings.rows, self._settings.cost_scale, P=self._P.T, p=self._p, A=self._A,
+            low=self._b, high=self._b, lower=self._lower, upper=self._upper,
+        )  # fmt: skip
         self._back = 1.0 / self._settings.cost_scale
         self._core = core = piqp.DenseSolver()
         core.settings.eps_abs, core.settings.eps_rel = self._settings.eps, 0.0
         core.settings.eps_duality_gap_abs, core.settings.eps_duality_gap_rel = self._settings.eps, 0.0
         core.settings.max_iter = self._settings.max_iter
-        self._load(qp, A)
-        core.setup(self._P, self._p, self._A, b, None, None, None, qp.lower, qp.upper)
-
-    def _load(self, qp: NullSpaceQP, A: Array) -> None:
-        """Copy the matrices of ``qp`` into the buffers."""
-        scale = self._settings.cost_scale
-        np.multiply(qp.P, scale, out=self._P)
-        np.multiply(qp.p, scale, out=self._p)
-        self._A[:] = A
+        self._load(qp)
+        core.setup(self._P, self._p, self._A, self._b, None, None, None, self._lower, self._upper)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's starts a new workspace."""
-        A, b, lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
+        if not self._load(qp):
             self._build(qp)
-        self._load(qp, A)
-        part, core = qp.fields, self._core
-        core.update(self._P, self._p, self._A, b, None, None, None, part.lower, part.upper)
+        core = self._core
+        core.update(self._P, self._p, self._A, self._b, None, None, None, self._lower, self._upper)
         status = _STATUS.get(core.solve(), Status.NUMERICAL)
         result = core.result
-        if status not in (Status.SOLVED, Status.MAX_ITER):
+        if status not in _HAS_X:
             return no_answer(qp.n, status, result.info.iter)
-        y = np.dot(result.y, lift) * self._back
+        y = self._load.lifted(result.y, self._back)
         return Solution(np.array(result.x), y, status, result.info.iter)

@@ -5,7 +5,6 @@ Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -15,6 +14,7 @@ from proxsuite import proxqp
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -26,6 +26,7 @@ _STATUS = {
     _CODE.PROXQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
+_NO_X = (Status.INFEASIBLE, Status.NUMERICAL)
 _GUESS = proxqp.InitialGuess
 _COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
@@ -94,36 +95,31 @@ class ProxQPSession:
 
     def _build(self, qp: NullSpaceQP) -> None:
         settings = self._settings
-        A, b, _ = equalities(qp, settings.rows)
-        self._shape = m, n = A.shape
-        self._bounds = settings.box == "bounds"
-        self._eye = np.eye(n)
+        m, n = equalities(qp, settings.rows).A.shape
+        P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
+        self._load = Loader(
+            settings.rows, settings.cost_scale, P=P, p=p, A=A, low=b, high=b, lower=lower, upper=upper
+        )
+        self._load(qp)
+        bounds = settings.box == "bounds"
+        box = (None, None, None) if bounds else (np.eye(n),)
+        self._data = (P, p, A, b, *box, lower, upper)
         self._back = 1.0 / settings.cost_scale
-        core = proxqp.dense.QP(n, m, 0 if self._bounds else n, self._bounds)
+        core = proxqp.dense.QP(n, m, 0 if bounds else n, bounds)
         options = core.settings
         options.eps_abs, options.eps_rel = settings.eps, 0.0
         options.eps_primal_inf = settings.eps_primal_inf
         options.max_iter, options.max_iter_in = settings.max_iter, settings.max_iter_in
         options.initial_guess = _COLD
         self._core, self._warm = core, False
-        self._load(core.init, qp, A, b)
-
-    def _load(self, target: Callable[..., None], qp: NullSpaceQP, A: Array, b: Array) -> None:
-        """Hand the numbers of ``qp`` to ``init`` or ``update``."""
-        scale, part = self._settings.cost_scale, qp.fields
-        P, p = qp.P * scale, qp.p * scale
-        if self._bounds:
-            target(P, p, A, b, None, None, None, part.lower, part.upper)
-        else:
-            target(P, p, A, b, self._eye, part.lower, part.upper)
+        core.init(*self._data)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's starts a new workspace."""
-        A, b, lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
+        if not self._load(qp):
             self._build(qp)
         core = self._core
-        self._load(core.update, qp, A, b)
+        core.update(*self._data)
         core.solve()
         result = core.results
         info = result.info
@@ -133,15 +129,15 @@ class ProxQPSession:
             # A stale start must not decide that a problem has no answer: ask again from scratch. The
             # data go in again because a failed run leaves the box scaled.
             self._guess(False)
-            self._load(core.update, qp, A, b)
+            core.update(*self._data)
             core.solve()
             status = _STATUS.get(info.status, Status.NUMERICAL)
             iterations += info.iter
         if self._settings.warm and self._warm is not (status is Status.SOLVED):
             self._guess(status is Status.SOLVED)
-        if status in (Status.INFEASIBLE, Status.NUMERICAL):
+        if status in _NO_X:
             return no_answer(qp.n, status, iterations)
-        return Solution(np.array(result.x), np.dot(result.y, lift) * self._back, status, iterations)
+        return Solution(np.array(result.x), self._load.lifted(result.y, self._back), status, iterations)
 
     def _guess(self, warm: bool) -> None:
         self._core.settings.initial_guess = _WARM if warm else _COLD

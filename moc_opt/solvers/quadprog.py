@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.loader import Loader
 from moc_opt.solvers.rows import equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -52,31 +53,31 @@ class QuadprogSession:
 
     def __init__(self, settings: Quadprog, qp: NullSpaceQP) -> None:
         self._settings = settings
-        self._build(equalities(qp, 5).A)
+        self._build(qp)
 
-    def _build(self, A: Array) -> None:
-        self._shape = m, n = A.shape
+    def _build(self, qp: NullSpaceQP) -> None:
+        self._shape = m, n = equalities(qp, 5).A.shape
         self._C, self._b = np.zeros((n, m + 2 * n), order="F"), np.empty(m + 2 * n)
         self._C[:, m : m + n] = np.eye(n)
         self._C[:, m + n :] = -np.eye(n)
         self._P, self._a = np.empty((n, n), order="F"), np.empty(n)
+        self._load = Loader(
+            5, self._settings.cost_scale, P=self._P.T, p=self._a, A=self._C[:, :m].T, low=self._b[:m],
+            high=self._b[:m], lower=self._b[m : m + n], upper=self._b[m + n :], signs=(-1.0, 1.0, -1.0),
+        )  # fmt: skip
+        self._load(qp)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; another shape than the last one's takes new buffers."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
-        A, b, lift = equalities(qp, 5)
-        if A.shape != self._shape:
-            self._build(A)
-        (m, n), part, scale = self._shape, qp.fields, self._settings.cost_scale
-        np.multiply(qp.P, scale, out=self._P)
-        np.multiply(qp.p, -scale, out=self._a)
-        self._C[:, :m] = A.T
-        self._b[:m], self._b[m : m + n] = b, part.lower
-        np.negative(part.upper, out=self._b[m + n :])
+        if not self._load(qp):
+            self._build(qp)
+        m, n = self._shape
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, m)
         except ValueError as error:  # its only way to say so
             infeasible = "inconsistent" in str(error)
             return no_answer(n, Status.INFEASIBLE if infeasible else Status.NUMERICAL)
-        return Solution(x, np.dot(multipliers[:m], lift) * (-1.0 / scale), Status.SOLVED, int(steps[0]))
+        y = self._load.lifted(multipliers[:m], -1.0 / self._settings.cost_scale)
+        return Solution(x, y, Status.SOLVED, int(steps[0]))

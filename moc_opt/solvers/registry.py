@@ -27,6 +27,7 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "clarabel": ("moc_opt.solvers.clarabel", "Clarabel", "clarabel"),
     "nlp-sqp": ("moc_opt.solvers.nlp", "SQP", "casadi"),
     "nlp-ipopt": ("moc_opt.solvers.nlp", "Ipopt", "casadi"),
+    "nlp-fatrop": ("moc_opt.solvers.nlp", "Fatrop", "casadi"),
 }
 # prefix -> (package, module): one adapter for all solvers that a library finds
 FAMILIES: dict[str, tuple[str, str]] = {

@@ -54,8 +54,10 @@ def tool_direction(row: Array, n: int, u: Array) -> bool:
     length = np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     if not length > 0.0:
         return False
-    k = np.argmax(np.abs(u))
-    u /= length if u[k] > 0.0 else -length
+    k = 0 if abs(u[0]) >= abs(u[1]) and abs(u[0]) >= abs(u[2]) else 1 if abs(u[1]) >= abs(u[2]) else 2
+    if u[k] < 0.0:
+        length = -length
+    u[0], u[1], u[2] = u[0] / length, u[1] / length, u[2] / length
     for j in range(n):
         if abs(u[0] * D[0, j] + u[1] * D[1, j] + u[2] * D[2, j]) > TIED * largest:
             return False
@@ -88,13 +90,18 @@ def assemble(row: Array, n: int, P: Array, p: Array, A5: Array, b5: Array, lift:
         return False
     lift[:] = 0.0
     lift[0, 0] = lift[1, 1] = lift[2, 2] = 1.0
-    axis = np.zeros(3)
-    axis[np.argmin(np.abs(u))] = 1.0
-    across = np.cross(u, axis)
-    across /= np.sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2])
-    other = np.cross(u, across)
-    for i in range(3):
-        lift[3, 3 + i], lift[4, 3 + i] = across[i], other[i]
+    # Across u: u x e_k for its smallest entry k, and u x that; written out, np.cross costs more than all the rest.
+    x, y, z = u[0], u[1], u[2]
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        ax, ay, az = 0.0, z, -y
+    elif abs(y) <= abs(z):
+        ax, ay, az = -z, 0.0, x
+    else:
+        ax, ay, az = y, -x, 0.0
+    length = np.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / length, ay / length, az / length
+    lift[3, 3], lift[3, 4], lift[3, 5] = ax, ay, az
+    lift[4, 3], lift[4, 4], lift[4, 5] = y * az - z * ay, z * ax - x * az, x * ay - y * ax
     for i in range(3):
         b5[i] = row[o + i]
         for j in range(n):

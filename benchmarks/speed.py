@@ -1,0 +1,166 @@
+"""What everything costs, side by side in one run: ticks, solvers, adapters, the loop, set-up, and other libraries.
+
+python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick]
+"""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, field_validator
+
+from benchmarks import output
+from benchmarks.speed_report import print_tables, write_report
+from benchmarks.speed_run import Run
+from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.report.console import console, progress
+from moc_opt.scenario import Scenario
+from moc_opt.settings import Settings
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class TickTable(Settings):
+    """Whole ticks and their parts."""
+
+    KIND: ClassVar[str] = "[tick]"
+    solvers: list[str] = Field(["exact", "daqp", "proxqp", "osqp"], min_length=1)
+    ticks: int = Field(2000, ge=100)
+    rounds: Count = 4
+
+    @field_validator("solvers")
+    @classmethod
+    def _with_exact(cls, value: list[str]) -> list[str]:
+        if "exact" not in value:
+            raise ValueError("'exact' must be among them: the others are compared with it")
+        return value
+
+
+class ExactTable(Settings):
+    """The solver ``exact`` on its own."""
+
+    KIND: ClassVar[str] = "[exact]"
+    joints: list[Annotated[int, Field(ge=6, le=20)]] = Field([6, 7, 8, 9])
+    problems: int = Field(500, ge=100)
+    batch: Count = 250_000
+
+
+class AdapterTable(Settings):
+    """Adapters against their libraries."""
+
+    KIND: ClassVar[str] = "[adapters]"
+    names: Literal["all"] | list[str] = "all"
+    rounds: Count = 4
+
+
+class LoopTable(Settings):
+    """The closed loop."""
+
+    KIND: ClassVar[str] = "[loop]"
+    duration_s: float = Field(8.0, gt=0.0, le=60.0)
+    runs: Count = 5
+    two_process_rounds: int = Field(3, ge=0)
+    memory_s: tuple[float, float] = (2.0, 8.0)
+
+    @field_validator("memory_s")
+    @classmethod
+    def _shorter_first(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if not 0.1 <= value[0] < value[1]:
+            raise ValueError("give the shorter length first, 0.1 s or more")
+        return value
+
+
+class SetupTable(Settings):
+    """New processes."""
+
+    KIND: ClassVar[str] = "[setup]"
+    processes: int = Field(5, ge=0)
+
+
+class PeerTable(Settings):
+    """Other libraries."""
+
+    KIND: ClassVar[str] = "[peers]"
+    names: Literal["all"] | list[str] = "all"
+    rounds: Count = 4
+
+
+class Config(Settings):
+    """benchmarks/configs/speed.toml."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    tick: TickTable = TickTable()
+    exact: ExactTable = ExactTable()
+    adapters: AdapterTable = AdapterTable()
+    loop: LoopTable = LoopTable()
+    setup: SetupTable = SetupTable()
+    peers: PeerTable = PeerTable()
+    scenario: Scenario = Scenario()
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a TOML file; errors name file and field."""
+        try:
+            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
+
+    def quick(self) -> Self:
+        """The same on less data: for a first look and for the tests."""
+        few = {
+            "tick": {"ticks": min(self.tick.ticks, 400), "rounds": 1},
+            "exact": {"problems": 100, "batch": min(self.exact.batch, 20_000)},
+            "adapters": {"rounds": 1},
+            "loop": {"duration_s": 1.0, "runs": 1, "two_process_rounds": 1, "memory_s": (0.5, 1.0)},
+            "setup": {"processes": min(self.setup.processes, 1)},
+            "peers": {"rounds": 1},
+        }
+        tables = {name: getattr(self, name).model_copy(update=values) for name, values in few.items()}
+        return self.model_copy(update=tables)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure everything; 0, or 2 with a message where the input is wrong."""
+    given = output.parser("speed", "Measure what everything costs.").parse_args(arguments)
+    try:
+        config = Config.load(given.config or output.default_config("speed"))
+        if given.seed is not None:
+            config = config.model_copy(update={"seed": given.seed})
+        if given.quick:
+            config = config.quick()
+        measure(config, given.out, given.json, list(arguments or sys.argv[1:]))
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def measure(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
+    """All parts, all files; returns the summary."""
+    run = Run(config)
+    with progress("speed", run.steps()) as bar:
+
+        def advance(text: str) -> None:
+            bar.at(text)
+            bar.advance()
+
+        summary = run.measure(advance)
+    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
+    output.write_json(out / "summary.json", summary)
+    output.write_rows(out / "rows.parquet", run.rows)
+    output.write_json(out / "environment.json", environment)
+    write_report(out / "report.html", summary, run.ticks, environment)
+    if as_json:
+        print((out / "summary.json").read_text(), end="")
+    else:
+        print_tables(console(), summary, out)
+    return summary
+
+
+if __name__ == "__main__":
+    sys.exit(main())

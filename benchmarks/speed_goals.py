@@ -1,0 +1,80 @@
+"""What this project wants to reach, beside what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+
+class Goal(NamedTuple):
+    """One goal: reached when the measured value is at most, or at least, so much."""
+
+    what: str
+    unit: str
+    limit: float
+    most: bool
+    """True: at most ``limit``; False: at least."""
+    measured: Callable[[Any], Any]
+    """The value in a summary; LookupError where it was not measured."""
+
+
+def _largest(part: str, metric: str) -> Callable[[Any], float]:
+    return lambda s: max(found[metric] for found in s[part].values() if metric in found)
+
+
+def _best_peer(s: Any) -> float:
+    return min(found["tick_p50_us"] for found in s["peers"].values())
+
+
+GOALS = {
+    "tick_p50": Goal("tick with exact, from state to torque: median", "us", 25.0, True,
+                     lambda s: s["tick"]["exact"]["tick_p50_us"]),
+    "tick_p99_9": Goal("the same: p99.9", "us", 100.0, True, lambda s: s["tick"]["exact"]["tick_p99_9_us"]),
+    "loop_tick_p50": Goal("the same inside the closed loop: median", "us", 25.0, True,
+                          lambda s: s["loop"]["python"]["tick_p50_us"]),
+    "loop_tick_p99_9": Goal("the same inside the closed loop: p99.9", "us", 100.0, True,
+                            lambda s: s["loop"]["python"]["tick_p99_9_us"]),
+    "exact_p50": Goal("exact from Python, recorded subproblems: median", "us", 1.5, True,
+                      lambda s: s["exact"]["recorded"]["solve_p50_us"]),
+    "exact_any_n": Goal("exact from Python, random arms without structure, slowest n: median", "us", 1.5, True,
+                        _largest("exact", "solve_p50_us")),
+    "exact_primal": Goal("exact, any n: largest primal residual", "", 1e-13, True, _largest("exact", "primal_max")),
+    "exact_natural": Goal("exact, any n: largest natural residual", "", 1e-13, True, _largest("exact", "natural_max")),
+    "exact_batch": Goal("exact: a million recorded subproblems in one call", "s", 5.0, True,
+                        lambda s: s["exact"]["recorded"]["batch_million_s"]),
+    "adapters": Goal("slowest adapter over its library by hand", "", 1.05, True, _largest("adapters", "ratio")),
+    "loop": Goal("closed loop, one core, over real time", "", 30.0, False, lambda s: s["loop"]["python"]["factor"]),
+    "two_processes": Goal("two processes over one", "", 1.8, False,
+                          lambda s: s["loop"]["two processes"]["speed_up"]),
+    "import": Goal("import moc_opt", "s", 0.3, True, lambda s: s["setup"]["moc_opt"]["import_s"]),
+    "first_tick": Goal("first tick of a new process, libraries loaded", "s", 2.0, True,
+                       lambda s: s["setup"]["moc_opt"]["first_tick_s"]),
+    "c_tick": Goal("tick in C, called from Python: median", "us", 5.0, True, lambda s: s["tick"]["c"]["tick_p50_us"]),
+    "c_loop": Goal("closed loop with the tick in C, over real time", "", 60.0, False,
+                   lambda s: s["loop"]["c"]["factor"]),
+    "peers": Goal("fastest peer's tick over ours", "", 4.0, False,
+                  lambda s: _best_peer(s) / s["tick"]["exact"]["tick_p50_us"]),
+    "peers_c": Goal("fastest peer's tick over ours in C", "", 4.0, False,
+                    lambda s: _best_peer(s) / s["tick"]["c"]["tick_p50_us"]),
+}  # fmt: skip
+"""Key -> goal."""
+
+
+def judge_goals(summary: Summary) -> dict[str, dict[str, Any]]:
+    """Goal -> what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
+    found = {}
+    for key, goal in GOALS.items():
+        try:
+            value = float(goal.measured(summary))
+        except (LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
+            value = None
+        reached = "not measured"
+        if value is not None:
+            reached = "yes" if (value <= goal.limit if goal.most else value >= goal.limit) else "no"
+        found[key] = {
+            "what": goal.what, "unit": goal.unit, "goal": goal.limit,
+            "kind": "at most" if goal.most else "at least", "value": value, "reached": reached,
+        }  # fmt: skip
+    return found
