@@ -1,0 +1,40 @@
+"""The pictures of the README: python -m benchmarks.pictures [--out DIR]."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from moc_opt.errors import MocOptError
+from moc_opt.report import figures
+from moc_opt.report.export import save_figures
+from moc_opt.scenario import Scenario, run
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """One trial under three controllers, as SVG; 2 with a message where no browser is there."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pictures", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs") / "pictures")
+    given = parser.parse_args(arguments)
+    trial = Scenario(seed=1, start={"swivel": "random"}, control={"preset": "tuned"}, bound_samples=40)
+    gains = {name: getattr(trial.control, name) for name in ("K_X", "D_X", "K_N", "D_N")}
+    runs = {
+        "dcac, same gains": trial.change(control={"law": "dcac", "gains": trial.control.gains or "moc", **gains}),
+        "moc, exact": trial,
+        "moc, rnn": trial.change(solver={"name": "rnn", "settings": {}}),
+        "moc, rnn-printed": trial.change(solver={"name": "rnn-printed", "settings": {}}),
+    }
+    try:
+        found = {name: run(scenario) for name, scenario in runs.items()}
+        for path in save_figures({"trial": figures.time_series(found)}, given.out, formats=("svg",)):
+            print(path)
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
