@@ -122,11 +122,11 @@ def solve_row(row: Array, n: int, tolerance: float, x: Array, y: Array) -> int:
             W, n, rank, pivots, moving[0], grad_mu, lower, upper, c2, rho, tolerance, x, bound_dual
         )
     elif count > 1:
-        Z = np.zeros((n, count))
+        Z = np.zeros((count, n))
         for c in range(count):
-            Z[moving[c], c] = 1.0
+            Z[c, moving[c]] = 1.0
             for k in range(rank):
-                Z[pivots[k], c] = -W[k, moving[c]]
+                Z[c, pivots[k]] = -W[k, moving[c]]
         status = maximise_over_box(Z, grad_mu, lower, upper, c2, rho, tolerance, x, bound_dual)
     for j in range(n):
         if x[j] < lower[j] - tolerance or x[j] > upper[j] + tolerance:

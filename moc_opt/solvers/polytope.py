@@ -20,13 +20,70 @@ FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in 
 
 
 @njit(cache=True, nogil=True)
+def dot(a: Array, b: Array) -> float:
+    """a . b as a loop: at this size a call into BLAS costs more than the sum."""
+    s = 0.0
+    for i in range(a.shape[0]):
+        s += a[i] * b[i]
+    return s
+
+
+@njit(cache=True, nogil=True)
 def orthonormal(Z: Array) -> None:
-    """Gram-Schmidt on the columns of Z (n, r), in place, twice over for orthogonality to rounding."""
-    for c in range(Z.shape[1]):
+    """Gram-Schmidt on the rows of Z (r, n), in place, twice over for orthogonality to rounding."""
+    r, n = Z.shape
+    for c in range(r):
         for _ in range(2):
             for d in range(c):
-                Z[:, c] -= (Z[:, d] @ Z[:, c]) * Z[:, d]
-        Z[:, c] /= np.sqrt(Z[:, c] @ Z[:, c])
+                along = dot(Z[d], Z[c])
+                for j in range(n):
+                    Z[c, j] -= along * Z[d, j]
+        length = np.sqrt(dot(Z[c], Z[c]))
+        for j in range(n):
+            Z[c, j] /= length
+
+
+@njit(cache=True, nogil=True)
+def steer(N: Array, active: NDArray[np.int64], k: int, p: int, z: Array, back: Array, G: Array) -> float:
+    """Split the normal of bound p into z (r,), across the k active normals, and ``back`` (k,) along them.
+
+    back = (B B^T)^-1 B n_p for the active rows B, by Cholesky in G (r, r). Returns n_p . z.
+    """
+    r = N.shape[1]
+    for i in range(k):
+        for j in range(i + 1):
+            s = 0.0
+            for c in range(r):
+                s += N[active[i], c] * N[active[j], c]
+            for c in range(j):
+                s -= G[i, c] * G[j, c]
+            G[i, j] = np.sqrt(max(s, 1e-300)) if i == j else s / G[j, j]
+        s = 0.0
+        for c in range(r):
+            s += N[active[i], c] * N[p, c]
+        for c in range(i):
+            s -= G[i, c] * back[c]
+        back[i] = s / G[i, i]
+    for i in range(k - 1, -1, -1):
+        for c in range(i + 1, k):
+            back[i] -= G[c, i] * back[c]
+        back[i] /= G[i, i]
+    curvature = 0.0
+    for c in range(r):
+        z[c] = N[p, c]
+        for i in range(k):
+            z[c] -= N[active[i], c] * back[i]
+        curvature += N[p, c] * z[c]
+    return curvature
+
+
+@njit(cache=True, nogil=True)
+def gap(N: Array, c: Array, w: Array, i: int) -> float:
+    """How far w violates bound i."""
+    s = c[i]
+    for j in range(w.shape[0]):
+        s -= N[i, j] * w[j]
+    return s
 
 
 @njit(cache=True, nogil=True)
@@ -34,42 +91,35 @@ def project(N: Array, c: Array, w: Array, multipliers: Array, tolerance: float) 
     """Project w (r,) onto {N w >= c}, in place; multipliers (m,) of w - w_start = N^T multipliers."""
     m, r = N.shape
     active = np.empty(r, dtype=np.int64)
-    lam = np.zeros(r + 1)
+    lam, back, z, G = np.zeros(r + 1), np.zeros(r), np.zeros(r), np.empty((r, r))
     k = 0
     multipliers[:] = 0.0
     for _ in range(20 * m):
         p, worst = -1, tolerance
         for i in range(m):
-            gap = c[i] - N[i] @ w
-            if gap > worst:
-                p, worst = i, gap
+            violation = gap(N, c, w, i)
+            if violation > worst:
+                p, worst = i, violation
         if p < 0:
             for i in range(k):
                 multipliers[active[i]] = lam[i]
             return OK
         own = 0.0
         while True:
-            z = N[p].copy()
-            back = np.zeros(k)
-            if k > 0:
-                B = np.empty((k, r))
-                for i in range(k):
-                    B[i] = N[active[i]]
-                back = np.linalg.solve(B @ B.T, B @ N[p])
-                z -= B.T @ back
+            curvature = steer(N, active, k, p, z, back, G)
             drop, step = -1, np.inf
             for i in range(k):
                 if back[i] > 1e-12 and lam[i] / back[i] < step:
                     drop, step = i, lam[i] / back[i]
-            curvature = z @ N[p]
             full = np.inf
-            if k < r and curvature > 1e-12 * (N[p] @ N[p]):
-                full = (c[p] - N[p] @ w) / curvature
+            if k < r and curvature > 1e-12:  # the normals are unit vectors
+                full = gap(N, c, w, p) / curvature
             if drop < 0 and full == np.inf:
                 return EMPTY
             length = min(step, full)
             if full < np.inf:
-                w += length * z
+                for j in range(r):
+                    w[j] += length * z[j]
             for i in range(k):
                 lam[i] -= length * back[i]
             own += length
@@ -85,50 +135,48 @@ def project(N: Array, c: Array, w: Array, multipliers: Array, tolerance: float) 
 
 @njit(cache=True, nogil=True)
 def maximise_over_box(
-    Z: Array,
-    grad_mu: Array,
-    lower: Array,
-    upper: Array,
-    c2: float,
-    rho: float,
-    tolerance: float,
-    x: Array,
-    bound_dual: Array,
-) -> int:
-    """Move x (n,) along the columns of Z to the optimum; adds the bounds' multipliers to bound_dual."""
-    n, r = Z.shape
+    Z: Array, grad_mu: Array, lower: Array, upper: Array, c2: float, rho: float, tolerance: float,
+    x: Array, bound_dual: Array,
+) -> int:  # fmt: skip
+    """Move x (n,) along the rows of Z (r, n) to the optimum; adds the bounds' multipliers to bound_dual."""
+    r, n = Z.shape
     orthonormal(Z)
-    used = np.empty(n, dtype=np.int64)  # joints that Z moves: the others belong to somebody else
-    m = 0
+    for c in range(r):
+        along = dot(Z[c], x)
+        for j in range(n):
+            x[j] -= along * Z[c, j]
+    # Unit normals, so that one tolerance fits all bounds; joints that Z does not move belong to somebody else.
+    used, sizes, m = np.empty(n, dtype=np.int64), np.empty(n), 0
     for j in range(n):
-        if np.max(np.abs(Z[j])) > 1e-13:
-            used[m] = j
+        size = np.sqrt(dot(Z[:, j], Z[:, j]))
+        if size > 1e-13:
+            used[m], sizes[m] = j, size
             m += 1
-    along = Z.T @ x
-    x -= Z @ along
-    N, c = np.empty((2 * m, r)), np.empty(2 * m)
-    width = 0.0
+    N, c_bound, width = np.empty((2 * m, r)), np.empty(2 * m), 0.0
     for i in range(m):
         j = used[i]
-        size = np.sqrt(Z[j] @ Z[j])  # unit normals: one tolerance fits all bounds
-        N[i], c[i] = Z[j] / size, (lower[j] - x[j]) / size
-        N[m + i], c[m + i] = -Z[j] / size, (x[j] - upper[j]) / size
+        for c in range(r):
+            N[i, c] = Z[c, j] / sizes[i]
+            N[m + i, c] = -N[i, c]
+        c_bound[i], c_bound[m + i] = (lower[j] - x[j]) / sizes[i], (x[j] - upper[j]) / sizes[i]
         width = max(width, upper[j] - lower[j])
-    pull = np.zeros(r)
-    for i in range(n):
-        pull += c2 * grad_mu[i] * Z[i]
-    size = np.sqrt(pull @ pull)
-    multipliers = np.empty(2 * m)
-    w = np.zeros(r)
+    pull, largest = np.empty(r), 0.0
+    for c in range(r):
+        pull[c] = c2 * dot(Z[c], grad_mu)
+        largest += pull[c] * pull[c]
+    largest = np.sqrt(largest)
+    multipliers, w, before = np.empty(2 * m), np.zeros(r), np.empty(r)
     small = 1e-14 * max(1.0, width)
-    if rho > 0.0 and size <= FAR * width * rho:
-        w[:] = pull / rho
-        status = project(N, c, w, multipliers, small)
-        multipliers *= rho
+    if rho > 0.0 and largest <= FAR * width * rho:
+        for c in range(r):
+            w[c] = pull[c] / rho
+        status = project(N, c_bound, w, multipliers, small)
+        weight = rho
     else:
-        status = project(N, c, w, multipliers, small)
+        status = project(N, c_bound, w, multipliers, small)
         multipliers[:] = 0.0
-        base = 10.0 * max(width, 1e-6) / size if size > 0.0 else 0.0
+        weight = 0.0
+        base = 10.0 * max(width, 1e-6) / largest if largest > 0.0 else 0.0
         # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
         # at the vertex and takes the rounding of the long ones out.
         for scale in (1e8, 1e4, 1.0):
@@ -136,15 +184,19 @@ def maximise_over_box(
             for _ in range(50):
                 if status != OK or step == 0.0:
                     break
-                before = w.copy()
-                w += step * pull
-                w /= 1.0 + rho * step
-                status = project(N, c, w, multipliers, small * max(1.0, 1e-3 * scale))
-                multipliers *= rho + 1.0 / step
-                if np.max(np.abs(w - before)) <= small * scale:
+                moved = 0.0
+                for c in range(r):
+                    before[c] = w[c]
+                    w[c] = (w[c] + step * pull[c]) / (1.0 + rho * step)
+                status = project(N, c_bound, w, multipliers, small * max(1.0, 1e-3 * scale))
+                weight = rho + 1.0 / step
+                for c in range(r):
+                    moved = max(moved, abs(w[c] - before[c]))
+                if moved <= small * scale:
                     break
-    x += Z @ w
+    for c in range(r):
+        for j in range(n):
+            x[j] += w[c] * Z[c, j]
     for i in range(m):
-        j = used[i]
-        bound_dual[j] += (multipliers[i] - multipliers[m + i]) / np.sqrt(Z[j] @ Z[j])
+        bound_dual[used[i]] += weight * (multipliers[i] - multipliers[m + i]) / sizes[i]
     return status
