@@ -44,7 +44,10 @@ class Here:
 
     def __exit__(self, *exc: object) -> None: ...
 
-    def renew(self) -> None: ...
+    renewed = 0
+
+    def renew(self) -> None:
+        self.renewed += 1
 
     def window(self) -> int:
         return 2

@@ -15,7 +15,7 @@ from benchmarks import sweep, sweep_engine
 from benchmarks.sweep_errors import WorkerError
 from benchmarks.sweep_local import LocalPool
 from benchmarks.sweep_plan import Plan
-from tests.sweeps import config, do, made_up
+from tests.sweeps import Here, config, do, made_up
 
 
 def moody(table: Any, limit_s: float) -> dict[str, Any]:
@@ -47,6 +47,23 @@ def test_a_run_that_kills_its_worker_is_given_up_and_tried_again_next_time(
     assert pq.read_table(tmp_path / "sweep" / "rows.parquet")["error"].to_pylist()[0] is None
 
 
+def test_a_bad_disk_takes_no_worker_down() -> None:
+    tables = [Plan(config()).scenario(i).model_dump(mode="json") for i in range(12)]
+    pool, kept, bad = Here(), list[int](), iter([True])
+
+    def work(table: Any, limit_s: float) -> dict[str, Any]:
+        if next(bad, False):
+            raise OSError(errno.EIO, "Input/output error")
+        return made_up(table, limit_s)
+
+    assert (
+        sweep_engine.run_all(pool, range(12), tables.__getitem__, lambda i, _: kept.append(i), 1.0, work)
+        == {}
+    )
+    assert sorted(kept) == list(range(12))
+    assert pool.renewed == 0
+
+
 def test_workers_that_only_die_stop_the_sweep(tmp_path: Path) -> None:
     def die(table: Any, limit_s: float) -> dict[str, Any]:
         raise ChildProcessError("gone")
@@ -58,7 +75,7 @@ def test_workers_that_only_die_stop_the_sweep(tmp_path: Path) -> None:
 def test_another_version_or_a_defect_of_a_worker_stops_the_sweep(tmp_path: Path) -> None:
     with pytest.raises(WorkerError, match="another moc_opt"):
         do(Plan(config()), tmp_path, lambda *job: {**made_up(*job), "version": "0.0.0"})
-    with pytest.raises(WorkerError, match="cannot do run 0: KeyError"):
+    with pytest.raises(WorkerError, match=r"cannot do run [01]: KeyError"):
         do(Plan(config()), tmp_path, lambda table, limit_s: table["nothing"])
 
 
@@ -76,11 +93,14 @@ def test_errors_of_a_run_are_its_row(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def hangs_or_kills(table: Any, limit_s: float) -> dict[str, Any]:
-    """In a worker: one run hangs in a library, one is killed once from outside, the others take a while."""
+    """In a worker: one run hangs, one is killed once from outside, one once meets a bad disk, the others work."""
     marker = Path(os.environ["MOODY"])
     if table["seed"] == 1 and not marker.exists():
         marker.touch()
         os.kill(os.getpid(), 9)
+    if table["seed"] == 6 and not marker.with_suffix(".io").exists():
+        marker.with_suffix(".io").touch()
+        raise OSError(errno.EIO, "Input/output error")
     if table["seed"] == 2:
         sweep_engine.scenario.run = lambda scenario: time.sleep(60)
         return sweep_engine.execute(table, limit_s)
@@ -97,7 +117,7 @@ def test_processes_that_hang_or_are_killed_cost_only_their_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MOODY", str(tmp_path / "moody"))
-    asked = config(seeds=4, grid={"control.damping": [1e-6]}, run_limit_s=0.5)
+    asked = config(seeds=7, grid={"control.damping": [1e-6]}, run_limit_s=0.5)
     lost = sweep.sweep(asked, tmp_path / "sweep", Impatient(2), hangs_or_kills)
     assert list(lost) == [2]
     errors = pq.read_table(tmp_path / "sweep" / "rows.parquet")["error"].to_pylist()
