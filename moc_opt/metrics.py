@@ -263,6 +263,18 @@ def silently_wrong(trace: Trace) -> float:
 
 
 @metric
+def faults(trace: Trace) -> float:
+    """Ticks at which the third level's answer was refused or missing, for whatever reason."""
+    return float(np.count_nonzero((trace.fault != "none") & (trace.fault != "stopped")))
+
+
+@metric
+def limited_ticks(trace: Trace) -> float:
+    """Ticks at which the guard changed the torque that was asked for."""
+    return float(np.count_nonzero(trace.limited))
+
+
+@metric
 def primal_max(trace: Trace) -> float:
     """Largest max(|A x - b|_inf, box violation) over the subproblems [rad/s, m/s]."""
     return float(_known(trace, "primal").max())

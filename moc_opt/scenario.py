@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from moc_opt.sim.loop import Brain, Stop, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.solvers.base import Solver, Status
+from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import judge, row_length
 from moc_opt.tasks import Reference, Trocar, make_path
@@ -32,14 +34,17 @@ from moc_opt.trace import Trace
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
+MOST_TICKS = 5_000_000
+"""Of a run: almost three hours at 500 Hz. More is a slip of the pen, and would not fit into memory."""
+
 
 class RobotTable(Settings):
     """Which arm, and which tool on it."""
 
     KIND: ClassVar[str] = "[robot]"
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
-    tool_length_m: float | None = Field(default=None, gt=0.0)
-    tool_mass_kg: float | None = Field(default=None, gt=0.0)
+    tool_length_m: float | None = Field(default=None, gt=0.0, le=10.0)
+    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
 
 
 class StartTable(Settings):
@@ -65,7 +70,7 @@ class TrocarTable(Settings):
 
     KIND: ClassVar[str] = "[trocar]"
     depth_m: float = Field(default=0.15, gt=0.0, description="of the tip below the trocar at t = 0")
-    breathing_amplitude_m: float = Field(default=0.0, ge=0.0)
+    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5)
     breathing_period_s: float = Field(default=4.0, gt=0.0)
     breathing_direction: Vector = (0.0, 0.0, 1.0)
     breathing_known: bool = Field(
@@ -100,6 +105,11 @@ class SolverTable(Settings):
     KIND: ClassVar[str] = "[solver]"
     name: str = "exact"
     settings: dict[str, Any] = Field(default_factory=dict)
+    replay_us: str | tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
+        default=None,
+        description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
+        "budget, over and over: a run with deadlines can then be repeated exactly",
+    )
 
 
 class Scenario(Settings):
@@ -121,7 +131,7 @@ class Scenario(Settings):
     faults: FaultSettings = FaultSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     bound_samples: int = Field(
-        default=25, ge=0, description="points of the path at which the largest mu is scanned for"
+        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
     )
 
     @field_validator("control", mode="before")
@@ -157,14 +167,17 @@ class Scenario(Settings):
             table = tomllib.loads(file.read_text(encoding="utf-8"))
         except FileNotFoundError as error:
             raise ScenarioError(f"{file}: no such file; give the path of a scenario in TOML") from error
-        except (OSError, UnicodeDecodeError) as error:
-            raise ScenarioError(f"{file}: cannot be read: {error}") from error
         except tomllib.TOMLDecodeError as error:
             raise ScenarioError(f"{file}: not TOML: {error}") from error
+        except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
+            raise ScenarioError(f"{file}: cannot be read: {error}") from error
+        except RecursionError as error:
+            raise ScenarioError(f"{file}: tables or lists in it are nested too deep") from error
         try:
             return cls(**table)
-        except ScenarioError as error:
-            raise ScenarioError(f"{file}: {error}") from error
+        except MocOptError as error:
+            error.args = (f"{file}: {error}",)  # of whichever kind it is
+            raise
 
     def change(self, **tables: Any) -> Self:
         """A copy with some fields changed; a mapping changes fields inside a table."""
@@ -193,8 +206,11 @@ class Setup:
         self.robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
         self.q_start = self._start_pose(np.random.default_rng(start_seed))
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
+        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
+            self.plant.push(scenario.faults.bump_link, np.zeros(3))
         self.plant.reset(self.q_start)
         self._fault_seed = fault_seed
+        self._replayed_us = _recorded_times(scenario)
         state = self.robot.state(self.q_start)
 
         trocar = scenario.trocar
@@ -213,6 +229,11 @@ class Setup:
         path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
         self.reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
         self.duration_s = scenario.duration_s or task.wait_s + self.reference.duration + task.hold_s
+        if not self.duration_s / scenario.plant.period_s <= MOST_TICKS:
+            raise ScenarioError(
+                f"{self.duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
+                f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks"
+            )
 
     def _start_pose(self, rng: np.random.Generator) -> Array:
         start = self.scenario.start
@@ -226,15 +247,46 @@ class Setup:
         """The solver that the scenario asks for; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
-        return make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+        solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+        faults = self.scenario.faults
+        if faults.solver == "none" or faults.solver == "hang":
+            return solver
+        return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> Controller:
         """The law and solver that the scenario asks for."""
-        return Controller(self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s)
+        settings, times = self.scenario.control, self._replay()
+        if self.scenario.faults.solver == "hang" and settings.law == "moc":
+            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+            watch = settings.supervisor
+            budget = watch.budget_us or self.scenario.deadline_us
+            settings = settings.model_copy(
+                update={"supervisor": watch.model_copy(update={"budget_us": budget})}
+            )
+            # one more in front, because a tick is run for nothing before the loop
+            times = itertools.chain([0.0], np.where(self.spoilt(), 10.0 * budget, 0.0))
+        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
+
+    def _replay(self) -> Iterator[float] | None:
+        """The recorded solve times from the start, their first one twice: a tick is run for nothing before the loop."""
+        times = self._replayed_us
+        return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
+
+    def spoilt(self) -> NDArray[np.bool_]:
+        """At which ticks the solver's answer is spoilt on purpose, (N,)."""
+        faults, ticks = self.scenario.faults, len(self.times())
+        if faults.solver == "none" or self.scenario.control.law != "moc":
+            return np.zeros(ticks, dtype=np.bool_)
+        return draw(self._fault_seed, faults.solver_share, ticks)
 
     def brain(self) -> Brain:
         """The controller as the loop wants it, in Python or compiled."""
         if self.scenario.control.backend == "c":
+            if self.scenario.faults.solver != "none":
+                raise ScenarioError(
+                    f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
+                    "take [control] backend = 'python'"
+                )
             from moc_opt.embedded import NativeController  # late: nobody else needs CasADi and a compiler
 
             return NativeController(
@@ -257,21 +309,25 @@ class Setup:
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
-        period, guard = self.scenario.plant.period_s, self.scenario.guard
-        faults = Faults(self.scenario.faults, self.robot.n, period, self._fault_seed)
+        period, guard, wrong = self.scenario.plant.period_s, self.scenario.guard, self.scenario.faults
+        faults = Faults(wrong, self.robot.n, period, self._fault_seed)
         trace = simulate(
             self.plant, self.brain(), np.stack(self.reference.at(t), axis=1),
             faults.slip(np.stack(self.trocar.at(t), axis=1), t), np.stack(self.registered.at(t), axis=1),
-            guard=Guard(self.robot.data, guard, period), faults=faults if faults.any else None,
+            guard=Guard(self.robot.data, guard, period, self.robot.gravity),
+            faults=faults if wrong.around_the_arm else None,
             stop=Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s), watch=watch, meta=meta,
         )  # fmt: skip
+        if wrong.solver != "none":
+            trace = trace.with_columns(injected=self.spoilt()[: len(trace)])
         mu = self.robot.mu_along(trace.q_rad)
         return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
 
     def _mu_bound(self, trace: Trace) -> Array:
         """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""
         bound = np.full(len(trace), np.nan)
-        for k in np.linspace(0, len(trace) - 1, self.scenario.bound_samples).astype(int):
+        samples = min(self.scenario.bound_samples, len(trace))
+        for k in np.linspace(0, len(trace) - 1, samples).astype(int):
             inside = np.clip(trace.q_rad[k], self.robot.q_min, self.robot.q_max)
             try:
                 bound[k] = self_motion(self.robot, inside).mu_best
@@ -288,11 +344,39 @@ class Setup:
         return trace.with_columns(verified=found.verified(), **columns)
 
 
+def _recorded_times(scenario: Scenario) -> list[float] | None:
+    """The times of ``[solver] replay_us``, read and checked; None where the clock decides.
+
+    Raises:
+        ScenarioError: a file that holds no such times, or a controller that cannot take them.
+    """
+    given = scenario.solver.replay_us
+    if given is None:
+        return None
+    if scenario.control.backend == "c":
+        raise ScenarioError(
+            "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
+        )
+    try:
+        times = np.asarray(
+            np.load(given, allow_pickle=False) if isinstance(given, str) else given, dtype=float
+        )
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
+    if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
+        raise ScenarioError(
+            f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
+        )
+    return [float(time) for time in times]
+
+
 class Driver:
     """Connects a controller to the loop: measurements become a model state, and the answers become columns."""
 
     def __init__(self, controller: Controller) -> None:
         self.controller, self._robot = controller, controller.robot
+        self.tip: Array = np.zeros(3)
+        """Where the last tick saw the tip (3,) [m]."""
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """See ``sim.loop.Brain``; one tick is run for nothing, so that no compiler runs in the loop."""
@@ -303,7 +387,9 @@ class Driver:
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """See ``sim.loop.Brain``."""
-        return self.controller.tick(self._robot.state(q, v), tip_ref, trocar)
+        state = self._robot.state(q, v)
+        self.tip = state.tip
+        return self.controller.tick(state, tip_ref, trocar)
 
     def sent(self, tau: Array) -> None:
         """See ``sim.loop.Brain``."""
@@ -319,7 +405,7 @@ class Driver:
         if self.controller.solver is not None:
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
-                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.empty((ticks, row_length(n))),
+                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
                 "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
             }  # fmt: skip
         return found

@@ -44,7 +44,8 @@ class Trace:
             "t_s": Column("s", "(N,)", "time at the start of the tick"),
             "q_rad": Column("rad", "(N, n)", "true joint positions"),
             "v_rad_per_s": Column("rad/s", "(N, n)", "true joint velocities"),
-            "tau_Nm": Column("Nm", "(N, n)", "joint torques the controller asked for"),
+            "tau_Nm": Column("Nm", "(N, n)", "joint torques sent to the arm, within the guard's limits"),
+            "limited": Column("1", "(N,)", "joints at which the guard changed the torque that was asked for"),
             "tip_m": Column("m", "(N, 3)", "true tip X"),
             "tip_ref_m": Column("m", "(N, 3)", "tip reference X_d"),
             "wrist_m": Column("m", "(N, 3)", "true wrist centre N"),
@@ -55,6 +56,16 @@ class Trace:
             "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
             "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
             "status": Column("", "(N,)", "status the solver claimed; 'none' without a third level", "text"),
+            "applied_x_rad_per_s": Column(
+                "rad/s", "(N, n)", "what the third level followed: the answer, or its stand-in"
+            ),
+            "fault": Column(
+                "",
+                "(N,)",
+                "why the answer was refused, as a control.supervisor.Fault; 'stopped': nobody was asked",
+                "text",
+            ),
+            "injected": Column("", "(N,)", "the answer of this tick was spoilt on purpose", "flag"),
             "solve_us": Column("us", "(N,)", "time of the solver; NaN where there was no subproblem"),
             "tick_us": Column("us", "(N,)", "time of the whole tick, state to torque"),
             "tick": Column("1", "(N,)", "number of the tick; without it the rows are consecutive"),

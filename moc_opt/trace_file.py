@@ -19,6 +19,7 @@ from moc_opt.errors import TraceError
 Columns = Mapping[str, NDArray[Any]]
 
 _VERSION = "1"
+_MOST_ROWS, _MOST_BYTES = 20_000_000, 2**31
 _VERSION_KEY, _META_KEY, _TYPES_KEY = b"moc_opt.trace", b"moc_opt.meta", b"moc_opt.types"
 
 
@@ -73,6 +74,8 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
     name = str(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            if file.metadata.num_rows > _MOST_ROWS:  # a few bytes of a repeated value can stand for terabytes
+                raise ValueError(f"{file.metadata.num_rows} rows, {_MOST_ROWS} at most")
             table = file.read()
     except FileNotFoundError as error:
         raise TraceError(f"there is no trace {name!r}: check the path") from error
@@ -89,7 +92,7 @@ def read(path: str | os.PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[st
         types, meta = json.loads(metadata[_TYPES_KEY]), dict(json.loads(metadata[_META_KEY]))
         names = table.column_names
         return {key: _from_arrow(table.column(key), np.dtype(types[key])) for key in names}, meta
-    except (KeyError, TypeError, AttributeError, ValueError, pa.ArrowException) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, RecursionError, pa.ArrowException) as error:
         raise TraceError(
             f"{name!r} holds columns or metadata that no trace has ({error}): "
             f"run the scenario again and save its trace"
@@ -110,10 +113,14 @@ def _from_arrow(column: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
     """The array that `_to_arrow` was given."""
     import pyarrow as pa
 
+    if dtype.kind not in "fiubU" or dtype.names is not None:
+        raise ValueError(f"type {dtype} is none of a trace's")
     array = column.combine_chunks()
     if array.null_count:
         raise ValueError("a row is null")
     if dtype.kind == "U":
+        if dtype.itemsize * len(array) > _MOST_BYTES:
+            raise ValueError(f"type {dtype} for {len(array)} texts")
         return np.array(array.to_pylist(), dtype=dtype)
     if not pa.types.is_fixed_size_list(array.type):
         return np.asarray(array.to_numpy(zero_copy_only=False), dtype=dtype)

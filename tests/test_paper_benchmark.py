@@ -6,9 +6,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import paper, paper_figures, paper_swivel, paper_verdict
+from benchmarks import paper, paper_figures, paper_procedure, paper_swivel, paper_verdict
 from benchmarks.output import default_config
 from benchmarks.paper_config import Config
+from benchmarks.paper_procedure import ProcedureJob, ProcedureSettings
 from benchmarks.paper_trials import (
     BASELINES,
     DAMPED,
@@ -25,10 +26,13 @@ from benchmarks.paper_verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_cla
 from benchmarks.statistics import Interval
 from moc_opt import scenario
 from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
+from moc_opt.handson import HandsOnSettings
 from moc_opt.report.errors import BrowserError
 from moc_opt.report.export import browser
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.sim.view import BoardSettings, CameraSettings
+from moc_opt.tasks import make_path
 from moc_opt.tasks.board import BOARD_TASKS
 
 TINY = """
@@ -41,6 +45,12 @@ about = "few and short trials"
 control = { preset = "tuned" }
 [swivel]
 starts = 2
+[procedure]
+poses = 3
+film = false
+[procedure.camera]
+source = "drawn"
+rate_Hz = 10.0
 [scenario]
 duration_s = 0.7
 judge = false
@@ -264,6 +274,64 @@ def test_a_start_at_the_largest_mu_gains_least():
     assert summary["gain_max_percent"] > summary["gain_at_maximum_percent"] + 3.0
 
 
+def test_every_controller_has_its_boxes_even_without_outliers(trial):
+    found = run_job(Job("g", "circle", trial, (MATCHED, "exact")))
+    for column in found.samples[MATCHED, "circle"]:
+        found.samples[MATCHED, "circle"][column] = np.linspace(0.2, 0.3, 50, dtype=np.float32)
+    drawn = paper_figures.box_figures([found], "g", ["circle"])
+    assert set(drawn) == {f"figure7-g-{short}" for short in ("mu", "tip", "rcm", "force")}
+    for made in drawn.values():
+        assert [box.name for box in made.data] == [BASELINES[MATCHED], "MOC, exact"]
+        # plotly draws nothing of a controller whose first list of points is empty.
+        assert all(len(points) for box in made.data for points in box.y)
+
+
+# the procedure
+
+
+@pytest.fixture(scope="module")
+def procedure():
+    return ProcedureSettings(
+        camera=CameraSettings(source="drawn", rate_Hz=10.0, width_px=400, height_px=300),
+        board=BoardSettings(lost_s=((1.0, 2.0),)),
+    )
+
+
+def test_the_procedure_leads_from_the_hand_to_the_task(procedure, tmp_path):
+    base = SHORT.change(duration_s=None, seed=1, task={"v_max_m_per_s": 0.1})
+    row = paper_procedure.perform(ProcedureJob(procedure, base, "circle", tmp_path / "film"))
+    assert "error" not in row
+    assert 0.0 < row["registration_error_mm"] < 5.0
+    assert row["hand_force_max_N"] <= procedure.hands_on.hand.force_max_N + 1e-9
+    assert row["board_position_mm"] < 2.0
+    assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
+    assert row["tip_error_mean_mm"] < 0.3
+    # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
+    assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
+    assert row["pictures"] == len(list((tmp_path / "film").iterdir())) > 10
+
+
+@pytest.mark.parametrize(
+    ("table", "value", "message"),
+    [
+        ("board", BoardSettings(hidden_fraction=1.0), "board: never seen"),
+        ("hands_on", HandsOnSettings(time_limit_s=0.2), "did not reach the incision"),
+    ],
+)
+def test_a_procedure_that_cannot_go_on_says_why(procedure, table, value, message):
+    row = paper_procedure.perform(ProcedureJob(procedure.model_copy(update={table: value}), SHORT, "circle"))
+    assert message in row["error"]
+
+
+def test_distance_from_a_path_does_not_ask_when():
+    path = make_path("circle", (0.0, 0.0, 0.0), normal=(0, 0, 1), heading=(1, 0, 0), radius=0.02)
+    on = path.at(np.linspace(0.0, path.length, 57))[0]
+    assert paper_procedure.from_path(on, path).max() < 2e-5
+    np.testing.assert_allclose(
+        paper_procedure.from_path(on + np.array([0.0, 0.0, 0.001]), path), 0.001, atol=2e-5
+    )
+
+
 # the configuration and the command
 
 
@@ -323,7 +391,9 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
     assert {row["claim"] for row in summary["verdict"]} == {claim.name for claim in CLAIMS}
     assert summary["swivel"]["starts"] == 3
     rows = pq.read_table(tmp_path / "a" / "rows.parquet").to_pylist()
-    assert {row["part"] for row in rows} == {"trials", "swivel"}
+    assert {row["part"] for row in rows} == {"trials", "swivel", "procedure"}
+    assert summary["procedure"]["circle"]["registered"] is True
+    assert summary["board_pictures"]["seen"] == 1.0
     environment = json.loads((tmp_path / "a" / "environment.json").read_text())
     assert environment["config"]["groups"]["tuned"]["about"] == "few and short trials"
     assert "shared" in environment["timing"]

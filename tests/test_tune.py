@@ -57,7 +57,10 @@ def test_candidates_stay_in_the_space_and_make_settings(seed):
     for candidate in (first, tune.draw(config, rng, [first])):
         for name, value in candidate.values.items():
             span = config.space[name]
-            assert span.low * (1 - 5e-3) <= value <= span.high * (1 + 5e-3)
+            if span.choices is None:
+                assert span.low * (1 - 5e-3) <= value <= span.high * (1 + 5e-3)
+            else:
+                assert value in span.choices
         ControlSettings(**candidate.control)
 
 
@@ -168,7 +171,7 @@ def test_the_preset_is_a_point_of_the_space(config):
     """The shipped preset names its command; it must be what that command can draw."""
     for name, span in config.space.items():
         value = TUNED["damping"] / 1e-3 if name == "rho_over_c2" else TUNED[name]
-        assert span.low * 0.99 <= value <= span.high * 1.01
+        assert value in span.choices if span.choices else span.low * 0.99 <= value <= span.high * 1.01
     assert ControlSettings.tuned() == ControlSettings(**TUNED)
 
 
@@ -203,3 +206,12 @@ def test_wrong_input_is_named(tmp_path, capsys):
     assert "circel" in capsys.readouterr().err
     with pytest.raises(MocOptError):
         tune.Range(low="a", high=1.0)
+    with pytest.raises(ScenarioError, match="low < high"):
+        tune.Range(low=2.0, high=1.0)
+    with pytest.raises(ScenarioError, match="above 0 where log"):
+        tune.Range(low=0.0, high=1.0, log=True)
+
+
+def test_choices_are_drawn_evenly():
+    span = tune.Range(choices=[False, True])
+    assert [span.at(place) for place in (0.0, 0.49, 0.51, 1.0)] == [False, False, True, True]

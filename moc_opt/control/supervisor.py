@@ -7,6 +7,7 @@ then by null-space damping alone. Every such tick is counted and named in the tr
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
 from time import perf_counter_ns
@@ -57,9 +58,16 @@ class SupervisorSettings(Settings):
     primal_limit: float = Field(
         1e-2, gt=0.0, description="largest |A x - b| or box violation of a claim [m/s, rad/s]"
     )
+    box_limit: float = Field(
+        0.1, gt=0.0, description="largest box violation of an answer that claims nothing [rad/s]"
+    )
     relative_limit: float = Field(
         0.05, gt=0.0, description="largest natural residual along the self-motion, cost scaled to one [rad/s]"
     )
+    opposite_limit: float = Field(
+        1e-3, gt=0.0,
+        description="a claim this far from its optimum, and nearer to that of the opposite gradient, is a lie [rad/s]",
+    )  # fmt: skip
     hold_ticks: int = Field(
         10, ge=0, description="how long the last good answer is held, before damping alone"
     )
@@ -68,25 +76,30 @@ class SupervisorSettings(Settings):
 
 
 @njit(cache=True, nogil=True)
-def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, float]:
-    """(primal, relative) of an answer, for use in the loop.
+def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, float, float, float, float]:
+    """What the supervisor judges an answer x (n,) by, for use in the loop.
 
-    primal: max(|A x - b|_inf, box violation). relative: the natural residual along the self-motion
-    that raises mu, with the cost divided by c2 |grad_mu|_inf and the best duals; it is the figure of
-    ``moc_opt.optimality`` where the elbow swivel is the only freedom.
+    Along the self-motion that raises mu, x stands at s; there the cost c2 (-g s) + rho s^2 / 2 has its
+    optimum at clip(c2 g / rho) on the segment that the box leaves, and that of the opposite gradient at
+    clip(-c2 g / rho). Where the elbow swivel is the only freedom this line is the whole feasible set.
+
+    Returns:
+        |A x - b|_inf; box violation; natural residual along the line with the cost divided by
+        c2 |grad_mu|_inf and the best duals (``moc_opt.optimality``'s, where the line is all there is);
+        distance from the optimum and from the opposite optimum [rad/s].
     """
     o = 6 * n
     grad_mu = row[o + 6 : o + 6 + n]
     lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
     c2, rho = row[o + 8 + 3 * n], row[o + 9 + 3 * n]
-    primal = 0.0
+    primal, outside = 0.0, 0.0
     for i in range(6):
         gap = -row[o + i]
         for j in range(n):
             gap += row[i * n + j] * x[j]
         primal = max(primal, abs(gap))
     for j in range(n):
-        primal = max(primal, lower[j] - x[j], x[j] - upper[j])
+        outside = max(outside, lower[j] - x[j], x[j] - upper[j])
 
     line = np.zeros(n)
     for i in range(Z.shape[0]):
@@ -94,19 +107,40 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     length = np.sqrt(dot(line, line))
     largest = np.max(np.abs(grad_mu))
     if length <= 1e-12 * largest or c2 == 0.0:
-        return primal, 0.0
-    slope, total, room = 0.0, 0.0, np.inf
+        return primal, outside, 0.0, 0.0, 0.0
+    slope, total, place, low, high = 0.0, 0.0, 0.0, -np.inf, np.inf
     for j in range(n):
         line[j] /= length
         slope += line[j] * (rho * x[j] - c2 * grad_mu[j]) / (c2 * largest)
         total += abs(line[j])
+        place += line[j] * x[j]
+        if abs(line[j]) > 1e-9:
+            one, other = (lower[j] - x[j]) / line[j], (upper[j] - x[j]) / line[j]
+            low, high = max(low, min(one, other)), min(high, max(one, other))
+    low, high = min(low, 0.0), max(high, 0.0)  # x itself counts as allowed: its violation is judged above
+    room = np.inf
     for j in range(n):
         push = line[j] * slope
         if push > 1e-9 * abs(slope):
             room = min(room, max(x[j] - lower[j], 0.0))
         elif push < -1e-9 * abs(slope):
             room = min(room, max(upper[j] - x[j], 0.0))
-    return primal, min(abs(slope) / total, room)
+    wish = c2 * length / rho if rho > 0.0 else np.inf
+    best, worst = min(max(wish - place, low), high), min(max(-wish - place, low), high)
+    return primal, outside, min(abs(slope) / total, room), abs(best), abs(worst)
+
+
+def well_formed(solution: object, n: int) -> Solution:
+    """The answer as it is, or one without an x where a solver hands back something else than a Solution."""
+    if not isinstance(solution, Solution) or not isinstance(solution.status, Status):
+        return no_answer(n, Status.NUMERICAL)
+    x, y, status, iterations = solution
+    right = isinstance(x, np.ndarray) and x.shape == (n,) and x.dtype == np.float64
+    if right and (y is None or (isinstance(y, np.ndarray) and y.shape == (6,))) and type(iterations) is int:
+        return solution
+    x = x if right else np.full(n, np.nan)
+    y = y if isinstance(y, np.ndarray) and y.shape == (6,) else None
+    return Solution(x, y, status, iterations if isinstance(iterations, int) else 0)
 
 
 class Supervisor:
@@ -117,7 +151,9 @@ class Supervisor:
         fallback: what follows an infeasible subproblem: "damping", "hold" or "least-violation".
         n: joints.
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
-            repeated exactly; None: the clock decides.
+            repeated exactly; None: the clock decides. One that ends leaves the rest to the clock.
+
+    ``counts`` says how often each fault occurred since the start, by its label.
     """
 
     def __init__(
@@ -131,6 +167,7 @@ class Supervisor:
         """No answer yet to hold on to."""
         self._good, self._age = np.zeros(self._rest.size), 0
         self.fault, self.solve_us = Fault.NONE, float("nan")
+        self.counts: Counter[str] = Counter()
 
     def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
         """Run what is compiled, so that no compiler runs in the loop."""
@@ -152,12 +189,14 @@ class Supervisor:
             solution, raised = no_answer(qp.n, Status.NUMERICAL), True
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
-            self.solve_us = next(self._times)
+            self.solve_us = next(self._times, self.solve_us)
+        solution = well_formed(solution, qp.n)
         self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
         if self.fault is Fault.NONE:
             # A copy: the solver may write its next answer, or none, into the same memory.
             self._good, self._age = np.array(solution.x), 0
             return solution, self._good
+        self.counts[self.fault.label] += 1
         return solution, self._replace(solution, qp)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
@@ -166,16 +205,19 @@ class Supervisor:
             return Fault.INFEASIBLE
         if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
             return Fault.FAILED
-        if solution.x.shape != (qp.n,) or not all_finite(solution.x):
+        if not all_finite(solution.x):
             return Fault.NOT_FINITE
+        if settings.check:
+            primal, outside, relative, off, opposite = answer_residuals(qp.row, qp.n, Z, solution.x)
+            if status is not Status.SOLVED:
+                if outside > settings.box_limit:
+                    return Fault.OUTSIDE
+            elif max(primal, outside) > settings.primal_limit:
+                return Fault.OUTSIDE
+            elif relative > settings.relative_limit or (off > settings.opposite_limit and opposite < off):
+                return Fault.LIED
         if settings.budget_us is not None and self.solve_us > settings.budget_us:
             return Fault.LATE
-        if settings.check and status is Status.SOLVED:
-            primal, relative = answer_residuals(qp.row, qp.n, Z, solution.x)
-            if primal > settings.primal_limit:
-                return Fault.OUTSIDE
-            if relative > settings.relative_limit:
-                return Fault.LIED
         return Fault.NONE
 
     def _replace(self, solution: Solution, qp: NullSpaceQP) -> Array:

@@ -1,0 +1,132 @@
+"""The paper's experiment in simulation, and which of its claims hold.
+
+python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
+
+DCAC and MOC on three virtual tasks, five trials each, with the paper's parameters and with tuned ones, with its own and
+with matched gains, with every one of its solvers; then the verdict on each claim, the goals, and what the starting
+swivel decides. Several trials run at a time, so no time is reported: that is what ``benchmarks.solvers`` is for.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks import output, paper_figures, paper_procedure, paper_report, paper_swivel, paper_verdict
+from benchmarks.paper_config import STREAM, Config
+from benchmarks.paper_trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
+from benchmarks.parallel import run_parallel
+from moc_opt.errors import MocOptError
+from moc_opt.report.console import console, progress
+from moc_opt.report.errors import BrowserError
+
+
+def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:
+    """The study of the starting swivel."""
+    base = config.base(config.swivel.group)
+    [(_, trial)] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1))
+    jobs = [(trial, start, config.best_solver) for start in paper_swivel.starts(trial, config.swivel.starts)]
+    return run_parallel(paper_swivel.gain, jobs, config.processes, advance)
+
+
+def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """(one row a task, accuracy of single pictures)."""
+    rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance)
+    accuracy = paper_procedure.accuracy(config.procedure, config.scenario.robot.name, config.seed)
+    advance()
+    return rows, accuracy
+
+
+def summarise(
+    config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any]]
+) -> tuple[dict[str, Any], list[Measurement], list[dict[str, Any]]]:
+    """(summary, every measurement, every run that broke off)."""
+    found = [m for outcome in outcomes for m in outcome.measurements]
+    broken = [entry for outcome in outcomes for entry in outcome.broken]
+    summary: dict[str, Any] = {}
+    for group in config.groups:
+        summary[group] = {
+            controller: {
+                **paper_verdict.intervals(found, group, controller),
+                "broke_off": sum(e["group"] == group and e["controller"] == controller for e in broken),
+            }
+            for controller in (*BASELINES, *config.solvers)
+        }
+    each = [(group, solver) for group in config.groups for solver in config.solvers]
+    summary["verdict"] = [row for pair in each for row in paper_verdict.verdicts(found, *pair)]
+    summary["phases"] = [row for pair in each for row in paper_verdict.travelling(found, *pair)]
+    summary["goals"] = paper_verdict.goals(found, config.best, config.best_solver)
+    summary["swivel"] = paper_swivel.summary(swivel)
+    return summary, found, broken
+
+
+def draw(config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any]]) -> dict[str, Any]:
+    """Every figure by its file's name."""
+    drawn: dict[str, Any] = {}
+    for group in config.groups:
+        drawn |= paper_figures.box_figures(outcomes, group, config.tasks)
+        kept = [o for o in outcomes if o.traces and any(m.group == group for m in o.measurements)]
+        if kept:
+            drawn[f"trial-{group}"] = paper_figures.trial_figure(kept[0].traces)
+    drawn["swivel"] = paper_figures.swivel_figure(swivel)
+    return drawn
+
+
+def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
+    """Everything, all files; returns the summary."""
+    jobs = config.jobs()
+    out.mkdir(parents=True, exist_ok=True)
+    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 1) as bar:
+        step = partial(bar.advance, 1.0)
+        outcomes = run_parallel(run_job, jobs, config.processes, step)
+        swivel = run_swivel(config, step)
+        procedure, accuracy = run_procedure(config, out, step)
+    summary, found, broken = summarise(config, outcomes, swivel)
+    summary["procedure"] = paper_procedure.summary(procedure)
+    summary["board_pictures"] = accuracy
+    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
+    environment["timing"] = f"none: {config.processes} processes at a time shared the machine"
+    output.write_json(out / "summary.json", summary)
+    output.write_rows(out / "rows.parquet", [*(m.row() for m in found), *broken, *swivel, *procedure])
+    groups = {name: group.about or name for name, group in config.groups.items()}
+    best = (config.best, config.best_solver)
+    drawn = draw(config, outcomes, swivel)
+    screen = console()
+    try:
+        paper_figures.save(drawn, out / "figures")
+    except BrowserError as error:
+        # The page has the figures all the same.
+        environment["figures"] = f"not saved as files: {error}"
+        print(environment["figures"], file=sys.stderr)
+    output.write_json(out / "environment.json", environment)
+    paper_report.write_page(out / "report.html", summary, groups, best, drawn, environment)
+    if as_json:
+        print((out / "summary.json").read_text(), end="")
+    else:
+        paper_report.print_tables(screen, summary, groups, best, out)
+    return summary
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the experiment; 0, or 2 with a message where the input is wrong."""
+    given = output.parser("paper", "The paper's experiment, and which of its claims hold.").parse_args(
+        arguments
+    )
+    try:
+        config = Config.load(given.config or output.default_config("paper"))
+        if given.seed is not None:
+            config = config.model_copy(update={"seed": given.seed})
+        if given.quick:
+            config = config.quick()
+        experiment(config, given.out, given.json, list(arguments or sys.argv[1:]))
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,315 @@
+"""The search for control settings that reach the goals: seeded, and the same command gives the same winner.
+
+    python -m benchmarks.tune [CONFIG.toml] [--out DIR] [--seed N] [--quick]
+
+The objective, smaller is better, over DCAC and MOC (solver ``exact``) on the same trials with the same gains and the
+same compensation:
+
+    10 x shortfall of the goals + cost
+
+Shortfalls, each relative and zero where a goal is met with a margin: mean gain in mu of 15 % (margin: 16.5), no trial
+below DCAC (margin: 0.25 %), mean tip error of 0.1 mm (0.09), mean RCM error of 0.5 mm (0.475), and for tip error, RCM
+error and trocar force while the elbow is settled an upper end of the 95 % interval of the change against DCAC of +5 %
+(+4). Costs: twice the mean rise of those three while it travels, a fifth of the tip's and RCM's share of their goals,
+the torque rate in 1000 Nm/s, and minus the gain in mu. A candidate is refused when it breaks off, or when on a worse
+arm (more delay, a stiffer trocar) it breaks off or its torque rate grows by half: it then is close to instability.
+
+Random candidates from the whole space, then candidates near the best of them, then the best of all again on fresh
+trials. ``benchmarks.paper`` verifies the winner on trials that neither round has seen.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from benchmarks import output
+from benchmarks.paper_trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
+from benchmarks.paper_verdict import effect
+from benchmarks.parallel import run_parallel
+from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.report.console import console, progress
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.settings import Settings
+
+SOLVER = "exact"
+ERRORS = ("tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
+SEARCH_STREAM, FINAL_STREAM = 1, 2  # of seeds; the experiment has 0
+CALM = 1.5  # largest growth of the torque rate on the worse arm
+NEAR = 0.1  # spread of local candidates, in parts of a range
+Values = Mapping[str, float]
+
+
+class Range(Settings):
+    """Where one parameter may lie: between two numbers, or one of some choices."""
+
+    KIND: ClassVar[str] = "[space]"
+    low: float = 0.0
+    high: float = 1.0
+    log: bool = False
+    choices: list[bool | float] | None = Field(None, min_length=1)
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.low < self.high or (self.log and self.low <= 0.0):
+            raise ValueError(
+                f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true"
+            )
+        return self
+
+    def at(self, place: float) -> float | bool:
+        """The value at a place in [0, 1], to three significant digits: a preset is read by people."""
+        if self.choices is not None:
+            return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
+        if self.log:
+            value = math.exp(math.log(self.low) + place * (math.log(self.high) - math.log(self.low)))
+        else:
+            value = self.low + place * (self.high - self.low)
+        return float(f"{value:.3g}")
+
+
+class Config(Settings):
+    """benchmarks/configs/tune.toml."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    random: int = Field(60, ge=1)
+    local: int = Field(40, ge=0)
+    finalists: int = Field(6, ge=1)
+    trials: int = Field(2, ge=2)
+    final_trials: int = Field(5, ge=2)
+    processes: int = Field(2, ge=1)
+    space: dict[str, Range]
+    hard: dict[str, Any] = Field(default_factory=dict)
+    scenario: Scenario = Scenario(judge=False, bound_samples=0)
+
+    @classmethod
+    def load(cls, path: Path) -> Config:
+        """Read a TOML file; errors name file and field."""
+        try:
+            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
+
+    def quick(self) -> Config:
+        """The same search with few candidates: for a first look and for the tests."""
+        few = {
+            "random": 3,
+            "local": 1,
+            "finalists": 2,
+            "trials": 2,
+            "final_trials": 2,
+            "tasks": self.tasks[:1],
+        }
+        return self.model_copy(update=few)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Places in [0, 1], one a parameter, and what they mean."""
+
+    places: tuple[float, ...]
+    values: Values
+
+    @property
+    def control(self) -> dict[str, Any]:
+        """As a table of control settings."""
+        table: dict[str, Any] = {"gains": "moc", **self.values}
+        if "rho_over_c2" in table:
+            table["damping"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")
+        return table
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a candidate achieved; ``reason`` says why it was refused."""
+
+    candidate: Candidate
+    objective: float
+    figures: Mapping[str, float]
+    reason: str = ""
+
+
+def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = ()) -> Candidate:
+    """A candidate from the whole space, or near one of some others."""
+    size = len(config.space)
+    if near:
+        centre = np.array(near[int(rng.integers(len(near)))].places)
+        places = np.clip(centre + NEAR * rng.standard_normal(size), 0.0, 1.0)
+    else:
+        places = rng.uniform(0.0, 1.0, size)
+    drawn = tuple(float(place) for place in places)
+    values = {name: span.at(place) for (name, span), place in zip(config.space.items(), drawn, strict=True)}
+    return Candidate(drawn, values)
+
+
+def figures(found: Sequence[Measurement]) -> dict[str, float]:
+    """The figures that the objective reads, over all trials."""
+
+    whole = [m.metrics for m in found if (m.controller, m.phase) == (SOLVER, "whole")]
+    gains = [metrics["mu_gain_percent"] for metrics in whole]
+    values = {"gain": float(np.mean(gains)), "worst_gain": min(gains)}
+    values |= {name: float(np.mean([metrics[name] for metrics in whole])) for name in ERRORS}
+    values["torque_rate"] = float(np.mean([metrics["torque_rate_rms_Nm_per_s"] for metrics in whole]))
+    for phase in ("settled", "travelling"):
+        for name in ERRORS:
+            change = effect(found, "", SOLVER, MATCHED, name, phase)
+            if change is not None and change.samples > 1:
+                values |= {f"{phase}_{name}": change.value, f"{phase}_{name}_high": change.high}
+    return values
+
+
+def objective(values: Values) -> float:
+    """The figures in one number; see above."""
+    settled = [values.get(f"settled_{name}_high", 100.0) for name in ERRORS]
+    travelling = [values.get(f"travelling_{name}", 0.0) for name in ERRORS]
+    tip, rcm = values["tip_error_mean_mm"] / 0.1, values["rcm_error_mean_mm"] / 0.5
+    shortfall = (
+        max(0.0, (16.5 - values["gain"]) / 15.0)
+        + max(0.0, 0.25 - values["worst_gain"])
+        + max(0.0, tip - 0.9)
+        + max(0.0, rcm - 0.95)
+        + sum(max(0.0, (high - 4.0) / 5.0) for high in settled)
+    )
+    cost = (
+        2.0 * float(np.mean([max(0.0, rise) / 100.0 for rise in travelling]))
+        + 0.2 * (tip + rcm)
+        + values["torque_rate"] / 1000.0
+        - values["gain"] / 100.0
+    )
+    return 10.0 * shortfall + cost
+
+
+def jobs_of(config: Config, candidate: Candidate, stream: int, per_task: int, hard: bool) -> list[Job]:
+    """The candidate on every trial of a stream, and one trial on the worse arm."""
+    base = config.scenario.change(control=candidate.control)
+    cases = trials(base, config.tasks, seeds(config.seed, stream, per_task * len(config.tasks)))
+    jobs = [Job("", task, trial, (MATCHED, SOLVER)) for task, trial in cases]
+    if hard:
+        task, trial = cases[0]
+        jobs.append(Job("hard", task, trial.change(plant=config.hard), (SOLVER,)))
+    return jobs
+
+
+def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
+    """Judge a candidate by what its jobs brought home."""
+    broken = [entry for outcome in outcomes for entry in outcome.broken]
+    if broken:
+        return Score(candidate, math.inf, {}, f"broke off: {broken[0]['error']:.120}")
+    found = [m for outcome in outcomes for m in outcome.measurements if m.group == ""]
+    values = figures(found)
+    rates = [
+        m.metrics["torque_rate_rms_Nm_per_s"]
+        for outcome in outcomes
+        for m in outcome.measurements
+        if m.group == "hard" and m.phase == "whole"
+    ]
+    if rates and max(rates) > CALM * values["torque_rate"]:
+        return Score(candidate, math.inf, values, f"torque rate of {max(rates):.0f} Nm/s on the worse arm")
+    return Score(candidate, objective(values), values)
+
+
+def evaluate(
+    config: Config, candidates: Sequence[Candidate], stream: int, per_task: int, advance: Any
+) -> list[Score]:
+    """Scores in the order of the candidates."""
+    batches = [jobs_of(config, c, stream, per_task, hard=stream == SEARCH_STREAM) for c in candidates]
+    outcomes = run_parallel(run_job, [job for batch in batches for job in batch], config.processes, advance)
+    scores, at = [], 0
+    for candidate, batch in zip(candidates, batches, strict=True):
+        scores.append(score(candidate, outcomes[at : at + len(batch)]))
+        at += len(batch)
+    return scores
+
+
+def search(config: Config) -> tuple[list[Score], list[Score]]:
+    """(every score of the search, scores of the finalists on fresh trials), each best first."""
+    rng = np.random.default_rng(config.seed)
+    each, final = config.trials * len(config.tasks) + 1, config.final_trials * len(config.tasks)
+    total = (config.random + config.local) * each + min(
+        config.finalists, config.random + config.local
+    ) * final
+    with progress("search", total) as bar:
+        found = evaluate(
+            config,
+            [draw(config, rng) for _ in range(config.random)],
+            SEARCH_STREAM,
+            config.trials,
+            bar.advance,
+        )
+        best = [
+            s.candidate for s in sorted(found, key=lambda s: s.objective)[:5] if math.isfinite(s.objective)
+        ]
+        if best:
+            near = [draw(config, rng, best) for _ in range(config.local)]
+            found += evaluate(config, near, SEARCH_STREAM, config.trials, bar.advance)
+        found.sort(key=lambda s: s.objective)
+        chosen = [s.candidate for s in found[: config.finalists] if math.isfinite(s.objective)]
+        finals = evaluate(config, chosen, FINAL_STREAM, config.final_trials, bar.advance)
+    return found, sorted(finals, key=lambda s: s.objective)
+
+
+def row(part: str, entry: Score) -> dict[str, Any]:
+    """One row of rows.parquet and of the table."""
+    return {
+        "part": part, "objective": entry.objective, "reason": entry.reason or None,
+        **entry.candidate.values, **entry.figures,
+    }  # fmt: skip
+
+
+def preset(winner: Score) -> str:
+    """The winner as it stands in a scenario."""
+    lines = [f"{name} = {json.dumps(value)}" for name, value in winner.candidate.control.items()]
+    return "\n".join(["[control]", *lines])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Search; 0, or 2 with a message where the input is wrong or nothing was found."""
+    given = output.parser("tune", "Search for control settings that reach the goals.").parse_args(arguments)
+    try:
+        config = Config.load(given.config or output.default_config("tune"))
+        if given.seed is not None:
+            config = config.model_copy(update={"seed": given.seed})
+        if given.quick:
+            config = config.quick()
+        found, finals = search(config)
+        if not finals or not math.isfinite(finals[0].objective):
+            raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    winner = finals[0]
+    summary = {"tuned": {"control": winner.candidate.control, "figures": dict(winner.figures)}}
+    output.write_json(given.out / "summary.json", summary)
+    output.write_rows(
+        given.out / "rows.parquet", [row("search", s) for s in found] + [row("final", s) for s in finals]
+    )
+    environment = output.environment(
+        config.model_dump(mode="json"), config.seed, list(arguments or sys.argv[1:])
+    )
+    output.write_json(given.out / "environment.json", environment)
+    columns = [Column(name, name, digits=3) for name in ("objective", *config.space, *winner.figures)]
+    table = Table("Finalists on fresh trials", columns, [row("final", s) for s in finals])
+    if given.json:
+        print((given.out / "summary.json").read_text(), end="")
+    else:
+        screen = console()
+        screen.print(table.to_rich())
+        screen.print(preset(winner))
+        screen.print(f"written: {given.out}/summary.json rows.parquet environment.json")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
