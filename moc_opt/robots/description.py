@@ -77,7 +77,7 @@ def read_text(path: Path, what: str) -> str:
     """The file's text, or a RobotError that says what could not be read."""
     try:
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
         raise RobotError(
             f"{what} {str(path)!r} cannot be read ({error}): check the path and the encoding (UTF-8)"
         ) from error
@@ -93,6 +93,8 @@ def read_description(path: Path) -> RobotDescription:
         raw = tomllib.loads(read_text(path, "robot file"))
     except tomllib.TOMLDecodeError as error:
         raise RobotError(f"robot file {str(path)!r} is not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise RobotError(f"robot file {str(path)!r}: tables or lists in it are nested too deep") from error
     try:
         return RobotDescription.model_validate(raw)
     except ValidationError as error:

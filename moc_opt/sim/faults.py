@@ -1,9 +1,9 @@
-"""What can go wrong around the arm, seeded and as settings: sensors, packets, bumps, the trocar."""
+"""What can go wrong, seeded and as settings: sensors, packets, bumps, the trocar, the solver."""
 
 from __future__ import annotations
 
 from collections import deque
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.settings import Settings
+from moc_opt.sim.mjcf import TOOL_BODY
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.sensors import Measurement
 
@@ -53,11 +54,19 @@ class FaultSettings(Settings):
     slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
     slip_at_s: float = Field(default=2.0, ge=0.0)
 
+    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "hang"] = Field(
+        default="none",
+        description="how the solver's answers are spoilt (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
+    )
+    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="of the answers that are spoilt")
+
     @property
-    def any_sensor_fault(self) -> bool:
-        """Whether measurements are touched at all."""
-        harmless = (self.encoder_bias_rad, self.encoder_noise_rad, self.drop_share, self.late_ticks)
-        return any(harmless) or self.nan_at_s is not None or self.jump_at_s is not None
+    def around_the_arm(self) -> bool:
+        """Whether anything but the solver is disturbed: if not, nobody needs to be asked at every tick."""
+        solver = {"solver", "solver_share"}
+        return any(
+            getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver
+        )
 
 
 class Faults:
@@ -79,14 +88,12 @@ class Faults:
         self._noise, self._drops = noise, drops
         angle = directions.uniform(0.0, 2.0 * np.pi, size=2)
         self._bump = settings.bump_N * np.array([np.cos(angle[0]), np.sin(angle[0]), 0.0])
+        self._weight = np.array([0.0, 0.0, -settings.payload_kg * GRAVITY])
         self._slip = settings.slip_m * np.array([np.cos(angle[1]), np.sin(angle[1]), 0.0])
+        self._bump_on = round(settings.bump_at_s / period)
+        self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
         self._past: deque[Measurement] = deque(maxlen=settings.late_ticks + 1)
         self._last: Measurement | None = None
-
-    @property
-    def any(self) -> bool:
-        """Whether anything goes wrong at all: if not, nobody needs to be asked at every tick."""
-        return self.settings != type(self.settings)()
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
         """What arrives of a measurement."""
@@ -96,7 +103,7 @@ class Faults:
             q = q + self._noise.normal(scale=s.encoder_noise_rad, size=q.size)
         if s.jump_at_s is not None and t >= s.jump_at_s:
             q = q + s.jump_rad
-        if s.nan_at_s is not None and s.nan_at_s <= t < s.nan_at_s + (s.nan_ticks - 0.5) * self._period:
+        if s.nan_at_s is not None and 0 <= tick - round(s.nan_at_s / self._period) < s.nan_ticks:
             q = np.full_like(q, np.nan)
         self._past.append(Measurement(q, v, seen.force))
         arrived = self._past[0]
@@ -107,14 +114,12 @@ class Faults:
 
     def act(self, plant: Plant, tick: int) -> None:
         """Begin and end the pushes that fall on this tick."""
-        s, t, half = self.settings, tick * self._period, 0.5 * self._period
+        s = self.settings
         if s.payload_kg > 0.0 and tick == 0:
-            plant.push("tool", [0.0, 0.0, -s.payload_kg * GRAVITY])
-        if s.bump_N > 0.0:
-            if abs(t - s.bump_at_s) < half:
-                plant.push(s.bump_link, self._bump)
-            elif abs(t - s.bump_at_s - s.bump_s) < half:
-                plant.clear_pushes(s.bump_link)
+            plant.push(TOOL_BODY, self._weight)
+        if s.bump_N > 0.0 and tick in (self._bump_on, self._bump_off):
+            held = self._weight if s.bump_link == TOOL_BODY else np.zeros(3)
+            plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
         """The true trocar (N, 2, 3) with its slip: a smooth step of 0.1 s."""

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import PlantError
+from moc_opt.errors import MocOptError, PlantError
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.sensors import Measurement
@@ -59,7 +59,19 @@ class Watchdog(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether the sensors cannot be believed any more: time to stop."""
+        """Whether it is time to stop: ``reason`` says why."""
+        ...
+
+    def give_up(self, reason: str) -> None:
+        """Order the stop."""
+        ...
+
+    def follow(self, tip: Array, tip_ref: Array) -> None:
+        """Take note of where the brain sees the tip (3,), and where it should be, (3, 3) rows X_d, dX_d, ddX_d."""
+        ...
+
+    def rest(self, before: Array) -> Array:
+        """The torque (n,) [Nm] of a damped stop, ``before`` being the last one sent."""
         ...
 
     def start(self, q: Array, v: Array) -> None:
@@ -75,6 +87,7 @@ class Watchdog(Protocol):
         ...
 
     limited: int
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -101,11 +114,25 @@ def no_collector() -> Iterator[None]:
             gc.enable()
 
 
+def _blank(columns: Mapping[str, NDArray[Any]], row: int) -> None:
+    """In a damped stop nobody is asked: the third level's last words are not those of this tick."""
+    for name, value in _STOPPED.items():
+        if name in columns:
+            columns[name][row] = value
+
+
+_STOPPED = {
+    "status": "none", "fault": "stopped", "x_rad_per_s": np.nan, "applied_x_rad_per_s": np.nan,
+    "dual": np.nan, "iterations": 0, "solve_us": np.nan,
+}  # fmt: skip
+
+
 class _Safe:
     """A brain behind its guard; without one, the brain alone."""
 
     def __init__(self, brain: Brain, guard: Watchdog | None, sent: Array) -> None:
         self._brain, self._guard, self._sent = brain, guard, sent
+        self._sees_tip = hasattr(brain, "tip")  # a brain may say where it sees the tip (3,) [m]
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         self._brain.start(seen.q, seen.v, tip_ref, trocar)
@@ -113,8 +140,9 @@ class _Safe:
             self._guard.start(seen.q, seen.v)
 
     @property
-    def lost(self) -> bool:
-        return self._guard is not None and self._guard.lost
+    def lost(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+        return "" if self._guard is None else self._guard.reason
 
     @property
     def limited(self) -> int:
@@ -124,12 +152,21 @@ class _Safe:
         guard = self._guard
         if guard is None:
             return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
-        q, v = guard.believe(seen.q, seen.v)
+        if not guard.lost:
+            q, v = guard.believe(seen.q, seen.v)
+        if not guard.lost:
+            try:
+                asked = self._brain.tick(q, v, tip_ref, trocar)
+                if self._sees_tip:
+                    guard.follow(self._brain.tip, tip_ref)  # type: ignore[attr-defined]
+            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                guard.give_up(f"the controller failed: {error}")
+            else:
+                tau = guard.limit(asked, self._sent, q, v)
+                if guard.limited:
+                    self._brain.sent(tau)
         if guard.lost:
-            return self._sent  # the drives brake; a torque from a state that nobody knows would not help
-        tau = guard.limit(self._brain.tick(q, v, tip_ref, trocar), self._sent, q, v)
-        if guard.limited:
-            self._brain.sent(tau)
+            tau = guard.rest(self._sent)
         self._sent = tau
         return tau
 
@@ -163,7 +200,7 @@ def simulate(
 
     Returns:
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
-        "stopped: ..." with the rows so far.
+        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
@@ -181,6 +218,7 @@ def simulate(
     seen = plant.measure()
     safe.start(seen, tip_refs[0], registered[0])
     ended, stop_at, broken = "completed", ticks - 1, None
+    stopped: dict[str, float] = {}
     with no_collector():
         for k in range(ticks):
             if watch is not None:
@@ -193,10 +231,13 @@ def simulate(
             tau = safe.tick(seen, tip_refs[k], registered[k])
             tick_us[k] = (perf_counter_ns() - begin) * 1e-3
             if safe.lost and ended == "completed":
-                ended = f"stopped: measurements not believed from t = {kept['t_s'][k]:.3f} s on"
+                ended = f"stopped: {safe.lost} (t = {kept['t_s'][k]:.3f} s)"
                 stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
+                stopped["stopped_at_s"] = float(kept["t_s"][k])
                 plant.brake(stop.damping)
             brain.note(k, kept)
+            if safe.lost:
+                _blank(kept, k)
             plant.write_truth(truth[k])
             wrench[k], torques[k], limited[k] = seen.force, tau, safe.limited
             try:
@@ -211,7 +252,7 @@ def simulate(
     kept = {name: column[: stop_at + 1] for name, column in kept.items()}
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
-    trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **(meta or {})})
+    trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **stopped, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken
     return trace

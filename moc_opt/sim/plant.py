@@ -20,10 +20,15 @@ Array = NDArray[np.float64]
 
 _RUNAWAY_RAD_PER_S = 1e3
 
+if mujoco.get_mju_user_warning() is None:
+    # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm
+    # runs away, and raises.
+    mujoco.set_mju_user_warning(lambda message: None)
+
 
 @njit(cache=True)
 def _all_finite(array: Array) -> bool:
-    for x in array.flat:  # noqa: SIM110 - numba compiles no generators
+    for x in array.flat:  # numba compiles no generators
         if not np.isfinite(x):
             return False
     return True
@@ -31,7 +36,7 @@ def _all_finite(array: Array) -> bool:
 
 @njit(cache=True)
 def _sound(q: Array, v: Array, runaway: float) -> bool:
-    for i in range(q.size):  # noqa: SIM110 - numba compiles no generators
+    for i in range(q.size):  # numba compiles no generators
         if not (np.isfinite(q[i]) and abs(v[i]) < runaway):
             return False
     return True

@@ -1,0 +1,121 @@
+"""Bad input, in quantity: every case ends in success or in a MocOptError that says what is wrong.
+
+python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks import output
+from moc_opt.errors import MocOptError
+from moc_opt.report.console import console, progress
+from moc_opt.report.tables import Column, Table
+
+KINDS = {
+    "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.2, "result_file": 0.2,
+    "record_file": 0.05,
+}  # fmt: skip
+"""Kind of input -> its share of the cases."""
+
+
+def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[Counter[str], list[str]]:
+    """Draw and check.
+
+    Returns:
+        how often each verdict was given, and the smallest input of every failure, with what happened.
+    """
+    import hypothesis
+    from hypothesis import HealthCheck
+
+    from benchmarks import fuzz_checks, fuzz_inputs
+
+    check: fuzz_checks.Check = getattr(fuzz_checks, kind)
+    strategy = fuzz_inputs.STRATEGIES[kind]
+    fuzz_checks.warm_up()
+    verdicts: Counter[str] = Counter()
+    failures: list[str] = []
+
+    last: list[Any] = [None]
+
+    def one(case: Any) -> None:
+        last[0] = case
+        with fuzz_checks.time_limit():
+            verdicts[check(case)] += 1
+        done()
+
+    quiet = hypothesis.settings(
+        max_examples=max(1, min(cases, 500)), database=None, deadline=None, print_blob=False,
+        suppress_health_check=list(HealthCheck), report_multiple_bugs=False, verbosity=hypothesis.Verbosity.quiet,
+    )  # fmt: skip
+    part = 0
+    warnings.simplefilter("ignore", hypothesis.errors.HypothesisWarning)  # of long inputs
+    while verdicts.total() < cases and len(failures) < 3:
+        # in rounds: a long search settles on what it has seen
+        attempt = hypothesis.seed(1000 * seed + part)(quiet(hypothesis.given(strategy)(one)))
+        part += 1
+        try:
+            attempt()
+        except (Exception, fuzz_checks.Hang) as error:  # noqa: BLE001 - whatever comes out is the finding
+            cause = error.exceptions[0] if isinstance(error, ExceptionGroup) else error
+            where = traceback.extract_tb(cause.__traceback__)[-1]
+            place = f"{Path(where.filename).name}:{where.lineno}"
+            what = " ".join(f"{cause} ({place}); input: {last[0]!r}".split())
+            failures.append(f"{type(cause).__name__}: {what:.900}")
+    return verdicts, failures
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run; 0 when every case ended well, 1 when one did not, 2 where the command is wrong."""
+    options = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description="Send bad input.")
+    options.add_argument("--cases", type=int, default=10_000, help="in all")
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
+    options.add_argument("--out", type=Path, default=Path("results") / "fuzz", help="folder for the results")
+    options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
+    given = options.parse_args(arguments)
+    kinds = given.only or list(KINDS)
+    whole = sum(KINDS[kind] for kind in kinds)
+    shares = {kind: max(1, round(given.cases * KINDS[kind] / whole)) for kind in kinds}
+    summary: dict[str, dict[str, Any]] = {}
+    try:
+        with progress("cases", sum(shares.values())) as bar:
+            for kind, cases in shares.items():
+                verdicts, failures = explore(kind, cases, given.seed, lambda: bar.advance(1.0))
+                summary[kind] = {
+                    "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
+                    "refused": verdicts["refused"], "failed": len(failures), "failures": failures,
+                }  # fmt: skip
+        environment = output.environment(
+            {"cases": given.cases, "kinds": kinds}, given.seed, arguments or sys.argv[1:]
+        )
+        output.write_json(given.out / "summary.json", summary)
+        output.write_json(given.out / "environment.json", environment)
+    except (MocOptError, ImportError, OSError) as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    if given.json:
+        print(json.dumps(summary, indent=2))
+    else:
+        columns = [
+            Column("kind", "input"),
+            *(Column(n, n, format=".0f") for n in ("cases", "accepted", "refused", "failed")),
+        ]
+        rows = [{"kind": kind, **figures} for kind, figures in summary.items()]
+        console().print(Table("Bad input", columns, rows).to_rich())
+        for kind, figures in summary.items():
+            for failure in figures["failures"]:
+                print(f"{kind}: {failure}")
+    return 1 if any(figures["failed"] for figures in summary.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

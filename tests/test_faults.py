@@ -1,0 +1,201 @@
+"""Faults as settings: what they do, when, and that the seed alone decides."""
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.sim import Measurement, Plant
+from moc_opt.sim.faults import GRAVITY, Faults, FaultSettings
+
+PERIOD = 0.002
+N = 7
+SHORT = {"bound_samples": 0, "judge": False, "duration_s": 0.3}
+TUNED = {"preset": "tuned"}
+
+
+def faults(seed=0, **settings):
+    return Faults(FaultSettings(**settings), N, PERIOD, seed)
+
+
+def measured(k):
+    return Measurement(np.full(N, float(k)), np.full(N, 0.1 * k), np.zeros(6))
+
+
+def seen(mine, ticks=20):
+    return np.array([mine.sense(measured(k), k).q[0] for k in range(ticks)])
+
+
+def test_nothing_by_default():
+    assert not FaultSettings().around_the_arm
+    np.testing.assert_array_equal(seen(faults()), np.arange(20.0))
+    assert not FaultSettings(solver="lie", solver_share=0.5).around_the_arm
+    for field in ("encoder_bias_rad", "drop_share", "bump_N", "payload_kg", "slip_m"):
+        assert FaultSettings(**{field: 0.01}).around_the_arm
+
+
+def test_late_measurements():
+    np.testing.assert_array_equal(seen(faults(late_ticks=3)), np.maximum(np.arange(20.0) - 3, 0.0))
+
+
+def test_dropped_measurements_repeat_the_last_one():
+    found = seen(faults(drop_share=0.4, seed=1), 500)
+    same = np.diff(found) == 0.0
+    assert 0.3 < same.mean() < 0.5
+    np.testing.assert_array_equal(found[1:][~same], np.arange(1.0, 500.0)[~same])
+    assert (seen(faults(drop_share=1.0)) == 0.0).all()
+
+
+@pytest.mark.parametrize("at", [0.006, 0.0051, 0.0069])
+def test_nan_for_so_many_ticks(at):
+    found = seen(faults(nan_at_s=at, nan_ticks=4))
+    first = round(at / PERIOD)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found)), np.arange(first, first + 4))
+
+
+def test_bias_noise_and_jump():
+    mine = faults(encoder_bias_rad=0.01)
+    bias = mine.sense(measured(0), 0).q
+    np.testing.assert_allclose(np.abs(bias), 0.01)
+    noisy = np.array([faults(encoder_noise_rad=0.01, seed=s).sense(measured(0), 0).q for s in range(200)])
+    assert noisy.std() == pytest.approx(0.01, rel=0.1)
+    jump = seen(faults(jump_at_s=0.01, jump_rad=0.3)) - np.arange(20.0)
+    np.testing.assert_allclose(jump, 0.3 * (np.arange(20) >= 5))
+
+
+def test_the_seed_decides():
+    settings = {"drop_share": 0.3, "encoder_noise_rad": 1e-3, "encoder_bias_rad": 1e-3}
+    np.testing.assert_array_equal(seen(faults(seed=5, **settings)), seen(faults(seed=5, **settings)))
+    assert (seen(faults(seed=6, **settings)) != seen(faults(seed=5, **settings))).any()
+
+
+class Pushed:
+    """Remembers what is held on each link."""
+
+    def __init__(self):
+        self.held = {}
+
+    def push(self, link, force):
+        self.held[link] = np.array(force)
+
+
+@pytest.mark.parametrize(("at", "long"), [(0.02, 0.01), (0.021, 0.01), (0.0199, 0.0003), (0.0, 0.01)])
+def test_a_bump_begins_and_ends(at, long):
+    """Also where its times lie between the ticks; the shortest one lasts a tick."""
+    plant, mine = Pushed(), faults(bump_N=30.0, bump_at_s=at, bump_s=long)
+    force = []
+    for k in range(30):
+        mine.act(plant, k)
+        force.append(np.linalg.norm(plant.held.get("link_4", np.zeros(3))))
+    ticks = max(1, round(long / PERIOD))
+    begin = round(at / PERIOD)
+    np.testing.assert_allclose(force, 30.0 * ((np.arange(30) >= begin) & (np.arange(30) < begin + ticks)))
+    assert plant.held["link_4"][2] == 0.0
+
+
+def test_a_bump_on_the_tool_leaves_the_payload_there():
+    plant = Pushed()
+    mine = faults(bump_N=10.0, bump_at_s=0.01, bump_s=0.01, bump_link="tool", payload_kg=2.0)
+    weight = np.array([0.0, 0.0, -2.0 * GRAVITY])
+    for k in range(20):
+        mine.act(plant, k)
+        sideways = plant.held["tool"] - weight
+        assert np.linalg.norm(sideways) == pytest.approx(10.0 if 5 <= k < 10 else 0.0, abs=1e-9)
+
+
+def test_the_trocar_slips_smoothly():
+    t = PERIOD * np.arange(500)
+    still = np.zeros((500, 2, 3))
+    moved = faults(slip_m=0.01, slip_at_s=0.3).slip(still, t)
+    size = np.linalg.norm(moved[:, 0], axis=1)
+    assert (size[t <= 0.3] == 0.0).all()
+    np.testing.assert_allclose(size[t >= 0.4], 0.01)
+    rate = np.gradient(moved[:, 0], PERIOD, axis=0)
+    np.testing.assert_allclose(moved[1:-1, 1], rate[1:-1], atol=4e-3)  # of 0.15 m/s
+    assert faults().slip(still, t) is still
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"drop_share": 1.5}, ScenarioError, "drop_share"),
+        ({"solver": "lei"}, ScenarioError, "solver"),
+        ({"bump_N": float("inf")}, ScenarioError, "bump_N"),
+        ({"bumps_N": 1.0}, UnknownNameError, "did you mean 'bump_N'"),
+        ({"solver_share": -0.1}, ScenarioError, "solver_share"),
+    ],
+)
+def test_wrong_settings_name_the_field(settings, error, message):
+    with pytest.raises(error, match=message):
+        Scenario(faults=settings)
+
+
+def test_an_unknown_link_is_found_before_anything_moves():
+    with pytest.raises(UnknownNameError, match="did you mean 'link_4'"):
+        Setup(Scenario(faults={"bump_N": 1.0, "bump_link": "link_44"}, **SHORT))
+    Setup(Scenario(faults={"bump_link": "link_44"}, **SHORT))  # nobody pushes: another arm has other links
+
+
+def test_a_payload_pulls_the_tip_down(robot):
+    clean, loaded = (
+        run(Scenario(control={"preset": "tuned", "observer_gain_per_s": 0.0}, faults=f, **SHORT))
+        for f in ({}, {"payload_kg": 1.0})
+    )
+    sag = (loaded.tip_m - clean.tip_m)[-1]
+    assert sag[2] == pytest.approx(-GRAVITY / 3000.0, rel=0.3)  # K_X of the tuned gains
+
+
+def test_the_plant_forgets_a_fault_when_it_is_reset(robot):
+    plant = Plant(robot.data)
+    faults(bump_N=30.0, bump_at_s=0.0).act(plant, 0)
+    plant.step(robot.gravity(robot.data.q_home))
+    moved = plant.q
+    plant.reset(robot.data.q_home)
+    plant.step(robot.gravity(robot.data.q_home))
+    assert (plant.q != moved).any()
+
+
+@pytest.mark.parametrize("kind", ["fail", "nan", "lie", "raise", "outside", "hang"])
+@pytest.mark.parametrize("solver", ["exact", "rnn"])
+def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
+    wrong = {"solver": kind, "solver_share": 0.2}
+    scenario = Scenario(control=TUNED, solver={"name": solver}, faults=wrong, seed=3, **SHORT)
+    trace, again = run(scenario), run(scenario)
+    setup = Setup(scenario)
+    np.testing.assert_array_equal(trace.injected, setup.spoilt())
+    assert 10 < trace.injected.sum() < 50
+    label = {"fail": "failed", "nan": "not_finite", "lie": "lied", "raise": "raised", "hang": "late"}
+    assert set(trace.fault[trace.injected]) == {label.get(kind, kind)}
+    assert set(trace.fault[~trace.injected]) == {"none"}
+    np.testing.assert_array_equal(trace.tau_Nm, again.tau_Nm)  # hanging, too, repeats itself
+    assert trace.meta["ended"] == "completed"
+
+
+def test_a_faulty_solver_costs_the_trocar_nothing():
+    clean, spoilt = (
+        run(Scenario(control=TUNED, bound_samples=0, judge=False, duration_s=2.5, faults=f))
+        for f in ({}, {"solver": "lie", "solver_share": 0.2})
+    )
+    assert spoilt.rcm_error_m.max() < 1.05 * clean.rcm_error_m.max()
+    assert spoilt.rcm_error_m.mean() < 1.05 * clean.rcm_error_m.mean()
+
+
+def test_dcac_has_no_solver_to_spoil():
+    trace = run(Scenario(control={"law": "dcac"}, faults={"solver": "nan", "solver_share": 1.0}, **SHORT))
+    assert not trace.injected.any()
+
+
+@pytest.mark.parametrize("kind", ["lie", "hang"])
+def test_compiled_ticks_say_that_they_cannot_be_spoilt(kind):
+    setup = Setup(Scenario(control={"backend": "c"}, faults={"solver": kind}, **SHORT))
+    with pytest.raises(ScenarioError, match=r"\[faults\] solver"):
+        setup.brain()
+
+
+def test_hanging_keeps_a_budget_that_was_given():
+    """Replayed times are ten times the budget, whichever it is."""
+    control = {**TUNED, "supervisor": {"budget_us": 7.0, "late": "zero"}}
+    trace = run(Scenario(control=control, faults={"solver": "hang", "solver_share": 0.5}, **SHORT))
+    assert set(trace.solve_us) == {0.0, 70.0}
+    np.testing.assert_array_equal(trace.fault == "late", trace.solve_us == 70.0)
+    assert not trace.applied_x_rad_per_s[trace.fault == "late"].any()

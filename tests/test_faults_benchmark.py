@@ -1,0 +1,255 @@
+"""The fault benchmark: figures that follow from the runs, a command that leaves its files, a page that is its own."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import faults, faults_page
+from benchmarks.faults_config import GROUPS, Case, Config
+from benchmarks.faults_runs import Waited, detection, jobs, measure, recovery, run_case, smooth
+from benchmarks.faults_summary import goals, outcome, summarise
+from benchmarks.output import default_config
+from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.trace import Trace
+
+TINY = """
+trials = 1
+solvers = ["exact"]
+processes = 1
+[scenario]
+control = { preset = "tuned" }
+duration_s = 0.4
+bound_samples = 0
+[cases.lies]
+group = "solver"
+faults = { solver = "lie", solver_share = 0.2 }
+[cases.gone]
+group = "sensors"
+faults = { nan_at_s = 0.1, nan_ticks = 100000 }
+from_s = 0.1
+[cases.camera]
+group = "camera"
+camera_lost_s = [0.1, 0.2]
+"""
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return Config.load(default_config("faults"))
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """What the command leaves of a tiny configuration."""
+    folder = tmp_path_factory.mktemp("faults")
+    (folder / "tiny.toml").write_text(TINY)
+    assert faults.main([str(folder / "tiny.toml"), "--out", str(folder / "out"), "--seed", "3"]) == 0
+    return folder / "out"
+
+
+def run_of(error, level=1e-3, **meta):
+    """A made-up run: both errors as given, one row every 10 ms."""
+    error = np.asarray(error, dtype=float)
+    n = len(error)
+    return Trace(
+        {
+            "t_s": 0.01 * np.arange(n), "tip_error_m": error, "rcm_error_m": np.full(n, level),
+            "tip_m": np.zeros((n, 3)), "trocar_force_N": np.zeros((n, 3)), "limited": np.zeros(n, dtype=np.int8),
+            "v_rad_per_s": np.zeros((n, 7)),
+        },
+        {"ended": "completed", **meta},
+    )  # fmt: skip
+
+
+def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
+    assert {case.group for case in shipped.cases.values()} == set(GROUPS)
+    for case in shipped.cases.values():
+        assert case.spoil(shipped.scenario) != shipped.scenario or case.camera_lost_s is not None
+    delays = {case.plant.get("delay_ticks") for case in shipped.cases.values()} - {None}
+    assert delays | {shipped.scenario.plant.delay_ticks} == {1, 2, 3, 4, 5}
+    assert max(case.faults.get("bump_N", 0.0) for case in shipped.cases.values()) == 30.0
+    assert max(c.trocar.get("breathing_amplitude_m", 0.0) for c in shipped.cases.values()) == 0.015
+    kinds = {case.faults.get("solver") for case in shipped.cases.values()} - {None}
+    assert kinds == {"fail", "nan", "lie", "raise", "outside", "hang"}
+
+
+def test_every_fault_meets_every_controller(shipped):
+    work = jobs(shipped)
+    assert len(work) == shipped.trials * (1 + len(shipped.solvers))
+    for job in work:
+        left_out = set(shipped.cases) - set(job.cases)
+        assert all(shipped.cases[name].group == "solver" for name in left_out)
+        assert bool(left_out) == (job.controller == "dcac")
+    assert {job.scenario.seed for job in work} == {0, 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("trials = 0", ScenarioError, "trials"),
+        ("", ScenarioError, "cases"),
+        ('[cases.a]\ngroup = "sensor"', ScenarioError, "group"),
+        ('[cases.none]\ngroup = "sensors"', ScenarioError, "run without a fault"),
+        ('[cases.a]\ngroup = "plant"\nplant = { delay = 2 }', UnknownNameError, "delay_ticks"),
+        ('[cases.a]\ngroup = "plant"\nfrom_s = 2.0\nuntil_s = 1.0', ScenarioError, "until_s"),
+        ("trials = ", ScenarioError, "cannot be used"),
+        ('solvers = ["oskp"]\n[cases.a]\ngroup = "plant"', UnknownNameError, "osqp"),
+    ],
+)
+def test_wrong_configurations_are_refused(text, error, message, tmp_path, capsys):
+    file = tmp_path / "faults.toml"
+    file.write_text(text)
+    with pytest.raises(error, match=message):
+        faults.check_solvers(Config.load(file))
+    assert faults.main([str(file), "--out", str(tmp_path / "out")]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_recovery_is_the_last_time_above_the_level():
+    free = run_of(np.full(300, 1e-3))
+    error = np.full(300, 1e-3)
+    error[100:150] = 5e-3
+    case = Case(group="contact", from_s=1.0, until_s=1.4)
+    # 20 rows are averaged: above 1.25 mm until one row of 5 mm and nineteen of 1 mm are left
+    assert recovery(run_of(error), free, case, "completed") == pytest.approx(1.69 - 1.4, abs=0.02)
+    assert recovery(run_of(error), free, Case(group="plant"), "completed") == pytest.approx(1.69, abs=0.02)
+    assert recovery(free, free, case, "completed") == 0.0
+    assert recovery(run_of(np.full(300, 2e-3)), free, case, "completed") is None
+    assert recovery(run_of(error), free, case, "stopped: x") is None
+    assert recovery(free, free, None, "completed") == 0.0
+
+
+def test_smooth_is_a_mean_of_the_past():
+    np.testing.assert_allclose(smooth(np.array([1.0, 3.0, 5.0, 7.0]), 2), [1.0, 2.0, 4.0, 6.0])
+    np.testing.assert_allclose(smooth(np.arange(5.0), 1), np.arange(5.0))
+
+
+@pytest.mark.parametrize(
+    ("error", "ended", "expected"),
+    [
+        (1e-3, "completed", "survived"), (0.05, "completed", "diverged"), (np.nan, "completed", "diverged"),
+        (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
+    ],
+)  # fmt: skip
+def test_outcomes(error, ended, expected):
+    free = run_of(np.full(10, 1e-3))
+    found = measure(run_of(np.full(10, error), ended=ended), free, ended, None, (20.0, 20.0))
+    assert found["outcome"] == expected
+    assert measure(None, free, "refused: x", None, (20.0, 20.0)) == {"outcome": "refused"}
+
+
+def test_detection_counts_each_kind_apart():
+    trace = run_of(np.zeros(6)).with_columns(
+        injected=[True, True, True, False, False, True],
+        fault=["lied", "none", "none", "lied", "infeasible", "stopped"],
+        verified=[False, True, False, True, True, False],
+    )
+    counts = {"injected": 3, "detected": 1, "harmless": 1, "missed": 1, "false_alarms": 1}
+    assert detection(trace) == counts
+
+
+def row(case, solver, kind="survived", **figures):
+    base = {"case": case, "group": "solver", "solver": solver, "trial": 0, "ended": "completed"}
+    return {**base, "outcome": kind, "ticks": 100, "recover_s": 0.1, **figures}
+
+
+def test_goals_follow_from_the_rows(shipped):
+    good = {
+        "injected": 5,
+        "detected": 5,
+        "missed": 0,
+        "rcm_mean_percent": 1.0,
+        "rcm_max_percent": 2.0,
+        "false_alarms": 0,
+    }
+    fine = summarise(
+        [row("solver-lies", "exact", **good), row("solver-nan-always", "exact", **{**good, "rcm_mean_percent": 4.0}),
+         row("nan-lasting", "exact", "stopped", last_speed_rad_per_s=0.01, recover_s=None)]
+    )  # fmt: skip
+    assert all(goal["reached"] for goal in goals(shipped, fine))
+    assert outcome(fine["nan-lasting"]["exact"]) == "stopped"
+    assert "recover_s" not in fine["nan-lasting"]["exact"]
+    for bad in (  # each of them breaks one goal
+        row("delay-5", "rnn", "diverged"), row("delay-5", "rnn", "ran away"), row("delay-5", "rnn", "refused"),
+        row("solver-lies", "rnn", **{**good, "missed": 1}),
+        row("solver-lies", "rnn", **{**good, "rcm_mean_percent": 6.0}),
+        row("solver-lies", "rnn", **{**good, "rcm_max_percent": 6.0}),
+        row("solver-nan-always", "rnn", **{**good, "rcm_mean_percent": 6.0}),
+        row("solver-lies", "rnn", **{**good, "false_alarms": 30}),
+        row("nan-lasting", "rnn", "stopped", last_speed_rad_per_s=0.2),
+    ):  # fmt: skip
+        found = goals(shipped, summarise([row("solver-lies", "exact", **good), bad]))
+        lost = [goal for goal in found if not goal["reached"]]
+        assert len(lost) == 1, (bad, lost)
+    mixed = summarise([row("a", "exact"), row("a", "exact", "stopped")])
+    assert outcome(mixed["a"]["exact"]) == "1 survived, 1 stopped"
+
+
+def test_a_lost_camera_makes_the_path_wait():
+    setup = Setup(Scenario(control={"preset": "tuned"}, duration_s=2.0, bound_samples=0, judge=False))
+    waited = Waited(setup.reference, 0.002, 1000, (0.8, 1.4))
+    x, dx, _ = waited.at(setup.times())
+    t = setup.times()
+    assert (np.linalg.norm(dx[(t > 1.2) & (t < 1.4)], axis=1) == 0.0).all()
+    assert np.linalg.norm(dx[t > 1.8], axis=1).min() > 0.001
+    assert (np.linalg.norm(np.diff(x, axis=0), axis=1) / 0.002 <= 0.051).all()
+    trace, ended = run_case(setup.scenario, (0.8, 1.4))
+    assert ended == "completed"
+    assert np.linalg.norm(np.diff(trace.tip_ref_m[(t > 1.2) & (t < 1.4)], axis=0)) == 0.0
+
+
+def test_a_case_that_cannot_start_is_a_row():
+    trace, ended = run_case(Scenario(solver={"name": "no such"}, duration_s=0.1), None)
+    assert trace is None
+    assert ended.startswith("refused: UnknownNameError")
+
+
+def test_the_command_leaves_its_files(left):
+    summary = json.loads((left / "summary.json").read_text())
+    assert set(summary) == {"none", "lies", "gone", "camera", "goals"}
+    assert summary["lies"]["exact"]["injected"] == summary["lies"]["exact"]["detected"] > 10
+    assert summary["gone"]["exact"]["stopped"] == 1
+    assert set(summary["gone"]) == {"dcac", "exact"}
+    assert set(summary["lies"]) == {"exact"}
+    rows = pq.read_table(left / "rows.parquet").to_pylist()
+    assert len(rows) == 3 + 4
+    environment = json.loads((left / "environment.json").read_text())
+    assert environment["seed"] == 3
+    assert environment["config"]["cases"]["lies"]["faults"] == {"solver": "lie", "solver_share": 0.2}
+    assert "Every fault" in (left / "report.html").read_text()
+
+
+def test_the_same_seed_gives_the_same_numbers(left, tmp_path):
+    (tmp_path / "tiny.toml").write_text(TINY)
+    assert faults.main([str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]) == 0
+    assert (tmp_path / "out" / "summary.json").read_bytes() == (left / "summary.json").read_bytes()
+
+
+def test_json_is_the_summary(tmp_path, capsys):
+    (tmp_path / "tiny.toml").write_text(TINY.replace("0.4", "0.1"))
+    assert faults.main([str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "out" / "summary.json").read_text())
+
+
+def test_the_page_belongs_to_its_generator():
+    """docs/reliability.md is what the generator makes of docs/reliability.json, to the letter."""
+    found = json.loads(faults_page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
+    assert faults_page.page(found) == faults_page.PAGE.read_text(encoding="utf-8"), (
+        "run python -m benchmarks.faults --page"
+    )
+
+
+def test_the_page_is_of_the_configuration_that_ships(shipped):
+    """Figures of other faults, or of fewer, would not be those of the command."""
+    found = json.loads(faults_page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
+    assert found["environment"]["config"] == json.loads(json.dumps(shipped.model_dump(mode="json")))
+    assert set(found["cases"]) == {"none", *shipped.cases}
+    for promise, _, files in faults_page.PROMISES:
+        assert promise.endswith(".")
+        for name in files.replace("`", "").split(", "):
+            path = faults_page.PAGE.parents[1] / name
+            assert name == "this benchmark" or path.exists(), name

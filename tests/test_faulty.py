@@ -1,0 +1,105 @@
+"""A solver that fails on purpose: at the ticks that were drawn, and in the way that was asked for."""
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import SolverError
+from moc_opt.scenario import Scenario, run
+from moc_opt.solvers import create
+from moc_opt.solvers.base import Status
+from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.faulty import KINDS, Faulty, InjectedFault, draw
+from moc_opt.subproblem import NullSpaceQP, judge
+
+
+@pytest.fixture(scope="module")
+def problems():
+    trace = run(Scenario(control={"preset": "tuned"}, duration_s=0.4, bound_samples=0, judge=False))
+    return [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
+
+
+def answers(session, problems):
+    """What a session says; None where it raised."""
+    found = []
+    for qp in problems:
+        try:
+            found.append(session.solve(qp))
+        except InjectedFault:
+            found.append(None)
+    return found
+
+
+def is_wrong(kind, qp, answer):
+    if kind == "raise":
+        return answer is None
+    if kind == "fail":
+        return answer.status is Status.NUMERICAL and np.isnan(answer.x).all()
+    if kind == "nan":
+        return answer.status is Status.SOLVED and np.isnan(answer.x).all()
+    if kind == "outside":
+        return answer.status is Status.SOLVED and (answer.x > qp.upper).any()
+    found = judge(qp.row[None], answer.x[None])  # a lie
+    return answer.status is Status.SOLVED and found.primal[0] < 1e-9 and not found.verified()[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind, problems):
+    solver = Faulty(Exact(), kind, rate=0.3, seed=4)
+    session = solver.start(problems[0])
+    spoilt = solver.spoilt(len(problems))
+    assert 0.2 < spoilt.mean() < 0.4
+    right = answers(Exact().start(problems[0]), problems)
+    for qp, bad, mine, honest in zip(problems, spoilt, answers(session, problems), right, strict=True):
+        if bad:
+            assert is_wrong(kind, qp, mine)
+        else:
+            np.testing.assert_array_equal(mine.x, honest.x)
+    assert session.faults == spoilt.sum()
+
+
+def test_the_draw_belongs_to_the_seed_and_grows():
+    long, short = draw(3, 0.2, 1000), draw(3, 0.2, 400)
+    np.testing.assert_array_equal(long[:400], short)
+    assert (draw(4, 0.2, 1000) != long).any()
+    assert not draw(3, 0.0, 100).any()
+    assert draw(3, 1.0, 100).all()
+
+
+def test_two_sessions_share_nothing(problems):
+    solver = Faulty(Exact(), "fail", rate=0.5)
+    first = solver.start(problems[0])
+    answers(first, problems[:50])
+    second = solver.start(problems[0])
+    assert second.faults == 0
+    both = [[a.status for a in answers(s, problems[:50])] for s in (second, solver.start(problems[0]))]
+    assert both[0] == both[1]
+
+
+def test_the_solver_inside_keeps_its_memory_to_itself(problems):
+    """A network that is not asked at a tick goes on from where it was: its answers are not mixed with lies."""
+    clean, spoilt = (
+        create("rnn").start(problems[0]),
+        Faulty(create("rnn"), "lie", rate=0.5).start(problems[0]),
+    )
+    hit = Faulty(create("rnn"), "lie", rate=0.5).spoilt(len(problems))
+    for qp, bad in zip(problems, hit, strict=True):
+        mine = spoilt.solve(qp)
+        if not bad:
+            np.testing.assert_array_equal(mine.x, clean.solve(qp).x)
+
+
+def test_a_session_that_observes_still_does(problems):
+    assert hasattr(Faulty(create("rnn-printed"), "nan").start(problems[0]), "observe")
+    assert not hasattr(Faulty(Exact(), "nan").start(problems[0]), "observe")
+
+
+@pytest.mark.parametrize("changes", [{"kind": "lei"}, {"rate": -0.1}, {"rate": 1.5}, {"rate": float("nan")}])
+def test_wrong_settings_name_the_field(changes):
+    with pytest.raises(SolverError, match=next(iter(changes))):
+        Faulty(Exact(), **{"kind": "lie", **changes})
+
+
+def test_its_name_says_what_is_wrong_with_it(problems):
+    solver = Faulty(create("quadprog"), "lie")
+    assert solver.name == "quadprog+lie"
+    assert solver.supports(problems[0]) == create("quadprog").supports(problems[0])

@@ -1,0 +1,245 @@
+"""Bad input: refused by name, or taken and right; never a traceback from inside, a hang, or a file where none belongs.
+
+`python -m benchmarks.fuzz --cases 10000` does the same at length.
+"""
+
+import contextlib
+import io
+import json
+import pickle
+import signal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import fuzz, fuzz_checks
+from benchmarks.fuzz_inputs import STRATEGIES, good_trace
+from moc_opt.__main__ import main
+from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, TraceError
+from moc_opt.model import load_robot
+from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.sim import Plant
+from moc_opt.trace import Trace
+
+SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
+
+
+@pytest.mark.parametrize(
+    ("kind", "cases"),
+    [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
+     ("record_file", 40)],
+)  # fmt: skip
+def test_bad_input_ends_well(kind, cases):
+    verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
+    assert failures == []
+    assert verdicts.total() >= cases
+    assert verdicts["refused"] > 0
+    if kind != "record_file":
+        assert verdicts["accepted"] > 0  # or nothing behind the first check was looked at
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (lambda case: 1 / 0, "ZeroDivisionError"),
+        (lambda case: (_ for _ in ()).throw(fuzz_checks.Wrong("not true")), "Wrong"),
+    ],
+)
+def test_a_failure_is_found(change, what, monkeypatch):
+    monkeypatch.setattr(fuzz_checks, "subproblem", change)
+    _, failures = fuzz.explore("subproblem", 5, 0, lambda: None)
+    assert failures
+    assert all(failure.startswith(what) for failure in failures)
+
+
+def test_a_hang_is_found():
+    def stubborn():
+        with fuzz_checks.time_limit(1):
+            while True:
+                with contextlib.suppress(Exception):  # nothing that catches exceptions may swallow it
+                    while True:
+                        pass
+
+    with pytest.raises(fuzz_checks.Hang):
+        stubborn()
+    assert signal.alarm(0) == 0
+
+
+def test_the_command(tmp_path, capsys, monkeypatch):
+    assert (
+        fuzz.main(["--cases", "12", "--out", str(tmp_path), "--only", "record_file", "subproblem", "--json"])
+        == 0
+    )
+    assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
+    assert set(fuzz.KINDS) == set(STRATEGIES)
+    monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
+    assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
+    assert "ZeroDivisionError" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("table", "names"),
+    [
+        ({"plant": {"period_s": 1e-9, "substeps": 1}}, "period_s"),
+        ({"task": {"v_max_m_per_s": 1e-300}}, "v_max_m_per_s"),
+        ({"task": {"a_max_m_per_s2": 1e-300}}, "a_max_m_per_s2"),
+        ({"duration_s": 1e300}, "duration_s"),
+        ({"bound_samples": 10**9}, "bound_samples"),
+        ({"task": {"wait_s": 1e300}}, "wait_s"),
+    ],
+)
+def test_runs_that_would_never_end_are_refused(table, names):
+    with pytest.raises(ScenarioError, match=names):
+        Setup(Scenario(**table))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [{"robot": {"tool_mass_kg": 1e300}}, {"robot": {"tool_length_m": 1e300}},
+     {"trocar": {"breathing_amplitude_m": 1e300}}],
+)  # fmt: skip
+def test_absurd_sizes_are_refused_by_name(table):
+    with pytest.raises(ScenarioError, match=next(iter(next(iter(table.values()))))):
+        Scenario(**table)
+
+
+def test_absurd_gains_end_in_a_stop():
+    trace = run(Scenario(control={"K_X": 1e300}, **{**SHORT, "duration_s": 0.2}))
+    assert trace.meta["ended"].startswith("stopped")
+
+
+def test_an_arm_that_runs_away_leaves_no_log(robot, tmp_path, monkeypatch):
+    """MuJoCo would write one into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    heavy = load_robot(tool_mass=1e300)
+    plant = Plant(heavy.data)
+    with pytest.raises(PlantError, match="ran away"):
+        plant.step(np.zeros(7))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "\x00", "con"])
+def test_a_name_is_no_place_to_write(name, tmp_path, monkeypatch, capsys):
+    """A run writes the file that was asked for, and no other, whatever its scenario is called."""
+    inside = tmp_path / "a" / "b"
+    inside.mkdir(parents=True)
+    monkeypatch.chdir(inside)
+    file = tmp_path / "scenario.toml"
+    file.write_text(f"name = {json.dumps(name)}\nduration_s = 0.004\nbound_samples = 0\njudge = false\n")
+    assert main(["run", str(file), "--trace", "out.parquet"]) == 0, capsys.readouterr().err
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file, inside / "out.parquet"}
+
+
+@pytest.mark.parametrize(
+    "name", ["../../../etc/passwd", "/dev/null", "/dev/zero", "..", "/etc/passwd.toml", "x\x00.toml"]
+)
+def test_a_robot_s_path_is_only_read(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(MocOptError):
+        run(Scenario(robot={"name": name}, **SHORT))
+    assert list(tmp_path.iterdir()) == []
+
+
+class Evil:
+    """Leaves a file behind where it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (open, (self.path, "w"))
+
+
+def test_a_parquet_file_runs_no_code(tmp_path):
+    """Pickles where other libraries look for them: extension types, pandas metadata, our own keys."""
+    mark = tmp_path / "was-here"
+    bomb = pickle.dumps(Evil(str(mark)))
+    field = pa.field(
+        "t_s", pa.float64(),
+        metadata={"ARROW:extension:name": "arrow.py_extension_type", "ARROW:extension:metadata": bomb},
+    )  # fmt: skip
+    for types in (bomb, json.dumps({"t_s": "|O"}).encode(), json.dumps({"t_s": "<f8"}).encode()):
+        schema = pa.schema(
+            [field],
+            metadata={
+                "moc_opt.trace": "1",
+                "moc_opt.types": types,
+                "moc_opt.meta": "{}",
+                "pandas": bomb,
+                "PANDAS": bomb,
+            },
+        )
+        pq.write_table(pa.table([pa.array([0.0, 1.0])], schema=schema), tmp_path / "evil.parquet")
+        with contextlib.suppress(TraceError):
+            trace = Trace.load(tmp_path / "evil.parquet")
+            assert trace.t_s.dtype == np.float64
+        assert not mark.exists()
+    pickle.loads(bomb).close()
+    assert mark.exists()  # the charge was live
+
+
+def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
+    """A few kilobytes can stand for terabytes."""
+    file = tmp_path / "many.parquet"
+    with pq.ParquetWriter(file, pa.schema([("t_s", pa.float64())])) as writer:
+        chunk = pa.table({"t_s": np.zeros(5_000_000)})
+        for _ in range(5):
+            writer.write_table(chunk)
+    assert file.stat().st_size < 1e6
+    with pytest.raises(TraceError, match="25000000 rows"):
+        Trace.load(file)
+
+
+@pytest.mark.parametrize(
+    "types", [{"t_s": "|O"}, {"t_s": "<U999999999"}, {"t_s": "f8,i4"}, {"t_s": None}, {}, [], 3]
+)
+def test_hostile_types_are_refused(types, tmp_path):
+    table = pa.table({"t_s": pa.array(["x", "y"])})
+    keys = {"moc_opt.trace": "1", "moc_opt.types": json.dumps(types), "moc_opt.meta": "{}"}
+    pq.write_table(table.replace_schema_metadata(keys), tmp_path / "t.parquet")
+    with pytest.raises(TraceError, match=r"t\.parquet|t_s"):
+        Trace.load(tmp_path / "t.parquet")
+
+
+@pytest.mark.parametrize("key", ["moc_opt.meta", "moc_opt.types"])
+def test_metadata_nested_too_deep_is_refused(key, tmp_path):
+    data = good_trace()[1]
+    table = pq.read_table(io.BytesIO(data))
+    metadata = {**table.schema.metadata, key.encode(): b"[" * 100_000}
+    pq.write_table(table.replace_schema_metadata(metadata), tmp_path / "t.parquet")
+    with pytest.raises(TraceError, match=r"t\.parquet"):
+        Trace.load(tmp_path / "t.parquet")
+
+
+def test_toml_nested_too_deep_is_refused(tmp_path):
+    for name, load, error in (
+        ("scenario.toml", Scenario.load, ScenarioError), ("arm.toml", load_robot, RobotError),
+    ):  # fmt: skip
+        (tmp_path / name).write_text("x = " + "[" * 100_000)
+        with pytest.raises(error, match=name):
+            load(tmp_path / name)
+
+
+def test_toml_is_data(tmp_path):
+    """No references, tags or templates: a text stays one, in an error too."""
+    file = tmp_path / "s.toml"
+    file.write_text('name = "${HOME} {0.__class__} !!python/object"\n')
+    assert Scenario.load(file).name == "${HOME} {0.__class__} !!python/object"
+    file.write_text('[control]\npreset = "{0.__class__} %s"\n')
+    with pytest.raises(MocOptError, match=r"s\.toml.*__class__} %s"):
+        Scenario.load(file)
+
+
+@pytest.mark.parametrize(
+    "entity", ['<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "<!ENTITY a 'b'>"]
+)
+def test_a_urdf_reads_no_other_file(entity, tmp_path):
+    from benchmarks.fuzz_inputs import ROBOTS
+
+    toml = (ROBOTS / "lwr4.toml").read_text().replace("lwr4.urdf", "arm.urdf")
+    (tmp_path / "arm.toml").write_text(toml)
+    (tmp_path / "arm.urdf").write_text(entity + (ROBOTS / "lwr4.urdf").read_text())
+    with pytest.raises(RobotError, match="entities"):
+        load_robot(tmp_path / "arm.toml")

@@ -1,0 +1,335 @@
+"""Limits that hold at every tick, and the damped stop."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from moc_opt.control.guard import Guard, GuardSettings, limit_torque
+from moc_opt.errors import ControlError, PlantError
+from moc_opt.scenario import Driver, Scenario, Setup, run
+from moc_opt.sim import Plant, PlantSettings
+from moc_opt.sim.loop import RunAway, Stop, simulate
+
+PERIOD = 0.002
+N = 7
+QUICK = {"bound_samples": 0, "judge": False}
+
+
+@pytest.fixture
+def guard(robot):
+    mine = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    mine.start(robot.data.q_home, np.zeros(N))
+    return mine
+
+
+def numbers(low, high):
+    return arrays(np.float64, N, elements=st.floats(low, high))
+
+
+@settings(max_examples=200, deadline=None)
+@given(tau=numbers(-1e4, 1e4), before=numbers(-1.0, 1.0), place=numbers(-0.2, 1.2), v=numbers(-20.0, 20.0))
+def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
+    """Whatever is asked for, in any state, also beyond the joint limits."""
+    q = robot.q_min + place * (robot.q_max - robot.q_min)
+    before = before * robot.tau_max
+    mine = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    sent = mine.limit(tau, before, q, v)
+    assert (np.abs(sent) <= robot.tau_max).all()
+    step = GuardSettings().torque_rate_Nm_per_s * PERIOD
+    assert (np.abs(sent - before) <= step * (1 + 1e-12)).all()
+    assert mine.limited == np.count_nonzero(sent != tau)
+
+
+@settings(max_examples=200, deadline=None)
+@given(tau=numbers(-170.0, 170.0), place=numbers(0.0, 1.0), v=numbers(-6.0, 6.0))
+def test_too_fast_or_too_near_is_braked(robot, tau, place, v):
+    """Without a rate limit: a joint that is too fast for where it is gets a torque below its weight's, against v."""
+    s = GuardSettings(torque_rate_Nm_per_s=1e9)
+    q = robot.q_min + place * (robot.q_max - robot.q_min)
+    mine = Guard(robot.data, s, PERIOD)  # drives that carry the weight: hold = 0
+    sent = mine.limit(np.clip(tau, -robot.tau_max, robot.tau_max), np.zeros(N), q, v)
+    for i in range(N):
+        inside = min(robot.q_max[i] - q[i], q[i] - robot.q_min[i]) < s.position_margin_rad
+        if inside and abs(v[i]) > robot.v_max[i] and (q[i] > 0.0) != (v[i] > 0.0):
+            assert sent[i] == 0.0  # it leaves the wall, and too fast already
+            continue
+        for side, distance in ((1.0, robot.q_max[i] - q[i]), (-1.0, q[i] - robot.q_min[i])):
+            distance -= s.position_margin_rad
+            allowed = min(robot.v_max[i], np.sqrt(2.0 * s.wall_brake_rad_per_s2 * max(distance, 0.0)))
+            if side * v[i] > allowed:
+                assert side * sent[i] <= 1e-9
+            if distance < 0.0:
+                spring = s.wall_stiffness_Nm_per_rad * -distance
+                assert side * sent[i] <= -min(spring, robot.tau_max[i]) + 1e-9
+            if abs(v[i]) <= allowed and distance > 0.0 and place[i] in (0.4, 0.5):
+                assert sent[i] == np.clip(tau, -robot.tau_max, robot.tau_max)[i]
+
+
+def test_calm_torques_pass_untouched(guard, robot):
+    tau = robot.gravity(robot.data.q_home)
+    sent = guard.limit(tau, tau, robot.data.q_home, 0.5 * robot.v_max)
+    np.testing.assert_array_equal(sent, tau)
+    assert guard.limited == 0
+
+
+def test_the_kernel_asks_for_the_weight_only_where_it_brakes(robot):
+    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max])
+    wall = np.array([0.05, 2000.0, 20.0, 2.0])
+    rest, tau = np.zeros(N), np.ones(N)
+    args = (np.empty(0), limits, wall, 40.0)
+    assert limit_torque(tau, rest, robot.data.q_home, rest, *args) == 0
+    assert limit_torque(tau, rest, robot.data.q_home, 2.0 * robot.v_max, *args) == -1
+    np.testing.assert_array_equal(tau, np.ones(N))
+    tau[3] = np.nan
+    assert limit_torque(tau, rest, robot.data.q_home, rest, *args) == -2
+
+
+class Saboteur:
+    """Asks for twice the largest torques, in directions that change at random; it sees no tip."""
+
+    def __init__(self, robot, every, seed):
+        self.robot, self.every, self.k = robot, every, 0
+        self.rng = np.random.default_rng(seed)
+        self.direction = self.rng.choice([-1.0, 1.0], N)
+
+    def start(self, *_):
+        pass
+
+    def sent(self, tau):
+        pass
+
+    def columns(self, ticks):
+        return {}
+
+    def note(self, row, columns):
+        pass
+
+    def tick(self, q, v, *_):
+        self.k += 1
+        if self.k % self.every == 0:
+            self.direction = self.rng.choice([-1.0, 1.0], N)
+        return 2.0 * self.robot.tau_max * self.direction
+
+
+@pytest.mark.parametrize("every", [1, 100, 10_000])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
+    free = PlantSettings.realistic(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0)
+    plant = Plant(robot.data, free, seed=seed)
+    place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
+    plant.reset(robot.q_min + place * (robot.q_max - robot.q_min))
+    ticks = 600
+    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    trace = simulate(
+        plant, Saboteur(robot, every, seed), np.zeros((ticks, 3, 3)), np.zeros((ticks, 2, 3)),
+        np.zeros((ticks, 2, 3)), guard=guard,
+    )  # fmt: skip
+    assert trace.limited.any()
+    assert (trace.q_rad >= robot.q_min - 1e-3).all()
+    assert (trace.q_rad <= robot.q_max + 1e-3).all()
+    assert (np.abs(trace.tau_Nm) <= robot.tau_max).all()
+    rate = np.abs(np.diff(trace.tau_Nm, axis=0)).max() / PERIOD
+    assert rate <= GuardSettings().torque_rate_Nm_per_s * (1 + 1e-9)
+    # speeds are braked, not foreseen: full torque the wrong way exceeds them for some ticks
+    speed = np.abs(trace.v_rad_per_s) / robot.v_max
+    assert speed.max() < 5.0
+    assert np.median(speed.max(axis=1)) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("control", "most"), [({"preset": "tuned"}, 0), ({"law": "dcac"}, 0), ({"law": "dcac", "gains": "moc"}, 0),
+                          ({"ramp_s": 0.3}, 0), ({}, 30)],
+)  # fmt: skip
+def test_ordinary_runs_are_not_touched(control, most):
+    """The default law jumps to full speed at its first tick, past joints' speed limits: only there."""
+    trace = run(Scenario(control=control, **QUICK))
+    touched = np.flatnonzero(trace.limited)
+    assert len(touched) <= most
+    assert (touched < 50).all()
+    assert trace.meta["ended"] == "completed"
+
+
+def test_bad_measurements_are_bridged(guard, robot):
+    q, v = robot.data.q_home, np.full(N, 0.1)
+    guard.believe(q, v)
+    for k, bad in enumerate((np.full(N, np.nan), q + 1.0, np.full(N, np.inf)), start=1):
+        seen, speed = guard.believe(bad, v)
+        np.testing.assert_allclose(seen, q + k * PERIOD * v, rtol=0, atol=1e-12)
+        np.testing.assert_array_equal(speed, v)
+        assert guard.bad_ticks == k
+        assert not guard.lost
+    back, _ = guard.believe(q + 3 * PERIOD * v, v)
+    np.testing.assert_array_equal(back, q + 3 * PERIOD * v)
+    assert guard.bad_ticks == 0
+    for _ in range(4):
+        guard.believe(q, np.full(N, np.nan))
+    assert guard.lost
+    assert "not believed" in guard.reason
+
+
+def test_a_speed_that_no_joint_has_is_not_believed(guard, robot):
+    guard.believe(robot.data.q_home, 6.0 * robot.v_max)
+    assert guard.bad_ticks == 1
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_the_first_measurement_must_be_one(guard, bad):
+    with pytest.raises(ControlError, match="not finite"):
+        guard.start(np.full(N, bad), np.zeros(N))
+
+
+@pytest.mark.parametrize(
+    "field", [{"patience_ticks": -1}, {"jump_rad": 0.0}, {"stop_s": -1.0}, {"tip_error_m": float("nan")}]
+)
+def test_wrong_settings_name_the_field(field):
+    with pytest.raises(ControlError, match=next(iter(field))):
+        GuardSettings(**field)
+
+
+@pytest.mark.parametrize("law", ["moc", "dcac"])
+@pytest.mark.parametrize(
+    "faults", [{"nan_at_s": 0.8, "nan_ticks": 9999}, {"jump_at_s": 0.8, "jump_rad": 0.2}], ids=["nan", "jump"]
+)
+def test_sensors_that_are_lost_stop_the_arm(law, faults):
+    control = {"preset": "tuned"} if law == "moc" else {"law": "dcac"}
+    scenario = Scenario(control=control, faults=faults, **QUICK)
+    trace = run(scenario)
+    assert trace.meta["ended"].startswith("stopped: measurements not believed")
+    patience = 1e-9 + 0.8 + PERIOD * scenario.guard.patience_ticks
+    assert trace.meta["stopped_at_s"] == pytest.approx(patience)
+    assert trace.t_s[-1] == pytest.approx(patience + scenario.guard.stop_s)
+    after = trace.t_s >= trace.meta["stopped_at_s"]
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
+    assert np.linalg.norm(trace.tip_m[after] - trace.tip_m[after][0], axis=1).max() < 0.005
+    if law == "moc":
+        assert set(trace.fault[after]) == {"stopped"}
+        assert set(trace.status[after]) == {"none"}
+        assert np.isnan(trace.x_rad_per_s[after]).all()
+        assert not (trace.fault[~after] == "stopped").any()
+
+
+def test_a_bridged_gap_goes_unnoticed():
+    clean, gap = (
+        run(Scenario(control={"preset": "tuned"}, faults=f, duration_s=1.2, **QUICK))
+        for f in ({}, {"nan_at_s": 0.8, "nan_ticks": 3})
+    )
+    assert gap.meta["ended"] == "completed"
+    assert np.abs(gap.tip_m - clean.tip_m).max() < 1e-4
+
+
+def test_the_weight_is_carried_and_the_last_push_is_not(robot):
+    """In a stop the torque of the last pose's gravity coasts less far than holding the last torque would."""
+
+    class Holding(Guard):
+        def rest(self, before):
+            return before
+
+    travels = []
+    for kind in (Guard, Holding):
+        setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
+        ticks = 600
+        t = PERIOD * np.arange(ticks)
+        references = np.stack(setup.reference.at(t), axis=1)
+        trocars = np.stack(setup.trocar.at(t), axis=1)
+        guard = kind(robot.data, GuardSettings(), PERIOD, robot.gravity)
+        brain = Driver(setup.controller())
+        stop_at = 350
+
+        def watch(k, guard=guard, plant=setup.plant, stop_at=stop_at):
+            if k == stop_at - 20:
+                plant.push("link_4", [30.0, 0.0, 0.0])
+            if k == stop_at:
+                plant.clear_pushes()
+                guard.give_up("for a test")
+
+        trace = simulate(
+            setup.plant, brain, references, trocars, np.stack(setup.registered.at(t), axis=1), guard=guard,
+            stop=Stop(40.0, 0.4), watch=watch,
+        )  # fmt: skip
+        assert trace.meta["ended"] == "stopped: for a test (t = 0.700 s)"
+        travels.append(np.linalg.norm(trace.tip_m[stop_at:] - trace.tip_m[stop_at], axis=1).max())
+        if kind is Guard:
+            np.testing.assert_allclose(trace.tau_Nm[-1], robot.gravity(trace.q_rad[stop_at - 1]), atol=0.05)
+    assert travels[0] < 0.7 * travels[1]
+
+
+class Breaking(Driver):
+    """A controller that breaks down at a tick, in one way or another."""
+
+    def __init__(self, controller, how):
+        super().__init__(controller)
+        self.how, self.k = how, 0
+
+    def tick(self, *args):
+        self.k += 1
+        if self.k > 100:
+            if isinstance(self.how, Exception):
+                raise self.how
+            return np.full(N, self.how)
+        return super().tick(*args)
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        (ControlError("no idea"), "the controller failed: no idea"),
+        (ZeroDivisionError("by zero"), "by zero"),
+        (np.linalg.LinAlgError("SVD"), "SVD"),
+        (float("nan"), "torque is not finite"),
+        (float("inf"), "torque is not finite"),
+    ],
+)
+def test_a_controller_that_breaks_down_stops_the_arm(robot, how, says):
+    setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
+    t = PERIOD * np.arange(400)
+    trace = simulate(
+        setup.plant, Breaking(setup.controller(), how), *(np.stack(r.at(t), axis=1) for r in
+        (setup.reference, setup.trocar, setup.registered)),
+        guard=Guard(robot.data, GuardSettings(), PERIOD, robot.gravity), stop=Stop(40.0, 0.3),
+    )  # fmt: skip
+    assert trace.meta["ended"].startswith("stopped: ")
+    assert says in trace.meta["ended"]
+    assert len(trace) == 100 + 150 + 1
+    assert np.isfinite(trace.tau_Nm).all()
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
+
+
+def test_an_unstable_loop_is_stopped():
+    """Five ticks of delay are too many for these gains: the run says so instead of oscillating to its end."""
+    trace = run(
+        Scenario(control={"preset": "tuned"}, plant={"preset": "realistic", "delay_ticks": 6}, **QUICK)
+    )
+    assert "off its reference" in trace.meta["ended"]
+    assert trace.t_s[-1] < 4.0
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.05
+    assert trace.tip_error_m.max() < 0.05
+
+
+def test_a_run_away_keeps_its_trace(robot):
+    """Without a guard, a torque that is no number ends the run in the plant; the rows so far are kept."""
+    setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
+    t = PERIOD * np.arange(400)
+    paths = [np.stack(r.at(t), axis=1) for r in (setup.reference, setup.trocar, setup.registered)]
+    with pytest.raises(RunAway, match="ran away") as found:
+        simulate(setup.plant, Breaking(setup.controller(), float("nan")), *paths)
+    assert isinstance(found.value, PlantError)
+    assert len(found.value.trace) == 101
+    assert found.value.trace.meta["ended"].startswith("ran away")
+    assert np.isfinite(found.value.trace.q_rad).all()
+
+
+def test_it_costs_little(guard, robot):
+    """A few microseconds a tick; the limit here is loose, because tests share their machine."""
+    q, v, tau = robot.data.q_home, np.zeros(N), robot.gravity(robot.data.q_home)
+    best = np.inf
+    for _ in range(200):
+        begin = time.perf_counter()
+        for _ in range(20):
+            guard.believe(q, v)
+            guard.limit(tau, tau, q, v)
+        best = min(best, (time.perf_counter() - begin) / 20)
+    assert best < 10e-6
