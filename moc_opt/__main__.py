@@ -42,6 +42,7 @@ def run_scenario(
     from moc_opt.report.console import console, progress
     from moc_opt.report.tables import Column, Table
     from moc_opt.scenario import Scenario, Setup, run
+    from moc_opt.sim.loop import RunAway
 
     scenario = Scenario() if path is None else Scenario.load(path)
     if seed is not None:
@@ -51,7 +52,14 @@ def run_scenario(
     setup = Setup(scenario)
     ticks = len(setup.times())
     with progress(scenario.name, ticks) as bar:
-        trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None)
+        try:
+            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None)
+        except RunAway as error:
+            if trace_to is not None:
+                error.trace.save(trace_to)
+            raise
+    if trace.meta["ended"] != "completed":
+        print(f"{scenario.name}: {trace.meta['ended']}", file=sys.stderr)
     baseline = None
     if scenario.control.law == "moc":
         matched = {"law": "dcac", "gains": scenario.control.gains or "moc"}

@@ -33,7 +33,11 @@ ROOMS = {
     "embedded": ["moc_opt.embedded"],
     "sim": ["moc_opt.sim"],
     "report": ["moc_opt.report"],
+    "pictures": [
+        "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.swivel",
+    ],
     "scenario": ["moc_opt.scenario"],
+    "live": ["moc_opt.live"],
 }  # fmt: skip
 
 # Rooms that a room may import from, besides itself.
@@ -52,12 +56,14 @@ ALLOWED = {
     "report": {"errors", "metrics", "trace"},
     "control": {"errors", "settings", "tasks", "subproblem", "robots", "model", "protocol"},
     "assemblies": {"errors", "settings", "tasks", "trace", "robots", "model", "sim", "control"},
+    "pictures": {"errors", "trace", "model", "report"},
     "embedded": {"errors", "subproblem", "model", "protocol", "solvers", "control"},
     "scenario": {
         "errors", "settings", "tasks", "trace", "subproblem", "robots", "metrics", "model", "protocol", "solvers",
         "sim", "report", "control", "assemblies", "embedded",
     },
-    "command line": {"errors", "metrics", "report", "scenario", "trace", "embedded"},
+    "live": {"errors", "tasks", "model", "solvers", "control", "pictures", "scenario"},
+    "command line": {"errors", "metrics", "report", "scenario", "trace", "embedded", "pictures", "live"},
     "public": {"errors", "metrics", "model", "scenario", "solvers", "subproblem", "trace"},
 }  # fmt: skip
 
@@ -67,8 +73,9 @@ FLOORS = [
     {"subproblem", "robots", "metrics"},
     {"protocol", "solvers", "model", "sim", "report"},
     {"control"},
-    {"assemblies", "embedded"},
+    {"assemblies", "embedded", "pictures"},
     {"scenario"},
+    {"live"},
     {"command line", "public"},
 ]
 GROUND = {"errors", "settings"}

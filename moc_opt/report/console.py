@@ -42,6 +42,10 @@ class Bar:
         """So much more is done."""
         self._progress.update(self._task, advance=steps)
 
+    def of(self, total: float) -> None:
+        """Say how many steps there are, once that is known."""
+        self._progress.update(self._task, total=total)
+
     def at(self, text: str) -> None:
         """Name what is being done now."""
         self._progress.update(self._task, now=printable(text))

@@ -45,7 +45,10 @@ def box_plots(
         style = styles[name]
         drawn.add_box(
             x=[label(task) for task in boxes], lowerfence=lower, q1=q1, median=median, q3=q3, upperfence=upper,
-            y=list(beyond), boxpoints="outliers", name=label(name), offsetgroup=name, fillcolor=style.fill(0.28),
+            # plotly draws nothing of a name whose first list of points is empty; a point in the box it hides.
+            y=[points or [middle] for points, middle in zip(beyond, median, strict=True)],
+            boxpoints="outliers", name=label(name),
+            offsetgroup=name, fillcolor=style.fill(0.28),
             line={"color": style.color, "width": 1.4}, marker={"size": 3, "opacity": 0.6}, whiskerwidth=0.5,
         )  # fmt: skip
     tasks = dict.fromkeys(label(task) for group in groups.values() for task in group)

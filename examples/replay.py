@@ -1,0 +1,38 @@
+"""MOC and DCAC side by side: the replay and the manipulability map, as two HTML files that open by themselves.
+
+python examples/replay.py [FOLDER]
+"""
+
+import sys
+from pathlib import Path
+
+import moc_opt as mo
+from moc_opt.report.figures.style import Styles
+from moc_opt.report.map import manipulability_map
+from moc_opt.report.map_figure import map_figure
+from moc_opt.report.page import Page
+from moc_opt.report.replay import Replay
+
+folder = Path(sys.argv[1] if len(sys.argv) > 1 else "results/replay")
+trial = mo.Scenario(start={"swivel": 0.15}, bound_samples=60)
+runs = {
+    "MOC, exact": mo.run(trial),
+    "MOC, rnn-printed": mo.run(trial.change(solver={"name": "rnn-printed", "settings": {}})),
+    "DCAC, same gains": mo.run(trial.change(control={"law": "dcac", "gains": "moc"})),
+}
+robot, styles = mo.load_robot(trial.robot.name), Styles(runs)
+pair = {name: runs[name] for name in ("MOC, exact", "DCAC, same gains")}
+print(
+    Replay(pair, robot, title="A circle with and without the third level", styles=styles).save(
+        folder / "replay.html"
+    )
+)
+
+page = Page("Where there was manipulability to gain", "one circle, three controllers")
+found = manipulability_map(robot, runs)
+page.figure(
+    map_figure(found, styles),
+    "Every pose that keeps tip and trocar, over time, and who went where.",
+    name="map",
+)
+print(page.save(folder / "map.html"))

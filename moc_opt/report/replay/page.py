@@ -1,0 +1,152 @@
+"""The replay as one HTML file: the arm moves in a small WebGL viewer, its curves move along, nothing is fetched."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from importlib import resources
+from pathlib import Path
+from string import Template
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.model import RobotModel, load_robot
+from moc_opt.report.errors import ReportError
+from moc_opt.report.figures.series import PANELS
+from moc_opt.report.figures.style import DARK, Styles
+from moc_opt.report.page import MAX_BYTES
+from moc_opt.report.replay.arm import arm_parts
+from moc_opt.report.replay.tracks import Block, check, frame_times, run_track
+from moc_opt.report.table_html import escape
+from moc_opt.trace import Trace
+
+Array = NDArray[np.float64]
+
+MOST_RUNS = 4
+SCRIPTS = ("replay_gl.js", "replay_scene.js", "replay_plots.js", "replay.js")
+
+
+class Replay:
+    """One to four runs of one arm, side by side at the same time.
+
+    The file needs a browser of 2023 or later, no server and no network. Append ``#t=3.2`` to its address to
+    open it at that second.
+    """
+
+    def __init__(
+        self, traces: Mapping[str, Trace], robot: RobotModel, *, title: str = "", styles: Styles | None = None
+    ) -> None:
+        """Check the runs.
+
+        Args:
+            traces: name -> run, in the order in which they are shown.
+            robot: their arm; `robot_of` finds it from a trace.
+            title: of the page; from the names if empty.
+            styles: how each run looks, as in a report's figures; None deals colours out anew.
+
+        Raises:
+            ReportError: no runs, too many, or one that cannot be shown with this arm.
+        """
+        if not 1 <= len(traces) <= MOST_RUNS:
+            raise ReportError(f"{len(traces)} runs: give 1 to {MOST_RUNS}, more are too small to see")
+        for name, trace in traces.items():
+            check(name, trace, robot)
+        self.traces, self.robot = MappingProxyType(dict(traces)), robot
+        self.title = title or " and ".join(traces)
+        self._styles = styles or Styles(traces)
+
+    @classmethod
+    def load(cls, files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Self:
+        """A replay of saved traces, named as their files are.
+
+        Raises:
+            ReportError: they are not of one robot and tool, or cannot be shown.
+            TraceError: a file is missing, damaged, or no trace.
+        """
+        traces: dict[str, Trace] = {}
+        for file in map(Path, files):
+            name = file.stem if file.stem not in traces else str(file)
+            traces[name] = Trace.load(file)
+        arms = {name: _robot_table(trace) for name, trace in traces.items()}
+        if not traces or len(set(map(str, arms.values()))) > 1:
+            raise ReportError(f"traces of {arms or 'nothing'}: give traces of one robot with one tool")
+        return cls(traces, robot_of(next(iter(traces.values()))), title=title)
+
+    def data(self) -> tuple[dict[str, Any], str]:
+        """What the page shows: a JSON value, and the block of numbers it points into."""
+        block, times = Block(), frame_times(self.traces)
+        runs = []
+        for name, trace in self.traces.items():
+            color = self._styles[name].color
+            track = run_track(name, trace, self.robot, times, block)
+            runs.append({**track, "color": {"light": color, "dark": DARK.get(color, color)}})
+        panels = [{"title": PANELS[column][0], "zero": column != "mu"} for column in PANELS]
+        value = {
+            "times": block.put(times), "runs": runs, "panels": panels,
+            "parts": [part.plain() for part in arm_parts(self.robot)],
+            "reach": float(np.linalg.norm(self.robot.chain.origins, axis=1).sum() + self.robot.data.tool_length),
+        }  # fmt: skip
+        return value, block.packed()
+
+    def html(self) -> str:
+        """The whole file as text."""
+        value, packed = self.data()
+        robot = self.robot.data
+        subtitle = f"{robot.name}, tool of {robot.tool_length:.2f} m"
+        return Template(_asset("replay.html")).substitute(
+            title=escape(self.title), subtitle=escape(subtitle), style=_asset("replay.css"),
+            value=json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"), numbers=packed,
+            scripts="\n".join(map(_asset, SCRIPTS)),
+        )  # fmt: skip
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the file, all or nothing: an older one of that name stays until the new one is there.
+
+        Raises:
+            ReportError: it would be larger than MAX_BYTES, or cannot be written.
+        """
+        file, content = Path(path), self.html().encode()
+        if len(content) > MAX_BYTES:
+            raise ReportError(
+                f"{file}: the replay has {len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}: "
+                "show fewer runs, or a part of them (`trace.select`)"
+            )
+        unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            unfinished.write_bytes(content)
+            unfinished.replace(file)
+        except OSError as error:
+            with suppress(OSError):
+                unfinished.unlink()
+            raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
+        return file
+
+
+def robot_of(trace: Trace) -> RobotModel:
+    """The arm that a trace was run with, from its `meta`.
+
+    Raises:
+        ReportError: the trace does not say.
+        RobotError, UnknownNameError: that robot cannot be loaded here.
+    """
+    table = _robot_table(trace)
+    if not table.get("name"):
+        raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
+    return load_robot(
+        table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg")
+    )
+
+
+def _robot_table(trace: Trace) -> dict[str, Any]:
+    table = dict((trace.meta.get("scenario") or {}).get("robot") or {})
+    return {**table, "name": table.get("name") or trace.meta.get("robot")}
+
+
+def _asset(name: str) -> str:
+    return resources.files("moc_opt.report").joinpath("assets", name).read_text(encoding="utf-8").strip()

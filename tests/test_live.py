@@ -1,0 +1,320 @@
+"""The live run without a page: what is changed in it, and that it goes on whatever is asked of it."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import ControlError, MocOptError, UnknownNameError
+from moc_opt.live import LiveError, LiveRun
+from moc_opt.live.address import CONSENT, checked_address
+from moc_opt.live.history import QUANTITIES, History, thinned
+from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
+from moc_opt.live.run import DCAC, HISTORY_S
+from moc_opt.model import RobotModel
+from moc_opt.report.swivel import Elbow
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.tasks import Trocar
+
+COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
+
+
+@pytest.fixture
+def run() -> LiveRun:
+    """MOC on the default circle, its elbow away from its best place."""
+    return LiveRun(Scenario(start={"swivel": 0.2}, plant={"preset": "nominal"}))
+
+
+def column(run: LiveRun, name: str, ticks: int) -> Any:
+    """The last so many values of a quantity."""
+    return run.history(10**6)[-ticks:, COLUMN[name]]
+
+
+# --- the run ---
+
+
+def test_it_does_what_the_scenario_does() -> None:
+    """The same ticks as the composer's loop, as long as nobody changes anything."""
+    scenario = Scenario(start={"swivel": 0.2}, duration_s=0.6, judge=False, bound_samples=0)
+    trace = Setup(scenario).trace()
+    run = LiveRun(scenario.change(duration_s=None))
+    run.advance(len(trace))
+    rows = run.history(10**6)
+    np.testing.assert_allclose(rows[:, COLUMN["t_s"]], trace.t_s, atol=1e-12)
+    np.testing.assert_allclose(rows[:, COLUMN["tip_error_m"]], trace.tip_error_m, atol=1e-9)
+    np.testing.assert_allclose(rows[:, COLUMN["rcm_error_m"]], trace.rcm_error_m, atol=1e-9)
+    np.testing.assert_allclose(
+        rows[:, COLUMN["force_N"]], np.linalg.norm(trace.trocar_force_N, axis=1), atol=1e-6
+    )
+
+
+def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
+    run.advance(5)
+    assert run.moment().solver == "exact"
+    run.choose("daqp" if "daqp" in sys.modules else "rnn")
+    assert run.moment().solver == "exact", "not before the next tick"
+    run.advance(1)
+    assert run.moment().solver == run.solver != "exact"
+    run.choose(DCAC)
+    run.advance(30)
+    assert run.moment().status == "none"
+    assert np.isnan(column(run, "solve_us", 30)).all()
+    run.choose("exact")
+    run.advance(30)
+    assert run.moment().status == "solved"
+    assert (column(run, "solve_us", 30) > 0.0).all()
+    assert not run.messages
+
+
+def test_the_plots_react_to_the_solver(run: LiveRun) -> None:
+    run.choose(DCAC)
+    run.advance(400)
+    stays = column(run, "mu", 400)
+    run.choose("exact")
+    run.advance(700)
+    assert np.ptp(stays) < 0.005
+    assert column(run, "mu", 1)[0] > stays[-1] + 0.03
+    bound = column(run, "mu_bound", 1)[0]
+    assert bound == pytest.approx(column(run, "mu", 1)[0], abs=0.02)
+
+
+@pytest.mark.parametrize("change", [
+    lambda run: run.choose(DCAC), lambda run: run.choose("rnn"), lambda run: run.tune(K_X=1500.0, K_N=300.0),
+    lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(damping=1e-3),
+])  # fmt: skip
+def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
+    """The torque goes on where it was; the arm, in the realistic plant, hardly notices."""
+    run = LiveRun(Scenario(start={"swivel": 0.9}))
+    run.advance(600)
+    sent: list[Any] = []
+    for k in range(150):
+        if k == 50:
+            change(run)
+        run.advance(1)
+        sent.append(run._sent)
+    steps = np.abs(np.diff(sent, axis=0)).max(axis=1)
+    assert steps[49] <= 1.5 * steps[:49].max()
+    assert steps[50:].max() < 3.0 * steps[:49].max()
+    assert column(run, "tip_error_m", 100).max() < 2e-3
+    assert not run.messages
+
+
+@pytest.mark.parametrize("swivel", [0.15, 0.85])
+def test_a_long_way_to_go_does_not_throw_the_tip_off(swivel: float) -> None:
+    """The third level has far to go when it comes in."""
+    run = LiveRun(Scenario(start={"swivel": swivel}, control={"law": "dcac", "gains": "moc"}))
+    run.advance(500)
+    run.choose("exact")
+    run.advance(700)
+    assert column(run, "tip_error_m", 700).max() < 4e-3, "as on the way it takes from the start"
+    assert column(run, "mu", 1)[0] > 0.98 * column(run, "mu_bound", 1)[0]
+
+
+def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
+    run.advance(20)
+    before = run.control
+    orders: list[tuple[Callable[[], None], type[MocOptError], str]] = [
+        (lambda: run.choose("exat"), UnknownNameError, "did you mean 'exact'"),
+        (lambda: run.tune(damping=-1.0), ControlError, "damping = -1"),
+        (lambda: run.tune(K_X=float("nan")), ControlError, "K_X"),
+        (lambda: run.tune(rho=1e-5), UnknownNameError, "rho"),
+        (lambda: run.tune(law="dcac"), LiveError, "choose"),
+        (lambda: run.place_trocar(0.2, 0.0), LiveError, "trocar offset"),
+        (lambda: run.place_trocar(float("nan"), 0.0), LiveError, "trocar offset"),
+        (lambda: run.breathe(0.01, 0.0), LiveError, "breathing"),
+        (lambda: run.breathe(-0.01, 4.0), LiveError, "breathing"),
+        (lambda: run.push_elbow(1e4), LiveError, "push"),
+        (lambda: run.push_elbow(float("nan")), LiveError, "push"),
+        (lambda: run.push_elbow(10.0, 0.0), LiveError, "push"),
+    ]
+    for order, kind, words in orders:
+        with pytest.raises(kind, match=words):
+            order()
+    assert run.control == before
+    run.advance(20)
+    assert run.moment().t_s == pytest.approx(0.08, abs=0.003)
+    assert run.moment().solver == run.solver == "exact"
+
+
+def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
+    """rnn-printed takes six rows; a solver that refuses the subproblem leaves the old one at work."""
+    run.advance(10)
+
+    class Refuses:
+        name = "refuses"
+
+        def supports(self, qp: object) -> str:
+            return "it is not in the mood"
+
+    controller = run._build(run.control, "exact")
+    controller.solver = Refuses()  # type: ignore[assignment]
+    run._waiting = controller, ("refuses", run.control)
+    run.advance(10)
+    assert "not in the mood; exact goes on" in run.messages.popleft()
+    assert run.moment().solver == run.solver == "exact"
+    assert run.moment().t_s == pytest.approx(0.038)
+
+
+def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
+    run.advance(50)
+    run._plant.mj_data.qvel[:] = 1e6
+    run.advance(100)
+    stopped = run.moment()
+    assert "stopped at" in stopped.stopped
+    assert "reset" in run.messages[-1]
+    run.advance(100)
+    assert run.moment().t_s == stopped.t_s, "nothing moves"
+    run.tune(K_X=2000.0)
+    run.reset()
+    run.advance(1000)
+    assert not run.moment().stopped
+    assert run.moment().t_s == pytest.approx(1.998)
+    assert column(run, "tip_error_m", 50).max() < 1e-3
+
+
+def test_the_elbow_is_pushed_along_its_swivel(run: LiveRun) -> None:
+    run.choose(DCAC)
+    run.advance(100)
+    elbow = Elbow(run.robot, run.robot.state(run.moment().q).wrist[None])
+    start = elbow.swivel(run.moment().q[None])[0]
+    run.push_elbow(20.0, 0.2)
+    run.advance(100)
+    there = elbow.swivel(run.moment().q[None])[0]
+    assert there > start + 0.01
+    run.push_elbow(-40.0, 0.2)
+    run.advance(100)
+    run.advance(100)
+    assert elbow.swivel(run.moment().q[None])[0] < there
+    assert column(run, "tip_error_m", 1)[0] < 5e-3, "tip and shaft are held meanwhile"
+
+
+def test_the_trocar_moves_and_breathes(run: LiveRun) -> None:
+    run.advance(10)
+    start = run.moment().trocar
+    run.place_trocar(0.01, -0.005, 0.002)
+    run.advance(1000)
+    np.testing.assert_allclose(run.moment().trocar - start, [0.01, -0.005, 0.002], atol=1e-9)
+    assert column(run, "rcm_error_m", 100).max() < 3e-3, "the controller knows where it went"
+    run.place_trocar(0.0, 0.0)
+    run.advance(1000)
+    run.breathe(0.008, 1.0)
+    heights = []
+    for _ in range(120):
+        run.advance(10)
+        heights.append(run.moment().trocar[2] - start[2])
+    assert max(heights) == pytest.approx(0.008, abs=2e-4)
+    assert min(heights[60:]) == pytest.approx(0.0, abs=2e-4)
+    run.reset()
+    run.advance(1)
+    np.testing.assert_allclose(run.moment().trocar, start, atol=1e-9)
+
+
+def test_orders_come_from_many_threads(run: LiveRun) -> None:
+    done = threading.Event()
+    trouble: list[BaseException] = []
+
+    def nag(seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        try:
+            while not done.is_set():
+                run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
+                run.tune(damping=float(10 ** rng.uniform(-6, -3)))
+                run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
+                run.moment(), run.history(50)
+                done.wait(0.005)
+        except BaseException as error:
+            trouble.append(error)
+            raise
+
+    threads = [threading.Thread(target=nag, args=(seed,)) for seed in range(3)]
+    for thread in threads:
+        thread.start()
+    for _ in range(40):
+        run.advance(10)
+    done.set()
+    for thread in threads:
+        thread.join()
+    run.advance(400)  # the torques of so many exchanges blend away
+    assert not trouble
+    assert not run.messages
+    assert run.moment().solver == run.solver
+    assert column(run, "tip_error_m", 20).max() < 5e-3
+
+
+# --- its parts ---
+
+
+def test_the_path_is_followed_to_and_fro(robot: RobotModel) -> None:
+    setup = Setup(Scenario(task={"path": "spiral"}))
+    sway, one_way = ToAndFro(setup.reference, setup.duration_s), setup.duration_s
+    for t in (0.3, 0.4 * one_way, one_way - 0.1):
+        there, back = sway.rows(t), sway.rows(2.0 * one_way - t)
+        np.testing.assert_allclose(back, there * [[1.0], [-1.0], [1.0]], atol=1e-12)
+        np.testing.assert_allclose(sway.rows(t + 2.0 * one_way), there, atol=1e-9)
+    times = np.linspace(0.0, 2.5 * one_way, 4001)
+    rows = np.array([sway.rows(float(t)) for t in times])
+    np.testing.assert_allclose(np.gradient(rows[:, 0], times, axis=0)[2:-2], rows[2:-2, 1], atol=1e-3)
+
+
+def test_a_moving_trocar_says_its_true_velocity() -> None:
+    trocar, dt = MovingTrocar(Trocar([0.5, 0.0, 0.2], 0.006, 3.0, (0.0, 0.0, 1.0))), 1e-3
+    points, speeds = [], []
+    for k in range(4000):
+        if k == 1000:
+            trocar.offset = np.array([0.02, -0.01, 0.0])
+        if k == 2500:
+            trocar.amplitude, trocar.period_s = 0.012, 2.0
+        row = trocar.step(dt)
+        points.append(row[0])
+        speeds.append(row[1])
+    slopes = np.diff(points, axis=0) / dt
+    np.testing.assert_allclose(slopes, speeds[:-1], atol=2e-4)
+    assert np.linalg.norm(slopes[:, :2], axis=1).max() <= SLOWLY_M_PER_S * 1.001
+    still = Trocar([0.5, 0.0, 0.2], 0.006, 3.0)
+    np.testing.assert_allclose(points[:1000], still.at(dt * np.arange(1000))[0], atol=1e-9)
+
+
+def test_the_history_keeps_the_last_rows_and_their_peaks() -> None:
+    history = History(100)
+    for k in range(250):
+        history.add(*(k + 0.1 * j for j in range(len(QUANTITIES))))
+    rows = history.latest()
+    np.testing.assert_allclose(rows[:, 0], np.arange(150.0, 250.0))
+    rows[37, 3], rows[40:60, 2] = 1e6, np.nan
+    few = thinned(rows, 20)
+    assert len(few) == 20
+    assert few[:, 3].max() == 1e6
+    assert np.isnan(few[8:12, 2]).all()
+    assert np.isfinite(few[:8, 2]).all()
+    history.clear()
+    assert len(history.latest()) == 0
+    assert HISTORY_S > 5.0
+
+
+# --- where it listens ---
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.9.8.7", "localhost", "::1"])
+def test_this_machine_is_allowed(host: str) -> None:
+    assert checked_address(host) in ("127.0.0.1", "127.9.8.7", "::1")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "0", "::ffff:0.0.0.0", "10.0.0.1"])
+def test_all_others_need_consent(host: str) -> None:
+    with pytest.raises(LiveError, match=f"password.*{CONSENT}"):
+        checked_address(host)
+
+
+def test_consent_opens_and_nonsense_does_not() -> None:
+    assert checked_address("0.0.0.0", public=True) == "0.0.0.0"
+    with pytest.raises(LiveError, match="no such host"):
+        checked_address("no such host.invalid")
+    with pytest.raises(LiveError, match="no such host"):
+        checked_address("x" * 300)
+    with pytest.raises(LiveError, match="no such host"):
+        checked_address("", public=True)

@@ -1,0 +1,337 @@
+"""The replay: its geometry against the model, its numbers against the trace, and the page in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import TraceError
+from moc_opt.model import RobotModel
+from moc_opt.report import export
+from moc_opt.report.errors import BrowserError, ReportError
+from moc_opt.report.page import MAX_BYTES
+from moc_opt.report.replay import Replay, robot_of
+from moc_opt.report.replay.arm import BASE, arm_parts, link_frames
+from moc_opt.report.replay.tracks import FRAMES_IN_ALL, FRAMES_PER_S, velocity_ellipsoids
+from moc_opt.trace import Trace
+
+
+def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0, start_s: float = 0.0, **columns: Any) -> Trace:
+    """An arm that sways about its home pose at 500 Hz."""
+    t = start_s + 0.002 * np.arange(ticks)
+    q = robot.data.q_home + 0.2 * np.sin(2.0 * t[:, None] + phase + np.arange(robot.n))
+    every = np.unique(np.append(np.arange(0, ticks, 50), ticks - 1))
+    states = [robot.state(pose) for pose in q[every]]
+    tips = np.array([[np.interp(t, t[every], [s.tip[i] for s in states])] for i in range(3)])[:, 0].T
+    rng = np.random.default_rng(ticks)
+    return Trace(
+        {
+            "t_s": t, "q_rad": q, "tip_m": tips, "tip_ref_m": tips + 1e-4, "mu": 0.3 + 0.01 * np.sin(t + phase),
+            "trocar_m": np.tile(tips[0] + [0.0, 0.0, 0.15], (ticks, 1)), "tip_error_m": 1e-4 * rng.random(ticks),
+            "rcm_error_m": 1e-3 * rng.random(ticks), "trocar_force_N": rng.normal(size=(ticks, 3)), **columns,
+        },
+        {"ended": "completed", "robot": "lwr4"},
+    )  # fmt: skip
+
+
+def unpacked(replay: Replay) -> tuple[dict[str, Any], Any]:
+    """The value, and a function that finds an array of it."""
+    value, packed = replay.data()
+    numbers = np.frombuffer(gzip.decompress(base64.b64decode(packed)), dtype="<f4")
+    return value, lambda place: numbers[place[0] : place[0] + int(np.prod(place[1:]))].reshape(place[1:])
+
+
+# --- geometry ---
+
+
+@pytest.mark.parametrize("arm", ["robot", "odd_robot"])
+def test_frames_agree_with_the_model(arm: str, request: pytest.FixtureRequest) -> None:
+    model: RobotModel = request.getfixturevalue(arm)
+    rng = np.random.default_rng(1)
+    q = rng.uniform(model.q_min, model.q_max, (5, model.n))
+    origins, rotations = link_frames(model.chain, q)
+    for k, pose in enumerate(q):
+        state = model.state(pose)
+        tip, wrist = (origins[k, -1] + rotations[k, -1] @ offset for offset in model.chain.offsets)
+        np.testing.assert_allclose([tip, wrist], [state.tip, state.wrist], atol=1e-12)
+    np.testing.assert_allclose(
+        rotations @ np.swapaxes(rotations, -1, -2), np.broadcast_to(np.eye(3), rotations.shape), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("arm", ["robot", "odd_robot"])
+def test_parts_have_the_arms_lengths(arm: str, request: pytest.FixtureRequest) -> None:
+    model: RobotModel = request.getfixturevalue(arm)
+    parts = arm_parts(model)
+    assert {part.role for part in parts} == {"shell", "joint", "tool"}
+    assert min(part.link for part in parts) == BASE
+    assert {part.link for part in parts} == set(range(BASE, model.n))
+    (tool,) = [part for part in parts if part.role == "tool"]
+    end = np.array(tool.origin) + tool.heights[-1] * np.array(tool.axis)
+    np.testing.assert_allclose(end, model.chain.offsets[0], atol=1e-12)
+    assert all(radius >= 0.0 for part in parts for radius in part.radii)
+    assert all(abs(np.linalg.norm(part.axis) - 1.0) < 1e-9 for part in parts)
+
+
+def test_the_ellipsoid_has_mu_as_its_volume(robot: RobotModel, regular_poses: Any) -> None:
+    states = [robot.state(q) for q in regular_poses(5)]
+    jacobians = np.array([state.J_tip for state in states])
+    roots = velocity_ellipsoids(jacobians)
+    np.testing.assert_allclose(roots @ roots, jacobians @ np.swapaxes(jacobians, 1, 2), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(roots), [state.mu for state in states], rtol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.eigvalsh(roots)[:, ::-1], np.linalg.svd(jacobians, compute_uv=False), rtol=1e-9
+    )
+
+
+# --- what is written ---
+
+
+def test_numbers_are_those_of_the_traces(robot: RobotModel) -> None:
+    runs = {"long": wave(robot, 1500), "short": wave(robot, 700, phase=1.0)}
+    value, array = unpacked(Replay(runs, robot))
+    times = array(value["times"])
+    assert times[0] == 0.0
+    assert times[-1] == pytest.approx(runs["long"].t_s[-1])
+    assert np.diff(times).max() < 1.05 / FRAMES_PER_S
+    assert np.diff(times).min() > 0.9 / FRAMES_PER_S
+    for run, trace in zip(value["runs"], runs.values(), strict=True):
+        poses = array(run["poses"])
+        for k in (0, 7, len(times) - 1):
+            tick = min(int(np.floor(times[k] / 0.002 + 1e-6)), len(trace) - 1)
+            origins, _ = link_frames(robot.chain, trace.q_rad[[tick]])
+            np.testing.assert_allclose(poses[k].reshape(robot.n, 3, 4)[:, :, 3], origins[0], atol=2e-3)
+            np.testing.assert_allclose(array(run["tip"])[k], trace.tip_m[tick], atol=1e-3)
+            assert array(run["panels"][0]["at"])[k] == pytest.approx(trace.mu[tick], abs=1e-4)
+        force = np.linalg.norm(trace.trocar_force_N, axis=1)
+        assert array(run["panels"][3]["y"]).max() == pytest.approx(force.max(), rel=1e-6)
+    assert value["runs"][1]["end"] == pytest.approx(runs["short"].t_s[-1])
+    still = array(value["runs"][1]["poses"])
+    np.testing.assert_array_equal(still[-1], still[-2])
+
+
+def test_a_trace_with_nothing_but_poses_will_do(robot: RobotModel) -> None:
+    full = wave(robot, 300)
+    bare = Trace({name: full.columns[name] for name in ("t_s", "q_rad", "tip_m", "tip_ref_m")})
+    value, _ = unpacked(Replay({"bare": bare}, robot))
+    assert value["runs"][0]["panels"] == [None] * 4
+    assert "trocar" not in value["runs"][0]
+    one = full.select(np.arange(300) == 5)
+    assert Replay({"one tick": one}, robot).html()
+
+
+def test_long_runs_stay_small(robot: RobotModel, tmp_path: Path) -> None:
+    runs = {name: wave(robot, 150_000, phase=k) for k, name in enumerate("abcd")}
+    replay = Replay(runs, robot)
+    value, array = unpacked(replay)
+    assert len(array(value["times"])) * 4 <= FRAMES_IN_ALL
+    assert replay.save(tmp_path / "new" / "long.html").stat().st_size < MAX_BYTES
+
+
+def test_names_are_text_and_nothing_points_elsewhere(robot: RobotModel) -> None:
+    name = "</script><script>alert(1)</script>"
+    page = Replay({name: wave(robot, 200)}, robot).html()
+    assert "<script>alert" not in page
+    embedded = re.search(r'id="replay-value">(.*?)</script>', page, re.S)
+    assert embedded is not None
+    assert json.loads(embedded[1])["runs"][0]["name"] == name
+    assert (
+        re.findall(
+            r"(?:https?:|//[a-z]+\.)[^\s\"']*", re.sub(r"<script type=\"text/plain.*?</script>", "", page)
+        )
+        == []
+    )
+
+
+def test_what_cannot_be_shown_is_refused(robot: RobotModel, tmp_path: Path) -> None:
+    good = wave(robot, 100)
+    bad_q = np.array(good.q_rad)
+    bad_q[3, 2] = np.nan
+    cases: list[tuple[dict[str, Trace], str]] = [
+        ({}, "1 to 4"),
+        ({str(k): good for k in range(5)}, "1 to 4"),
+        ({"x": Trace({"t_s": good.t_s, "q_rad": good.q_rad})}, "'x' lacks the columns tip_m"),
+        ({"x": good.with_columns(q_rad=good.q_rad[:, :6])}, "6 joints"),
+        ({"x": good.with_columns(q_rad=bad_q)}, "not finite in 'q_rad'"),
+        ({"x": good.select(np.zeros(100, bool))}, "no ticks"),
+    ]
+    for traces, words in cases:
+        with pytest.raises(ReportError, match=re.escape(words)):
+            Replay(traces, robot)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ReportError, match="cannot be written"):
+        Replay({"x": good}, robot).save(tmp_path / "file" / "replay.html")
+
+
+def test_the_arm_is_found_from_the_trace(robot: RobotModel) -> None:
+    trace = wave(robot, 10)
+    assert robot_of(trace).data.name == "lwr4"
+    long = Trace(trace.columns, {"scenario": {"robot": {"name": "lwr4", "tool_length_m": 0.4}}})
+    assert robot_of(long).data.tool_length == 0.4
+    with pytest.raises(ReportError, match="which robot"):
+        robot_of(Trace(trace.columns))
+
+
+def test_saved_traces_are_shown_under_their_files_names(robot: RobotModel, tmp_path: Path) -> None:
+    (tmp_path / "again").mkdir()
+    files = [tmp_path / "exact.parquet", tmp_path / "dcac.parquet", tmp_path / "again" / "exact.parquet"]
+    for file in files:
+        wave(robot, 20).save(file)
+    assert list(Replay.load(files).traces) == ["exact", "dcac", str(files[2])]
+    other = Trace(wave(robot, 20).columns, {"scenario": {"robot": {"name": "lwr4", "tool_length_m": 0.4}}})
+    other.save(tmp_path / "other.parquet")
+    for wrong in ([files[0], tmp_path / "other.parquet"], []):
+        with pytest.raises(ReportError, match="one robot with one tool"):
+            Replay.load(wrong)
+    with pytest.raises(TraceError, match=r"missing\.parquet"):
+        Replay.load([tmp_path / "missing.parquet"])
+
+
+# --- in a browser ---
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless browser for the module."""
+    try:
+        with export.browser() as running:
+            yield running
+    except BrowserError as missing:
+        pytest.skip(str(missing))
+
+
+class Visit:
+    """An open page, and what went wrong in it."""
+
+    def __init__(self, chromium: Any, file: Path) -> None:
+        self.trouble: list[str] = []
+        self.requests: list[str] = []
+        self.page = chromium.new_page(viewport={"width": 900, "height": 800}, color_scheme="light")
+        self.page.on("console", self._heard)
+        self.page.on("pageerror", lambda error: self.trouble.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(file.as_uri())
+        self.page.wait_for_selector("html[data-drawn=yes]", timeout=60_000)
+
+    def _heard(self, message: Any) -> None:
+        # Reading pixels back, as a screenshot does, is slow, says the driver; it is the test that reads them.
+        if "GPU stall due to ReadPixels" not in message.text:
+            self.trouble.append(f"{message.type}: {message.text}")
+
+    def arm(self) -> bytes:
+        """The picture of the arm once it has come to rest."""
+        self.page.evaluate(
+            "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        picture: bytes = self.page.locator("#scene").screenshot()
+        return picture
+
+    def time(self) -> float:
+        found: float = self.page.evaluate("replay.time")
+        return found
+
+
+@pytest.fixture(scope="module")
+def visit(chromium: Any, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Visit]:
+    runs = {"swaying": wave(robot, 1500), "swaying otherwise": wave(robot, 1500, phase=1.5)}
+    file = Replay(runs, robot).save(tmp_path_factory.mktemp("replay") / "replay.html")
+    opened = Visit(chromium, file)
+    yield opened
+    opened.page.close()
+    assert opened.trouble == []
+    assert [url for url in opened.requests if not url.startswith(("data:", "blob:"))] == [file.as_uri()]
+
+
+def test_the_slider_moves_the_arm_and_the_cursor(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate("replay.seek(0)")
+    arm, curve = visit.arm(), page.locator(".plot canvas").first.screenshot()
+    assert visit.arm() == arm, "nothing moves by itself"
+    box = page.locator("#time").bounding_box()
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    assert visit.time() == pytest.approx(1.5, abs=0.1)
+    assert visit.arm() != arm
+    assert page.locator(".plot canvas").first.screenshot() != curve
+    assert page.locator("#clock").inner_text().startswith("1.5")
+    page.evaluate("replay.seek(0)")
+    assert visit.arm() == arm
+
+
+def test_a_plot_sets_the_time_and_its_values_follow(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate("replay.seek(0)")
+    visit.arm()
+    values = page.locator(".plot p").first.inner_text()
+    page.locator(".plot canvas").nth(2).scroll_into_view_if_needed()
+    box = page.locator(".plot canvas").nth(2).bounding_box()
+    page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 20)
+    assert visit.time() > 2.5
+    visit.arm()
+    assert page.locator(".plot p").first.inner_text() != values
+
+
+def test_it_plays_pauses_and_takes_keys(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate("replay.seek(0)")
+    page.locator("h1").click()
+    page.keyboard.press("Space")
+    page.wait_for_function("replay.time > 0.1")
+    page.keyboard.press("Space")
+    assert not page.evaluate("replay.playing")
+    stopped = visit.time()
+    visit.arm()
+    assert visit.time() == stopped
+    page.keyboard.press("Home")
+    page.keyboard.press("Shift+ArrowRight")
+    page.keyboard.press("ArrowRight")
+    assert visit.time() == pytest.approx(1.1)
+    page.keyboard.press("End")
+    assert visit.time() == pytest.approx(2.998)
+    page.locator("#play").click()
+    assert visit.time() < 2.9, "from the end it begins again"
+    page.locator("#play").click()
+
+
+def test_views_and_switches_change_the_picture(visit: Visit) -> None:
+    page = visit.page
+    page.evaluate("replay.seek(1)")
+    seen = [visit.arm()]
+    for act in ("2", "3", "1", "e", "w", "p"):
+        page.keyboard.press(act)
+        seen.append(visit.arm())
+    assert seen[0] == seen[3], "the first view comes back"
+    assert len(set(seen)) == 6
+    assert page.locator("[data-show][aria-pressed=false]").count() == 3
+    for act in ("e", "w", "p"):
+        page.keyboard.press(act)
+    assert visit.arm() == seen[0]
+    box = page.locator("#scene").bounding_box()
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 110)
+    page.mouse.up()
+    assert visit.arm() != seen[0]
+    page.keyboard.press("1")
+
+
+def test_it_is_dark_in_the_dark_and_fits_a_phone(visit: Visit) -> None:
+    page = visit.page
+    light = visit.arm()
+    page.emulate_media(color_scheme="dark")
+    page.wait_for_timeout(150)
+    assert visit.arm() != light
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(21, 24, 27)"
+    page.set_viewport_size({"width": 360, "height": 740})
+    page.wait_for_selector("#labels.rows")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.emulate_media(color_scheme="light")
+    page.set_viewport_size({"width": 900, "height": 800})
+    page.wait_for_selector("#labels:not(.rows)")
