@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from benchmarks.study_store import Part, Store
+from benchmarks.study_worker import Hung, Worker, WorkerError, beat
 from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
@@ -15,31 +19,39 @@ from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
 from moc_opt.trace import Trace
 
+Array = NDArray[Any]
+
 BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
+KEPT = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us")
+PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
+BEAT_S = 0.5
+HUNG = "hung"
+AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One controller on one trial; ``trace`` is None where the run broke off, ``error`` says why."""
+    """One controller on one trial; without columns where the run broke off, and ``error`` says why."""
 
     controller: str
     trial: str
-    trace: Trace | None
     metrics: Mapping[str, float]
+    columns: Mapping[str, Array] = field(default_factory=dict)
     error: str | None = None
+
+    @property
+    def trace(self) -> Trace | None:
+        """What is left of the run: a few columns."""
+        return Trace(self.columns) if self.columns else None
 
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
         return {
-            "part": "closed_loop",
-            "solver": self.controller,
-            "trial": self.trial,
-            "error": self.error,
-            **self.metrics,
-        }
+            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error, **self.metrics
+        }  # fmt: skip
 
 
-def trials(base: Scenario, tasks: list[str], seeds: list[int]) -> dict[str, Scenario]:
+def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
     """One scenario per task and seed; the seed draws the starting swivel, the mismatch and the noise."""
     return {
         f"{task}/{seed}": base.change(
@@ -57,52 +69,106 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
 
 
-def run_one(
-    trial: Scenario, controller: str, settings: Mapping[str, Any] | None, baseline: Trace | None
-) -> Run:
-    """Run and summarise; a run that breaks off is a result, with its reason."""
+def finish(trial: Scenario, baseline: Mapping[str, Array] | None) -> Iterator[Part]:
+    """Run and summarise, in a worker; a run that breaks off is a result, with its reason."""
+    last = perf_counter()
+
+    def watch(tick: int) -> None:
+        nonlocal last
+        if perf_counter() - last > BEAT_S:
+            beat()
+            last = perf_counter()
+
     try:
-        trace = scenario.run(variant(trial, controller, settings))
+        trace = scenario.run(trial, watch)
     except MocOptError as error:
-        return Run(controller, trial.name, None, {}, f"{type(error).__name__}: {error}")
-    return Run(controller, trial.name, trace, summarize(trace, baseline))
+        yield Part({"error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        return
+    metrics = summarize(trace, None if baseline is None else Trace(baseline))
+    if "fault" in trace.columns:
+        names, counts = np.unique(trace.fault, return_counts=True)
+        metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
+        metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
+    metrics["ticks"] = float(len(trace))
+    arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
+    yield Part({"error": None, "metrics": metrics}, arrays)
+
+
+def run_one(
+    store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True
+) -> Run:
+    """One scenario in the worker, or from the store.
+
+    Args:
+        store: of finished runs.
+        worker: where it runs.
+        trial: the whole scenario.
+        label: the controller's name in tables.
+        baseline: the run that mu is compared with.
+        timed: whether its times mean anything: nothing else ran meanwhile.
+    """
+    reference = dict(baseline.columns) if baseline is not None and baseline.columns else None
+    shape = trial.model_dump(mode="json")
+    mu = None if reference is None else reference["mu"]
+    key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed)
+    part = store.get(key)
+    if part is None:
+        try:
+            (part,) = list(worker.stream(finish, trial, reference, patience_s=PATIENCE_S, first_s=PATIENCE_S))
+        except WorkerError as error:
+            word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
+            part = Part({"error": f"{word}: {error}", "metrics": {}}, {})
+        store.put(key, part)
+    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"])
 
 
 def run_all(
     cases: Mapping[str, Scenario],
     controllers: Mapping[str, Mapping[str, Any]],
     advance: Callable[[str], None],
+    store: Store | None = None,
 ) -> list[Run]:
-    """Every controller on every trial, trial by trial, the baseline first."""
-    runs = []
-    for trial in cases.values():
-        baseline = run_one(trial, BASELINE, None, None)
-        advance(f"{trial.name} {BASELINE}")
-        runs.append(baseline)
-        for name, settings in controllers.items():
-            runs.append(run_one(trial, name, settings, baseline.trace))
-            advance(f"{trial.name} {name}")
+    """Every controller on every trial, trial by trial, the baseline first; one at a time, so that times hold."""
+    store = store or Store(None)
+    runs: list[Run] = []
+    hung: dict[str, str] = {}
+    with Worker() as worker:
+        for trial in cases.values():
+            baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None)
+            advance(f"{trial.name} {BASELINE}")
+            runs.append(baseline)
+            for name, settings in controllers.items():
+                if name in hung:
+                    runs.append(Run(name, trial.name, {}, error=f"not run: it hung on trial {hung[name]}"))
+                else:
+                    runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline))
+                    if (runs[-1].error or "").startswith(HUNG):
+                        hung[name] = trial.name
+                advance(f"{trial.name} {name}")
     return runs
 
 
-def summary(runs: list[Run]) -> dict[str, dict[str, Any]]:
+def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
     """Controller -> metric over its trials: means of means, largest of maxima, sums of counts, pooled times."""
-    found: dict[str, dict[str, Any]] = {}
-    for name in dict.fromkeys(run.controller for run in runs):
-        mine = [run for run in runs if run.controller == name]
-        whole = [run for run in mine if run.trace is not None]
-        values: dict[str, Any] = {"runs": len(mine), "broke_off": len(mine) - len(whole)}
-        for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
-            data = [run.metrics[metric] for run in whole if metric in run.metrics]
-            if metric.endswith(("_p50_us", "_p99_us")):
-                continue
-            total = np.max if "_max" in metric else np.mean if metric.startswith(AVERAGED) else np.sum
-            values[metric] = float(total(data))
-        for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
-            pooled = np.concatenate([np.empty(0), *(run.trace.columns[column] for run in whole if run.trace)])
-            values |= percentiles(pooled, prefix)
-        found[name] = values
-    return found
+    return {
+        name: combined([run for run in runs if run.controller == name])
+        for name in dict.fromkeys(run.controller for run in runs)
+    }
 
 
-AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
+def combined(runs: Sequence[Run]) -> dict[str, Any]:
+    """The runs of one controller as one; see ``summary``."""
+    whole = [run for run in runs if run.columns]
+    values: dict[str, Any] = {"runs": len(runs), "broke_off": len(runs) - len(whole)}
+    for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
+        data = [run.metrics[metric] for run in whole if metric in run.metrics]
+        if metric.endswith(("_p50_us", "_p99_us")):
+            continue
+        averaged = metric.startswith(AVERAGED) or metric.endswith("_percent")
+        total = np.max if "_max" in metric else np.mean if averaged else np.sum
+        values[metric] = float(total(data))
+    for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
+        pooled = np.concatenate([np.empty(0), *(r.columns[column] for r in whole if column in r.columns)])
+        values |= percentiles(pooled, prefix)
+    errors = [run.error for run in runs if run.error]
+    return {**values, "reason": errors[0]} if errors else values

@@ -1,78 +1,29 @@
-"""The main job: every solver on the same recorded subproblems, and in the same torque controller.
+"""The main job: every solver on certified and recorded subproblems, and in the same torque controller.
 
-python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--only NAME ...]
+python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
+                             [--sets NAME ...] [--parts PART ...]
+
+A run that was stopped goes on where it stopped: finished parts are kept in DIR/parts, and a part whose question, data,
+libraries or source changed is done again.
 """
 
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
-import numpy as np
-from pydantic import Field
-
-from benchmarks import closed_loop, open_loop, output
+from benchmarks import export, output
 from benchmarks.solvers_report import print_tables, write_report
-from benchmarks.timing import clock_cost_us
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
-from moc_opt.model import RobotModel, load_robot
+from benchmarks.study import Study
+from benchmarks.study_config import PARTS, Config
+from benchmarks.timing import clock_cost_us, each_us
+from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.report.console import console, progress
-from moc_opt.scenario import Scenario, make_solver
-from moc_opt.settings import Settings
 from moc_opt.solvers import available
+from moc_opt.solvers.rows import expand
 from moc_opt.subproblem import NullSpaceQP
-
-
-class OpenLoop(Settings):
-    """The recorded sequence."""
-
-    KIND: ClassVar[str] = "[open_loop]"
-    task: str = "circle"
-    ticks: int = Field(2000, ge=2)
-    cold: int = Field(100, ge=1)
-
-
-class ClosedLoop(Settings):
-    """The trials."""
-
-    KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(1, ge=1)
-    duration_s: float | None = Field(None, gt=0.0)
-
-
-class Config(Settings):
-    """benchmarks/configs/solvers.toml."""
-
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
-    solvers: Literal["all"] | list[str] = "all"
-    open_loop: OpenLoop = OpenLoop()
-    closed_loop: ClosedLoop = ClosedLoop()
-    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
-    scenario: Scenario = Scenario()
-
-    @classmethod
-    def load(cls, path: Path) -> Config:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
-
-    def quick(self) -> Config:
-        """The same comparison on less data: for a first look and for the tests."""
-        return self.model_copy(
-            update={
-                "open_loop": self.open_loop.model_copy(update={"ticks": 200, "cold": 10}),
-                "closed_loop": self.closed_loop.model_copy(
-                    update={"tasks": self.closed_loop.tasks[:1], "seeds": 1, "duration_s": 1.5}
-                ),
-            }
-        )
 
 
 def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str]]:
@@ -90,99 +41,78 @@ def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str
     return [name for name in names if name not in reasons], reasons
 
 
-def record(config: Config) -> list[NullSpaceQP]:
-    """The sequence of the open-loop part, from a closed-loop run with ``exact``."""
-    cut = config.open_loop.ticks * config.scenario.plant.period_s
-    case = next(iter(closed_loop.trials(config.scenario, [config.open_loop.task], [config.seed]).values()))
-    problems = open_loop.record(case.change(duration_s=cut))
-    open_loop.expand(problems)
-    return problems
-
-
-def run_open_loop(
-    config: Config, names: list[str], robot: RobotModel, problems: list[NullSpaceQP], advance: Any
-) -> tuple[list[open_loop.Answers], dict[str, str]]:
-    """Every solver warm and cold; name -> reason for those that do not take these problems."""
-    answers, refused = [], {}
-    every = max(1, len(problems) // config.open_loop.cold)
-    for name in names:
-        solver = make_solver(name, robot, **config.settings.get(name, {}))
-        reason = solver.supports(problems[0])
-        if reason is None:
-            answers.append(open_loop.solve_all(name, solver, problems, warm=True))
-            advance(f"open loop {name}, warm")
-            answers.append(open_loop.solve_all(name, solver, problems, warm=False, every=every))
-        else:
-            refused[name] = reason
-            advance(name)
-        advance(f"open loop {name}, cold")
-    return answers, refused
-
-
-def run_closed_loop(config: Config, names: list[str], advance: Any) -> list[closed_loop.Run]:
-    """Every solver in the controller, and the baseline, on every trial."""
-    part = config.closed_loop
-    seeds = [config.seed + i for i in range(part.seeds)]
-    cases = closed_loop.trials(config.scenario.change(duration_s=part.duration_s), part.tasks, seeds)
-    return closed_loop.run_all(cases, {name: config.settings.get(name, {}) for name in names}, advance)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the comparison; 0, or 2 with a message where the input is wrong."""
     options = output.parser("solvers", "Compare the solvers, open loop and in closed loop.")
-    options.add_argument("--only", nargs="+", metavar="NAME", help="these solvers alone")
+    options.add_argument("--full", action="store_true", help="more of everything; takes an hour or two")
+    options.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
+    options.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
+    options.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}")
     given = options.parse_args(arguments)
     try:
         config = Config.load(given.config or output.default_config("solvers"))
         if given.seed is not None:
             config = config.model_copy(update={"seed": given.seed})
-        if given.quick:
-            config = config.quick()
+        if given.quick or given.full:
+            config = config.quick() if given.quick else config.full()
+        config = config.choosing(given.sets, given.parts)
         names, missing = choose(given.only or config.solvers)
         compare(config, names, missing, given.out, given.json, list(arguments or sys.argv[1:]))
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"stopped; the same command goes on from {given.out}/parts", file=sys.stderr)
+        return 130
     return 0
+
+
+def assembly_us(problems: Sequence[NullSpaceQP]) -> float:
+    """Median time [us] of assembling P, p and the five rows, which every session does once a tick in a loop."""
+    fresh = [NullSpaceQP.from_row(qp.row.copy()) for qp in problems]
+    expand(fresh[0])
+    times = each_us(expand, fresh)
+    return float(sorted(times)[len(times) // 2])
 
 
 def compare(
     config: Config, names: list[str], missing: dict[str, str], out: Path, as_json: bool, argv: list[str]
 ) -> dict[str, Any]:
-    """Both parts, all files; returns the summary."""
-    robot = load_robot(config.scenario.robot.name)
-    trial_count = len(config.closed_loop.tasks) * config.closed_loop.seeds
-    with progress("solvers", 1 + 2 * len(names) + (1 + len(names)) * trial_count) as bar:
+    """All parts, all files; returns the summary."""
+    with progress("solvers") as bar:
 
         def advance(text: str) -> None:
             bar.at(text)
             bar.advance()
 
-        problems = record(config)
-        advance("recorded the sequence")
-        answers, refused = run_open_loop(config, names, robot, problems, advance)
-        runs = run_closed_loop(config, [name for name in names if name not in refused], advance)
-    missing = {**missing, **refused}
-    summary: dict[str, Any] = {
-        part: {a.solver: a.summary() for a in answers if f"open_loop_{a.mode}" == part}
-        for part in ("open_loop_warm", "open_loop_cold")
+        study = Study(config, names, out, advance)
+        bar.of(study.steps)
+        study.run()
+        if "qpbenchmark" in config.parts:
+            study.summary["qpbenchmark"] = export.ranking(out / "qpbenchmark", names)
+            advance("qpbenchmark")
+    summary = study.summary
+    summary["not_run"] = {
+        **{name: {"reason": reason} for name, reason in missing.items()},
+        **summary["not_run"],
     }
-    summary["closed_loop"] = closed_loop.summary(runs)
-    summary["not_run"] = {name: {"reason": reason} for name, reason in missing.items()}
-    summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
+    summary["clock"] = {
+        "cost": {"p50_us": clock_cost_us()},
+        "assembly": {"p50_us": assembly_us(study.sequence)},
+    }
 
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
-    output.write_json(out / "summary.json", summary)
-    output.write_rows(
-        out / "rows.parquet", [row for a in answers for row in a.rows()] + [run.row() for run in runs]
+    environment["parts_of_an_earlier_run"] = study.store.reused
+    output.write_json(
+        out / "summary.json", {**summary, "words": {k: {"text": v} for k, v in study.words.items()}}
     )
+    output.write_rows(out / "rows.parquet", study.rows + [run.row() for run in study.runs])
     output.write_json(out / "environment.json", environment)
-    np.save(out / "sequence.npy", np.array([qp.row for qp in problems]))
-    write_report(out / "report.html", summary, answers, runs, environment, config.scenario.deadline_us)
+    write_report(out / "report.html", study, environment)
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:
-        print_tables(console(), summary, out)
+        print_tables(console(), study, out)
     return summary
 
 

@@ -4,156 +4,192 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 
-from benchmarks.closed_loop import BASELINE, Run
-from benchmarks.open_loop import Answers
+from benchmarks import study_compare, study_figures
+from benchmarks.closed_loop import BASELINE
+from benchmarks.study_tables import FOOTNOTE, headline, tables
 from moc_opt.report import figures
 from moc_opt.report.page import Page
-from moc_opt.report.tables import Column, Table
+from moc_opt.report.tables import Table
 
-Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
+if TYPE_CHECKING:
+    from benchmarks.study import Study
 
-OPEN = [
-    Column("solver", "solver"),
-    Column("solves", "solves", format=".0f"),
-    Column("claimed_solved", "claimed", format=".0f", help="answers that the solver calls solved"),
-    Column("verified_solved", "verified", format=".0f", help="of these, optimal by our residuals"),
-    Column("silently_wrong", "silently wrong", format=".0f", better="low", help="claimed, but not optimal"),
-    Column("failed", "failed", format=".0f", better="low"),
-    Column("primal_max", "primal", format=".1e", better="low", help="max |A x - b|, box violation"),
-    Column("natural_max", "natural", format=".1e", help="natural residual with the solver's own duals"),
-    Column(
-        "relative_max",
-        "relative",
-        format=".1e",
-        better="low",
-        help="natural residual, best duals, cost scaled",
-    ),
-    Column(
-        "loss_max", "loss", format=".1e", better="low", help="self-motion loss: 0 optimum, 1 opposite end"
-    ),
-    Column("solve_p50_us", "p50", unit="us", format=".1f", better="low"),
-    Column("solve_p99_us", "p99", unit="us", format=".1f", better="low"),
-]
-CLOSED = [
-    Column("solver", "controller"),
-    Column("mu_mean", "mu", format=".4f", better="high"),
-    Column(
-        "mu_gain_percent", "gain", unit="%", format=".1f", better="high", help="over DCAC with the same gains"
-    ),
-    Column("mu_fraction_of_bound", "of bound", digits=3, better="high"),
-    Column("tip_error_mean_mm", "tip", unit="mm", digits=3, better="low"),
-    Column("rcm_error_mean_mm", "RCM", unit="mm", digits=3, better="low"),
-    Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low"),
-    Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
-    Column("claimed_solved", "claimed", format=".0f"),
-    Column("verified_solved", "verified", format=".0f"),
-    Column("silently_wrong", "silently wrong", format=".0f", better="low"),
-    Column("deadline_misses", "misses", format=".0f", better="low", help="ticks longer than the deadline"),
-    Column("tick_p50_us", "tick p50", unit="us", format=".1f", better="low"),
-    Column("tick_p99_us", "tick p99", unit="us", format=".1f", better="low"),
-    Column("broke_off", "broke off", format=".0f", better="low"),
-]
+SCREEN = ("testsets", "closed_loop", "prediction", "not_run")
+METRICS = {
+    "mu_mean": "µ [m³]", "tip_error_mean_mm": "tip error [mm]", "rcm_error_mean_mm": "RCM error [mm]",
+    "torque_rate_rms_Nm_per_s": "chatter [Nm/s]",
+}  # fmt: skip
 
 
-def tables(summary: Summary) -> list[Table]:
-    """Open loop warm and cold, closed loop, and what did not run."""
-
-    def rows(part: str) -> list[dict[str, Any]]:
-        return [{"solver": name, **metrics} for name, metrics in summary[part].items()]
-
-    found = [
-        Table("Open loop, warm: one session through the sequence", OPEN, rows("open_loop_warm")),
-        Table("Open loop, cold: a fresh session for each", OPEN, rows("open_loop_cold")),
-        Table("Closed loop: the same trials under every controller", CLOSED, rows("closed_loop")),
-    ]
-    if summary["not_run"]:
-        columns = [Column("solver", "not run"), Column("reason", "reason")]
-        found.append(Table("What could not run here", columns, rows("not_run")))
-    return found
-
-
-def headline(summary: Summary) -> str:
-    """The result in words, computed."""
-    warm, closed = summary["open_loop_warm"], summary["closed_loop"]
-    right = [n for n, m in warm.items() if m["verified"] == m["solves"]]
-    liars = {n: m["silently_wrong"] for n, m in warm.items() if m["silently_wrong"]}
-    parts = [f"{len(right)} of {len(warm)} solvers answered every recorded subproblem optimally"]
-    if right:
-        fastest = min(right, key=lambda n: warm[n]["solve_p50_us"])
-        parts[0] += (
-            f"; the fastest of them is {fastest} with a median of {warm[fastest]['solve_p50_us']:.1f} us"
-        )
-    if liars:
-        parts.append(
-            "claimed success for wrong answers: " + ", ".join(f"{n} ({k})" for n, k in liars.items())
-        )
-    gains = {n: m["mu_gain_percent"] for n, m in closed.items() if n != BASELINE and "mu_gain_percent" in m}
-    if gains:
-        best = max(gains, key=lambda n: gains[n])
-        worst = min(gains, key=lambda n: gains[n])
-        parts.append(
-            f"in closed loop manipulability rose by {gains[best]:.1f} % with {best} "
-            f"and by {gains[worst]:.1f} % with {worst}"
-        )
-    return ". ".join(part[0].upper() + part[1:] for part in parts) + "."
-
-
-def print_tables(console: Console, summary: Summary, out: Path) -> None:
+def print_tables(console: Console, study: Study, out: Path) -> None:
     """The tables on the screen, and where the files are."""
-    for table in tables(summary):
-        console.print(table.to_rich())
-    console.print(headline(summary))
-    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
+    made = tables(study.summary)
+    for part in SCREEN:
+        if part in made:
+            console.print(made[part].to_rich())
+    console.print(headline(study.summary, study.words))
+    if study.store.reused:
+        console.print(f"{study.store.reused} parts are those of an earlier run in {out}/parts")
+    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html (all tables)")
 
 
-def write_report(
-    path: Path,
-    summary: Summary,
-    answers: list[Answers],
-    runs: list[Run],
-    environment: Mapping[str, Any],
-    deadline_us: float,
-) -> None:
+def write_report(path: Path, study: Study, environment: Mapping[str, Any]) -> None:
     """One page that opens by itself."""
+    summary, made = study.summary, tables(study.summary)
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
-    page.headline(headline(summary))
-    open_warm, open_cold, closed, *missing = tables(summary)
-    warm = [a for a in answers if a.mode == "warm"]
-    page.section("Open loop")
+    page.headline(headline(summary, study.words))
+    page.section("How to read this")
     page.text(
-        f"A 500 Hz sequence of {len(warm[0].solutions) if warm else 0} subproblems, recorded from a closed-loop "
-        "run, solved by every solver. An answer is verified when primal residual <= 1e-6, relative natural "
-        "residual <= 1e-3 and self-motion loss <= 1e-2; the solver is not asked."
+        "An answer is verified when its primal residual is at most 1e-6, its relative natural residual 1e-3 and its "
+        "self-motion loss 1e-2; the solver is not asked. Silently wrong: claimed as solved, and not verified. "
+        "Infeasible claims are right where the set's certificate says so, and wrong elsewhere; a wrong one counts "
+        "among the failed too. Hung: no answer within the time limit, the process was killed; the rest of a set is "
+        "not asked after two of them. Percentiles of times stand beside each other (p50, p99, p99.9); no mean of "
+        "times is shown anywhere, and of several sets the slowest is quoted.\n\n" + FOOTNOTE
     )
-    page.table(open_warm)
-    page.figure(
-        figures.latency_ecdf({a.solver: a.us for a in warm}, deadline_us),
-        "Solve time, warm: empirical distribution, with the deadline of a tick.",
-    )
-    page.figure(
-        figures.accuracy_against_time(
-            {n: (m["solve_p50_us"], m["primal_max"]) for n, m in summary["open_loop_warm"].items()},
-            x_label="median solve time [us]",
-            y_label="largest primal residual [m/s, rad/s]",
-        ),
-        "Accuracy against time, warm; the line joins what nothing else beats in both.",
-    )
-    page.table(open_cold)
-    page.section("Closed loop")
-    page.table(closed)
-    first = runs[0].trial if runs else ""
-    page.figure(
-        figures.time_series(
-            {r.controller: r.trace for r in runs if r.trial == first and r.trace is not None}
-        ),
-        f"Trial {first}: manipulability, tip error, RCM error and trocar force over time.",
-    )
-    if missing:
+    if "settings" in made:
+        page.table(made["settings"])
+    _testsets(page, study, made)
+    _open_loop(page, study, made)
+    _closed_loop(page, study, made)
+    _sweeps(page, study, made)
+    if "qpbenchmark" in made:
+        page.section("What qpbenchmark says")
+        page.table(made["qpbenchmark"])
+    if "not_run" in made:
         page.section("Not run")
-        page.table(missing[0])
+        page.table(made["not_run"])
     page.environment(environment)
     page.save(path)
+
+
+def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+    summary = study.summary
+    if "testsets" not in made:
+        return
+    page.section("Certified test sets")
+    page.table(made["testsets"])
+    costs = {name: cost for name, cost in study.samples.get("profile", {}).items() if np.isfinite(cost).any()}
+    if costs:
+        tau, shares = study_compare.profile(costs)
+        page.figure(
+            study_figures.performance_profile(tau, shares),
+            "Performance profiles (Dolan and Moré): the share of all problems of all sets that a solver under our "
+            "settings answered rightly within a multiple of the fastest right answer's time. Where a line ends "
+            "below 1, the rest was never answered rightly.",
+            name="performance-profile",
+        )
+    points = {
+        name: (figure["solve_p50_us_worst_set"], figure["relative_max"])
+        for name, figure in summary["testsets"].items()
+        if figure.get("solve_p50_us_worst_set") and figure.get("relative_max") is not None
+    }
+    points = {name: point for name, point in points.items() if name.endswith("@recommended")}
+    if points:
+        page.figure(
+            figures.accuracy_against_time(
+                {name.partition("@")[0]: point for name, point in points.items()},
+                x_label="median solve time on the slowest set [us]",
+                y_label="largest relative residual on any set",
+            ),
+            "Accuracy against time over all sets under our settings; the line joins what nothing else beats in both.",
+            name="pareto",
+        )
+    for part, table in made.items():
+        if part.startswith("testset "):
+            page.table(table)
+    if "growth" in made:
+        page.section("More joints")
+        page.table(made["growth"])
+    if "duals on six rows" in made:
+        page.section("Duals")
+        page.text(study.words.get("duals", ""))
+        for rows in ("six", "five"):
+            if f"duals on {rows} rows" in made:
+                page.table(made[f"duals on {rows} rows"])
+
+
+def _open_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+    if "open_loop_warm" not in made:
+        return
+    page.section("Open loop on a recorded run")
+    page.table(made["open_loop_warm"])
+    samples = {name: times for name, times in study.samples.get("open_loop", {}).items() if len(times)}
+    if samples:
+        deadline = study.config.scenario.deadline_us
+        page.figure(
+            figures.latency_ecdf(samples, deadline),
+            "Solve time, warm: empirical distribution, with the deadline of a tick.",
+        )
+        page.figure(
+            figures.latency_ecdf(samples, deadline, tail=True),
+            "The same, its tail: how rare are the late ones?",
+        )
+    page.table(made["open_loop_cold"])
+
+
+def _closed_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+    if "closed_loop" not in made:
+        return
+    page.section("Closed loop")
+    page.table(made["closed_loop"])
+    first = study.runs[0].trial if study.runs else ""
+    shown = {r.controller: r.trace for r in study.runs if r.trial == first and r.trace is not None}
+    if shown:
+        page.figure(
+            figures.time_series(shown),
+            f"Trial {first}: manipulability, tip error, RCM error and trocar force over time.",
+        )
+
+
+def _sweeps(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+    summary = study.summary
+    names = [part for part in summary if part.startswith("sweep ")]
+    if not names:
+        return
+    page.section("Where inaccuracy begins to cost")
+    page.text(
+        "The supervisor's check of residuals is off here, so that the arm follows the answer as it is and not what "
+        "would be put in its place. " + study.words.get("cost_begins", "")
+    )
+    groups = {
+        "tolerance": [p for p in names if p.endswith((".eps", ".primal_tol"))],
+        "steps or iterations": [p for p in names if "steps" in p or "max_iter" in p],
+        "rho": [p for p in names if p == "sweep damping"],
+    }
+    for words, parts in groups.items():
+        if parts:
+            page.figure(
+                study_figures.sweep_panels(
+                    {part.removeprefix("sweep "): list(summary[part].values()) for part in parts}, METRICS, words,
+                    zero=1e-8,
+                ),
+                f"Closed loop over the {words}" + (" (rho = 0 is drawn at 1e-8)." if words == "rho" else "."),
+                name=f"sweep-{words.split()[0]}",
+            )  # fmt: skip
+    for part in names:
+        if part.startswith("sweep deadline") and "deadline" not in page.figures:
+            page.section("Deadlines")
+            page.text(
+                "A solve that takes longer than its budget is answered by the last good answer (hold), by rest (zero), "
+                "or by the answer itself, a tick's time too late to be of use to the clock (iterate); what a solver "
+                "stopped in the middle answers is the sweep over max_iter. Times are replayed from a recording: "
+                "`[solver] replay_us` in a scenario repeats a run exactly."
+            )
+            break
+    for part in names:
+        page.table(made[part])
+    if "prediction" in made:
+        page.section("Does open loop predict closed loop?")
+        page.text(study.words.get("prediction", ""))
+        page.table(made["prediction"])
+        if summary.get("disagreements"):
+            page.text("\n\n".join(d["words"] + "." for d in summary["disagreements"].values()))
+
+
+__all__ = ["BASELINE", "headline", "print_tables", "tables", "write_report"]

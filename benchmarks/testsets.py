@@ -57,6 +57,14 @@ class TestSet:
         """The subproblems, in order: in a sequence neighbours are 2 ms apart."""
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
+    def judged(self) -> Array:
+        """``rows`` as answers are judged: with references that the rigid tool can follow.
+
+        Where those of tip and wrist differ along the shaft, the wrist's are moved; what is certified is the answer
+        to the five rows that this leaves alone.
+        """
+        return np.array([straightened(qp).row for qp in self.problems()])
+
     def to_bytes(self) -> bytes:
         """The .npz file."""
         buffer = io.BytesIO()
@@ -195,21 +203,7 @@ def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
     feasible = np.zeros(len(problems), dtype=bool)
     for i, qp in enumerate(problems):
         five = qp.reduced()
-        b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
-        b[3:] += five_row_gap(qp, b)
-        straight = NullSpaceQP(
-            qp.J_tip,
-            qp.J_wrist,
-            b[:3],
-            b[3:],
-            qp.grad_mu,
-            qp.lower,
-            qp.upper,
-            qp.c0,
-            qp.c1,
-            qp.c2,
-            qp.damping,
-        )
+        straight = straightened(qp)
         solution = Exact().start(straight).solve(straight)
         bounds = list(zip(qp.lower, qp.upper, strict=True))
         program = linprog(np.zeros(qp.n), A_eq=five.A, b_eq=five.b, bounds=bounds, method="highs")
@@ -222,6 +216,16 @@ def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
         elif program.status != 2:
             raise CertificateError(f"{name}[{i}]: called infeasible, but HiGHS says: {program.message}")
     return TestSet(name, rows, X, feasible)
+
+
+def straightened(qp: NullSpaceQP) -> NullSpaceQP:
+    """The same subproblem with the wrist's reference along the shaft moved to the tip's."""
+    five = qp.reduced()
+    b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
+    b[3:] += five_row_gap(qp, b)
+    return NullSpaceQP(
+        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.damping
+    )
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:

@@ -1,128 +1,20 @@
-"""Seeded subproblems for the tests: random serial arms that hold a rigid tool.
-
-An arm is given by its joint axes at q = 0 (product of exponentials), so tip and wrist Jacobians are
-tied as on a real arm, and the gradient of the manipulability belongs to the same arm.
-"""
+"""Seeded subproblems for the tests, of the random arms that the benchmarks use too."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.arms import Arm, problem_of, random_arm, random_box, rotation, smooth_sequence, unit
 from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
-TOOL = 0.38  # wrist to tip [m]
-
-
-@dataclass(frozen=True)
-class Arm:
-    """A serial arm at q = 0: joint axes (n, 3), a point on each (n, 3) [m], tip (3,) and wrist (3,) [m]."""
-
-    axes: Array
-    points: Array
-    tip: Array
-    wrist: Array
-
-    @property
-    def n(self) -> int:
-        """Number of joints."""
-        return len(self.axes)
-
-    def jacobians(self, q: Array) -> tuple[Array, Array]:
-        """J_tip and J_wrist, (3, n) each [m/rad]."""
-        R, t = np.eye(3), np.zeros(3)
-        axes, points = np.empty_like(self.axes), np.empty_like(self.points)
-        for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
-            axes[i], points[i] = R @ axis, R @ point + t
-            turn = rotation(axis, float(q[i]))
-            R, t = R @ turn, R @ (point - turn @ point) + t
-        tip, wrist = R @ self.tip + t, R @ self.wrist + t
-        return np.cross(axes, tip - points).T, np.cross(axes, wrist - points).T
-
-    def mu(self, q: Array) -> float:
-        """Manipulability sqrt(det(J_T J_T^T))."""
-        J = self.jacobians(q)[0]
-        return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
-
-    def grad_mu(self, q: Array, step: float = 1e-5) -> Array:
-        """Gradient of mu, (n,), by central differences."""
-        steps = step * np.eye(self.n)
-        return np.array([self.mu(q + d) - self.mu(q - d) for d in steps]) / (2.0 * step)
-
-    def kinematics(self) -> Any:
-        """The same arm as CasADi functions tip(q), wrist(q), mu(q), for the NLP solvers."""
-        import casadi as ca
-
-        q = ca.SX.sym("q", self.n)
-        R, t = ca.SX.eye(3), ca.SX.zeros(3)
-        for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
-            K = ca.skew(ca.DM(axis))
-            turn = ca.SX.eye(3) + ca.sin(q[i]) * K + (1.0 - ca.cos(q[i])) * (K @ K)
-            t = R @ (ca.DM(point) - turn @ ca.DM(point)) + t
-            R = R @ turn
-        tip, wrist = R @ ca.DM(self.tip) + t, R @ ca.DM(self.wrist) + t
-        J = ca.jacobian(tip, q)
-        mu = ca.sqrt(ca.det(J @ J.T))
-        outputs = {"tip": tip, "wrist": wrist, "mu": mu}
-        functions = {k: ca.Function(k, [q], [v]) for k, v in outputs.items()}
-        return ArmKinematics(f"arm-{hash(self.axes.tobytes())}", self.n, **functions)
-
-
-@dataclass(frozen=True)
-class ArmKinematics:
-    """What an NLP solver is given instead of a robot."""
-
-    id: str
-    n: int
-    tip: Any = field(compare=False, repr=False)
-    wrist: Any = field(compare=False, repr=False)
-    mu: Any = field(compare=False, repr=False)
-
-
-def rotation(axis: Array, angle: float) -> Array:
-    """Rodrigues' formula, (3, 3)."""
-    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
-
-
-def unit(rng: np.random.Generator) -> Array:
-    """A random direction."""
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
-
-
-def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
-    """Random axes through points within about half a metre of the wrist.
-
-    structured (n = 7): joints 5 to 7 pass through the wrist and the tool lies along joint 7, so that
-    three wrist columns vanish and joint 7 moves neither point.
-    """
-    axes = np.array([unit(rng) for _ in range(n)])
-    points = rng.normal(scale=0.25, size=(n, 3))
-    tool = unit(rng)
-    if structured and n == 7:
-        points[4:] = 0.0
-        axes[6] = tool
-    return Arm(axes, points, TOOL * tool, np.zeros(3))
-
-
-def problem_of(
-    arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float
-) -> NullSpaceQP:
-    """The subproblem of ``arm`` at q whose references are met by ``x_inside``."""
-    J_tip, J_wrist = arm.jacobians(q)
-    return NullSpaceQP(
-        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower, upper, q=q, **weights
-    )
-
-
-def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Bounds of 0.3 to 3 rad/s on either side of zero."""
-    return -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
+__all__ = [
+    "Arm", "infeasible_problem", "out_of_reach", "problem_of", "random_arm", "random_box", "random_problem",
+    "rotation", "smooth_sequence", "unit",
+]  # fmt: skip
 
 
 def random_problem(
@@ -171,19 +63,3 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
 def infeasible_problem(rng: np.random.Generator, n: int = 7, **options: Any) -> NullSpaceQP:
     """One subproblem that has no feasible velocity."""
     return random_problem(rng, n, feasible=False, **options)
-
-
-def smooth_sequence(
-    rng: np.random.Generator, count: int, *, period: float = 0.002, arm: Arm | None = None, **weights: float
-) -> list[NullSpaceQP]:
-    """``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
-    arm = random_arm(rng) if arm is None else arm
-    lower, upper = random_box(rng, arm.n)
-    start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)
-    swing = 0.4 * np.minimum(-lower, upper)
-    problems = []
-    for t in period * np.arange(count):
-        angle = phase + 2.0 * np.pi * 0.5 * t
-        q = start + swing / np.pi * np.sin(angle)
-        problems.append(problem_of(arm, q, swing * np.cos(angle), lower, upper, **weights))
-    return problems

@@ -123,6 +123,11 @@ class NativeController:
         return NullSpaceQP.from_row(self._report["subproblem"].copy()) if self.solver is not None else None
 
     @property
+    def tip(self) -> Array:
+        """(3,) where the last tick saw the tip [m]."""
+        return self._report["tip"]
+
+    @property
     def external_torque(self) -> Array:
         """What the observer makes of the torque from outside (n,) [Nm]; zero without one."""
         return self._state["external_torque"].copy()
@@ -141,7 +146,7 @@ class NativeController:
         if self.solver is not None:
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
-                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.empty((ticks, row_length(n))),
+                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
                 "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
             }  # fmt: skip
         return found

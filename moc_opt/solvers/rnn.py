@@ -93,8 +93,9 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool) 
         )
     if weak <= 0.0:
         return "c0 and c1 must be above 0: nothing else damps the multipliers"
-    largest = float(np.linalg.norm(qp.A, 2)) ** 2
-    stiff = (2.0 * hk * strong + (hk * hk if implicit else -hk * hk)) * largest
+    largest = float(np.linalg.norm(qp.A, 2))
+    # a product, which may become infinite, where a power would raise
+    stiff = (2.0 * hk * strong + (hk * hk if implicit else -hk * hk)) * largest * largest
     if not stiff < 4.0:
         return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f} of 4): the steps diverge; lower h or k"
     return None

@@ -142,7 +142,7 @@ class Reference:
             raise TaskError(f"t = {t!r} is not a time: give seconds")
         length = self.path.length
         s, ds, dds = quintic(u)
-        v, a = ds * length / self.duration, dds * length / self.duration**2
+        v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
         x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(s * length, length))
         c = v * v
         return np.array(

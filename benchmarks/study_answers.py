@@ -1,0 +1,338 @@
+"""Solvers on the test sets: what they claim, what their answers are worth, how long they take, and who never returns.
+
+Two passes a cell, both in a worker: the answers, handed over one by one so that a hang or a crash costs one answer
+and not the cell, and then the times, measured inside the worker without anything between two solves. A set is solved
+warm (one session in order) and cold (a fresh session each, of a part of it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import open_loop
+from benchmarks.study_settings import Entry
+from benchmarks.study_store import Part, Store
+from benchmarks.study_worker import Crashed, Hung, Raised, Worker, WorkerError
+from benchmarks.timing import each_us, percentiles
+from moc_opt.model import load_robot
+from moc_opt.scenario import make_solver
+from moc_opt.solvers.base import Solver
+from moc_opt.solvers.registry import accepts
+from moc_opt.subproblem import NullSpaceQP, fields, judge
+
+Array = NDArray[np.float64]
+
+# What became of an answer, beside the statuses of solvers.
+HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
+GIVE_UP = 2  # hangs and crashes in one set, after which the rest of it is not asked
+CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
+RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How much is measured, and how long a solve may take."""
+
+    patience_s: float = 2.0
+    rounds: int = 8
+    seconds: float = 1.0
+    cold: int = 32
+
+
+@dataclass(frozen=True)
+class Data:
+    """One test set as the study needs it."""
+
+    name: str
+    rows: Array  # what solvers are given
+    judged: Array  # what their answers are judged by
+    feasible: NDArray[np.bool_]
+    kinematics: Any = None  # of the arm, for solvers that want them; None: the default robot's
+
+    @property
+    def n(self) -> int:
+        """Joints."""
+        return (self.rows.shape[1] - 10) // 10
+
+    def thinned(self, every: int) -> Data:
+        """Each every-th problem."""
+        return Data(
+            self.name,
+            self.rows[::every],
+            self.judged[::every],
+            self.feasible[::every],
+            self.kinematics,
+        )
+
+
+# --- in the worker ---
+
+
+def _made(entry: Entry, arm: Callable[[], Any] | None) -> Solver:
+    extra = {} if arm is None else {"kinematics": arm()}
+    extra = {key: value for key, value in extra.items() if accepts(entry.solver, key)}
+    return make_solver(entry.solver, load_robot(), **{**entry.options, **extra})
+
+
+def _problems(rows: Array) -> list[NullSpaceQP]:
+    found = [NullSpaceQP.from_row(np.array(row)) for row in rows]
+    open_loop.expand(found)
+    return found
+
+
+def answers(entry: Entry, rows: Array, warm: bool, arm: Callable[[], Any] | None = None) -> Iterator[Any]:
+    """Yield the reason why the solver does not take these problems, or "", then (status, iterations, x, y) each."""
+    solver, problems = _made(entry, arm), _problems(rows)
+    reason = solver.supports(problems[0])
+    if reason is not None:
+        yield reason
+        return
+    # Before the first word: setting up may compile, and the patience for that is longer than for a solve.
+    session = solver.start(problems[0])
+    yield ""
+    for qp in problems:
+        try:
+            solution = (session if warm else solver.start(qp)).solve(qp)
+        except Exception as error:  # noqa: BLE001 - it is counted, and the next problem is asked
+            yield RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), f"{type(error).__name__}: {error}"
+            session = solver.start(qp) if warm else None
+            continue
+        y = np.full(6, np.nan) if solution.y is None else solution.y
+        yield solution.status.label, int(solution.iterations), np.array(solution.x), np.array(y), ""
+
+
+def warm_times(
+    entry: Entry, rows: Array, rounds: int, seconds: float, arm: Callable[[], Any] | None = None
+) -> Iterator[Array]:
+    """Yield the times [us] of one session going through all problems, round by round."""
+    solver, problems = _made(entry, arm), _problems(rows)
+    session = solver.start(problems[0])
+    spent = 1e-6 * each_us(session.solve, problems).sum()  # caches and compilers: not counted
+    for turn in range(rounds):
+        if turn >= 2 and spent > seconds:
+            return
+        times = each_us(session.solve, problems)
+        spent += 1e-6 * times.sum()
+        yield times
+
+
+def cold_times(
+    entry: Entry, rows: Array, arm: Callable[[], Any] | None = None
+) -> Iterator[tuple[Array, Array]]:
+    """Yield once: the times [us] of setting sessions up, and of the first solve of each."""
+    solver, problems = _made(entry, arm), _problems(rows)
+    solver.start(problems[0]).solve(problems[0])
+    sessions: list[Any] = []
+    setup = each_us(solver.start, problems, sessions)
+    pairs = list(zip(sessions, problems, strict=True))
+    yield setup, each_us(lambda pair: pair[0].solve(pair[1]), pairs)
+
+
+# --- around it ---
+
+
+def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool) -> Part:
+    """All answers of one solver to one set, whatever it takes to get them."""
+    count, n = len(data.rows), data.n
+    status = np.full(count, NOT_ASKED, dtype="<U12")
+    iterations, x, y = np.zeros(count, int), np.full((count, n), np.nan), np.full((count, 6), np.nan)
+    events: list[str] = []
+    place, broken = 0, 0
+    while place < count and broken < GIVE_UP:
+        try:
+            stream = worker.stream(
+                answers, entry, data.rows[place:], warm, data.kinematics, patience_s=limits.patience_s
+            )
+            for item in stream:
+                if isinstance(item, str):
+                    if item:
+                        status[:] = REFUSED
+                        return Part({"reason": item, "events": []}, _arrays(status, iterations, x, y))
+                    continue
+                status[place], iterations[place], x[place], y[place], said = item
+                if said:
+                    events.append(f"problem {place}: {said}")
+                place += 1
+        except Raised as error:  # before the first problem: the solver cannot be made
+            status[place:] = REFUSED
+            return Part({"reason": str(error), "events": events}, _arrays(status, iterations, x, y))
+        except (Hung, Crashed) as error:
+            status[place] = HUNG if isinstance(error, Hung) else CRASHED
+            events.append(f"problem {place}: {error}")
+            place += 1
+            broken += 1
+    return Part({"reason": "", "events": events}, _arrays(status, iterations, x, y))
+
+
+def time(worker: Worker, entry: Entry, data: Data, limits: Limits, answered: bool) -> Part:
+    """Times of one solver on one set; empty where an answer of it never came."""
+    arrays = {"solve_us": np.empty((0, len(data.rows))), "setup_us": np.empty(0), "cold_us": np.empty(0)}
+    if not answered:
+        return Part({"reason": "not timed: not every problem was answered"}, arrays)
+    every = max(1, len(data.rows) // limits.cold)
+    wait = 20.0 * limits.seconds + limits.patience_s
+    try:
+        rounds = list(
+            worker.stream(
+                warm_times, entry, data.rows, limits.rounds, limits.seconds, data.kinematics, patience_s=wait
+            )
+        )
+        (setup, cold), *_ = list(
+            worker.stream(cold_times, entry, data.rows[::every], data.kinematics, patience_s=wait)
+        )
+    except WorkerError as error:
+        return Part({"reason": str(error)}, arrays)
+    return Part({"reason": ""}, {"solve_us": np.array(rounds), "setup_us": setup, "cold_us": cold})
+
+
+def _arrays(status: Any, iterations: Any, x: Array, y: Array) -> dict[str, NDArray[Any]]:
+    return {"status": status, "iterations": iterations, "x": x, "y": y}
+
+
+def asked(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool = True) -> Part:
+    """`ask`, or what an earlier run was answered."""
+    key = store.key(
+        part="answers", solver=entry.solver, options=entry.options, rows=data.rows, warm=warm,
+        patience=limits.patience_s, arm=data.kinematics is not None,
+    )  # fmt: skip
+    return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm))
+
+
+def timed(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits, answered: bool) -> Part:
+    """`time`, or what an earlier run measured."""
+    key = store.key(
+        part="times", solver=entry.solver, options=entry.options, rows=data.rows, rounds=limits.rounds,
+        seconds=limits.seconds, cold=limits.cold, answered=answered, arm=data.kinematics is not None,
+    )  # fmt: skip
+    return store.get(key) or store.put(key, time(worker, entry, data, limits, answered))
+
+
+# --- what it means ---
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The answers of one solver under one setting to one set, judged."""
+
+    entry: Entry
+    data: Data
+    part: Part
+
+    def __post_init__(self) -> None:
+        found = judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
+        object.__setattr__(self, "residuals", found)
+        object.__setattr__(self, "verified", found.verified() & self.data.feasible)
+
+    residuals: Any = None
+    verified: Any = None
+
+    @property
+    def status(self) -> NDArray[Any]:
+        """One word per problem."""
+        return self.part.arrays["status"]
+
+    @property
+    def contradictory(self) -> NDArray[np.bool_]:
+        """Where the six rows cannot all be met: their references were moved before the certificate was made."""
+        moved = np.abs(fields(self.data.judged).b - fields(self.data.rows).b).max(axis=-1)
+        return moved > CONTRADICTION
+
+    @property
+    def refused(self) -> str:
+        """Why the solver does not take these problems; "" where it does."""
+        return str(self.part.values["reason"])
+
+    @property
+    def complete(self) -> bool:
+        """Every problem was answered, somehow."""
+        return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
+
+    def counts(self) -> dict[str, int]:
+        """How many answers were what; what is right adds up with what is wrong to the problems."""
+        status, feasible = self.status, self.data.feasible
+        claimed, infeasible = status == "solved", status == "infeasible"
+        right = infeasible & ~feasible
+        contradicted = infeasible & feasible & self.contradictory & self.entry.six_rows
+        broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
+        failed = ~claimed & ~right & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
+        return {
+            "solves": len(status),
+            "feasible": int(feasible.sum()),
+            "claimed_solved": int(claimed.sum()),
+            "verified_solved": int((claimed & self.verified).sum()),
+            "verified": int(self.verified.sum()),
+            "silently_wrong": int((claimed & ~self.verified).sum()),
+            "infeasible_right": int(right.sum()),
+            "infeasible_six_rows": int(contradicted.sum()),
+            "infeasible_wrong": int((infeasible & feasible & ~contradicted).sum()),
+            "failed": int(failed.sum()),
+            **broken,
+            "not_asked": int(np.isin(status, (NOT_ASKED, REFUSED)).sum()),
+        }
+
+    def figures(self) -> dict[str, float | None]:
+        """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
+        given = self.data.feasible & np.isfinite(self.part.arrays["x"]).all(axis=1)
+        found: dict[str, float | None] = {}
+        for name in RESIDUALS:
+            values = np.asarray(getattr(self.residuals, name))[given]
+            for word, q in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
+                found[f"{name}_{word}"] = float(np.percentile(values, q)) if values.size else None
+        found["iterations_p50"] = float(np.median(self.part.arrays["iterations"]))
+        return found
+
+    def summary(self, times: Part | None = None) -> dict[str, Any]:
+        """Everything, for summary.json."""
+        found: dict[str, Any] = {**self.counts(), **self.figures()}
+        if self.refused:
+            found["reason"] = self.refused
+        return {**found, **({} if times is None else time_figures(times))}
+
+    def rows(self, part: str) -> list[dict[str, Any]]:
+        """One row per problem, for rows.parquet."""
+        return [
+            {
+                "part": part, "solver": self.entry.solver, "setting": self.entry.setting, "set": self.data.name,
+                "index": i, "status": str(self.status[i]), "iterations": int(self.part.arrays["iterations"][i]),
+                "feasible": bool(self.data.feasible[i]), "verified": bool(self.verified[i]),
+                **{name: float(getattr(self.residuals, name)[i]) for name in RESIDUALS},
+            }
+            for i in range(len(self.status))
+        ]  # fmt: skip
+
+
+def time_figures(times: Part) -> dict[str, Any]:
+    """Percentiles, and of how many solves."""
+    arrays = times.arrays
+    found: dict[str, Any] = {
+        **percentiles(arrays["solve_us"].ravel(), "solve"),
+        **percentiles(arrays["cold_us"], "cold"),
+        **percentiles(arrays["setup_us"], "setup"),
+        "timed_solves": int(arrays["solve_us"].size),
+    }
+    return found
+
+
+def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
+    """One solver under one setting over all its sets: sums of counts, largest of maxima, worst of percentiles."""
+    found: dict[str, Any] = {}
+    for cell in cells:
+        for name, count in cell.counts().items():
+            found[name] = found.get(name, 0) + count
+    for name in RESIDUALS:
+        values = [v for cell in cells if (v := cell.figures()[f"{name}_max"]) is not None]
+        found[f"{name}_max"] = max(values) if values else None
+    figures = [time_figures(part) for part in timings.values()]
+    for name in dict.fromkeys(name for f in figures for name in f):
+        if name.endswith("_us"):
+            # of the slowest set: a mean over sets would hide it
+            found[f"{name}_worst_set"] = max(f[name] for f in figures if name in f)
+    return found
+
+
+__all__ = ["Cell", "Data", "Limits", "asked", "timed", "totals"]

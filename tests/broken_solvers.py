@@ -1,0 +1,59 @@
+"""Solvers that misbehave, as a plug-in on disk: workers find them as they find any third party's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+MODULE = """
+import os, signal
+from dataclasses import dataclass
+from moc_opt.solvers.exact import Exact
+
+@dataclass(frozen=True)
+class Base:
+    at: int = 3  # the problem at which it happens, counted by a session
+
+    def supports(self, qp):
+        return None
+
+    def start(self, qp):
+        return Session(self, Exact().start(qp))
+
+class Session:
+    def __init__(self, settings, exact):
+        self.settings, self.exact, self.count = settings, exact, 0
+
+    def solve(self, qp):
+        if self.count == self.settings.at:
+            self.settings.misbehave()
+        self.count += 1
+        return self.exact.solve(qp)
+
+class Hangs(Base):
+    name = "hangs"
+    def misbehave(self):
+        while True:
+            pass
+
+class Crashes(Base):
+    name = "crashes"
+    def misbehave(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+
+class Raises(Base):
+    name = "raises"
+    def misbehave(self):
+        self_count = 1 / 0
+"""
+NAMES = ("hangs", "crashes", "raises")
+
+
+def install(folder: Path) -> Path:
+    """Write the plug-in; the folder must then be on sys.path."""
+    info = folder / "broken_solvers_plugin-1.0.dist-info"
+    info.mkdir(parents=True)
+    (folder / "broken_solvers_plugin.py").write_text(MODULE)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-solvers-plugin\nVersion: 1.0\n")
+    lines = "\n".join(f"{name} = broken_solvers_plugin:{name.capitalize()}" for name in NAMES)
+    (info / "entry_points.txt").write_text(f"[moc_opt.solvers]\n{lines}\n")
+    return folder

@@ -1,0 +1,235 @@
+"""python -m benchmarks.solvers: its files, its parts, that it resumes, and that broken solvers do not stop it."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import closed_loop, export, solvers, study_tables
+from benchmarks.output import default_config
+from benchmarks.study_answers import Cell
+from benchmarks.study_config import PARTS, Config, TestSets
+from benchmarks.study_tables import headline, tables
+from moc_opt.errors import ScenarioError, UnknownNameError
+from tests import broken_solvers
+
+SMALL = """
+seed = 3
+processes = 2
+parts = ["open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals"]
+[open_loop]
+ticks = 40
+cold = 5
+[testsets]
+names = ["circle", "infeasible"]
+timed = ["circle"]
+every = 16
+rounds = 2
+seconds = 0.1
+patience_s = 1.5
+cold = 4
+[growth]
+joints = [7, 9]
+[closed_loop]
+tasks = ["circle"]
+duration_s = 0.2
+[sweeps]
+duration_s = 0.2
+values = "few"
+deadline_solvers = ["osqp"]
+late_percent = [10.0]
+[scenario]
+bound_samples = 2
+"""
+NAMES = ["exact", "osqp", "rnn", "quadprog"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A whole small study."""
+    root = tmp_path_factory.mktemp("study")
+    (root / "small.toml").write_text(SMALL)
+    assert run(root) == 0
+    return root
+
+
+def run(root, *more, names=NAMES):
+    return solvers.main([str(root / "small.toml"), "--out", str(root / "out"), "--only", *names, *more])
+
+
+@pytest.fixture(scope="module")
+def summary(folder):
+    return json.loads((folder / "out" / "summary.json").read_text())
+
+
+def test_every_part_is_there(summary):
+    expected = {
+        "open_loop_warm", "open_loop_cold", "testsets", "testset circle", "testset infeasible", "growth",
+        "closed_loop", "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction",
+        "disagreements", "cost_begins", "duals on six rows", "duals on five rows", "settings", "not_run", "clock",
+    }  # fmt: skip
+    assert expected <= set(summary)
+    assert set(summary["closed_loop"]) == {"dcac", *NAMES} - set(summary["not_run"])
+    assert {"osqp@default", "osqp@tight", "osqp@recommended", "rnn@semi-implicit-10"} <= set(
+        summary["testsets"]
+    )
+
+
+def test_the_names_of_the_metrics_are_those_that_others_read(summary):
+    warm = summary["open_loop_warm"]["osqp"]
+    for name in ("solve_p50_us", "solve_p99_us", "claimed_solved", "verified_solved", "silently_wrong", "primal_max",
+                 "natural_max", "loss_max"):  # fmt: skip
+        assert name in warm
+    assert "setup_p50_us" in summary["open_loop_cold"]["osqp"]
+    for name in ("mu_mean", "mu_final", "mu_gain_percent", "mu_fraction_of_bound", "tip_error_max_mm",
+                 "trocar_force_mean_N", "tick_p99_us", "deadline_misses"):  # fmt: skip
+        assert name in summary["closed_loop"]["osqp"]
+    for point in [
+        p for part, points in summary.items() if part.startswith("sweep ") for p in points.values()
+    ]:
+        assert "mu_fraction_of_bound" in point or point["broke_off"]
+
+
+def test_no_mean_of_times_hides_a_tail(summary):
+    def keys(value):
+        if isinstance(value, dict):
+            for key, inner in value.items():
+                yield key
+                yield from keys(inner)
+
+    assert [
+        k for k in keys(summary) if k.endswith("_us") and "mean" in k and not k.startswith("shgeom")
+    ] == []
+
+
+def test_broken_solvers_are_recorded_and_the_others_unharmed(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(str(broken_solvers.install(tmp_path / "plugin")))
+    monkeypatch.setattr(closed_loop, "PATIENCE_S", 4.0)
+    arguments = [
+        "--parts",
+        "testsets",
+        "closed_loop",
+        "--sets",
+        "circle",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
+    assert run(folder, *arguments, names=["hangs", "exact", "crashes"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    table = summary["testsets"]
+    assert table["hangs@recommended"]["hung"] == 2
+    assert table["crashes@recommended"]["crashed"] == 2
+    assert table["exact@recommended"]["verified_solved"] == table["exact@recommended"]["feasible"]
+    assert summary["closed_loop"]["hangs"]["broke_off"] == 1
+    assert "hung" in summary["closed_loop"]["hangs"]["reason"]
+    assert "SIGSEGV" in summary["closed_loop"]["crashes"]["reason"]
+    assert summary["closed_loop"]["exact"]["broke_off"] == 0
+    said = headline(summary, {})
+    assert "Never returned: hangs@recommended" in said
+    assert "Took their process with them: crashes@recommended" in said
+
+
+def test_counts_add_up(summary):
+    for part, found in summary.items():
+        if part.startswith("testset"):
+            for m in found.values():
+                parts = (
+                    "claimed_solved",
+                    "infeasible_right",
+                    "infeasible_six_rows",
+                    "failed",
+                    "hung",
+                    "crashed",
+                )
+                assert sum(m[key] for key in parts) + m["not_asked"] == m["solves"]
+                assert m["verified_solved"] + m["silently_wrong"] == m["claimed_solved"]
+
+
+def test_all_files_are_written(folder, summary):
+    out = folder / "out"
+    rows = pq.read_table(out / "rows.parquet").to_pylist()
+    assert {"open_loop_warm", "open_loop_cold", "testset", "closed_loop"} <= {row["part"] for row in rows}
+    mine = [r for r in rows if r["part"] == "testset" and r["set"] == "circle" and r["solver"] == "osqp"]
+    assert len(mine) == 3 * 8
+    environment = json.loads((out / "environment.json").read_text())
+    assert environment["config"]["testsets"]["every"] == 16
+    page = (out / "report.html").read_text()
+    for words in (
+        "Performance profiles",
+        "How to read this",
+        "Where inaccuracy begins to cost",
+        "Deadlines",
+        "nlp-*",
+    ):
+        assert words in page
+    assert np.load(out / "solve_us_osqp.npy").shape == (100,)
+
+
+def test_a_second_run_takes_all_parts_from_the_first(folder, summary, capsys):
+    """Nothing is measured again, so that even the times are the same."""
+    assert run(folder) == 0
+    again = json.loads((folder / "out" / "summary.json").read_text())
+    for part in set(summary) - {"clock"}:
+        assert again[part] == summary[part], part
+    assert "parts are those of an earlier run" in capsys.readouterr().out
+
+
+def test_parts_and_sets_can_be_chosen(folder, tmp_path, capsys):
+    arguments = [str(folder / "small.toml"), "--out", str(tmp_path), "--only", "exact", "--json"]
+    assert solvers.main([*arguments, "--parts", "testsets", "--sets", "spiral"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert "testset spiral" in found
+    assert not {"testset circle", "closed_loop", "open_loop_warm"} & set(found)
+
+
+def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
+    assert solvers.main(["--only", "osqq", "--out", str(tmp_path)]) == 2
+    assert "'osqp'" in capsys.readouterr().err
+    assert solvers.main(["--sets", "circel", "--out", str(tmp_path)]) == 2
+    assert "'circle'" in capsys.readouterr().err
+    (tmp_path / "bad.toml").write_text("[testsets]\nroundz = 1")
+    assert solvers.main([str(tmp_path / "bad.toml"), "--out", str(tmp_path)]) == 2
+    assert "roundz" in capsys.readouterr().err
+    with pytest.raises(ScenarioError):
+        Config.load(tmp_path / "none.toml")
+    with pytest.raises(UnknownNameError):
+        TestSets(names=["nothing"])
+
+
+def test_the_shipped_configuration_is_that_of_the_program():
+    config = Config.load(default_config("solvers"))
+    assert config == Config()
+    assert set(config.parts) == set(PARTS)
+    assert config.quick().testsets.every > 1
+    full = config.full()
+    assert full.testsets.rounds > config.testsets.rounds
+    assert full.growth.joints == list(range(7, 15))
+
+
+def test_the_nonlinear_solvers_carry_their_footnote(summary):
+    with_nlp = {
+        **summary,
+        "testset circle": {**summary["testset circle"], "nlp-sqp@recommended": {"solves": 8}},
+    }
+    assert "another problem" in tables(with_nlp)["testset circle"].caption
+    assert tables(summary)["testset circle"].caption == ""
+    wrong = {"nlp-sqp@recommended": {**summary["testsets"]["exact@recommended"], "silently_wrong": 8}}
+    assert "nlp-sqp" not in headline({"testsets": {**summary["testsets"], **wrong}}, {})
+
+
+def test_qpbenchmark_stands_beside_ours():
+    ours = {f"qpsolvers:{n}@default": {"solves": 4, "feasible": 4, "verified_solved": v, "solve_p50_us_worst_set": t}
+            for n, v, t in (("a", 4, 9.0), ("b", 4, 5.0), ("c", 2, 1.0))}  # fmt: skip
+    theirs = {f"{n}@default": {"rank": r} for n, r in (("c", 1), ("b", 2), ("a", 3))}
+    rows = study_tables._beside_ours({"testsets": ours, "qpbenchmark": theirs})
+    assert {row["solver"][0]: row["our_rank"] for row in rows} == {"b": 1, "a": 2, "c": 3}
+
+
+def test_kept_parts_do_not_outlive_what_decides_them():
+    """What reads a part is not among the sources of its key; what makes it is."""
+    from benchmarks.study_store import SOURCES
+
+    assert Cell.__module__.rpartition(".")[2] in SOURCES
+    assert export.__name__.rpartition(".")[2] not in SOURCES

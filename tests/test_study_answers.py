@@ -1,0 +1,204 @@
+"""Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
+
+import numpy as np
+import pytest
+
+from benchmarks import study_answers, study_growth
+from benchmarks.study import load
+from benchmarks.study_answers import Cell, Data, Limits, asked, time_figures, timed, totals
+from benchmarks.study_settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
+from benchmarks.study_store import Part, Store
+from benchmarks.study_worker import Worker
+from moc_opt.scenario import make_solver
+from moc_opt.solvers import available
+from moc_opt.solvers.registry import accepts
+from tests import broken_solvers
+
+LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)
+EXACT = Entry("exact", "recommended", {}, "")
+
+
+@pytest.fixture(scope="module")
+def worker():
+    with Worker() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory):
+    """Workers that find the broken solvers."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(broken_solvers.install(tmp_path_factory.mktemp("plugin"))))
+        assert {name: available().get(name, "") for name in broken_solvers.NAMES} == dict.fromkeys(
+            broken_solvers.NAMES
+        )
+        with Worker() as made:
+            yield made
+
+
+@pytest.fixture(scope="module")
+def some():
+    """Sixteen problems, of which some are infeasible."""
+    return load("infeasible", 8)
+
+
+def cell(worker, entry, data, warm=True):
+    return Cell(entry, data, asked(Store(None), worker, entry, data, LIMITS, warm))
+
+
+def test_exact_is_right_on_every_set(worker, some):
+    for data in (load("circle", 16), some, load("inconsistent-1e-4", 8), load("jumps", 8)):
+        counts = cell(worker, EXACT, data).counts()
+        assert counts["verified_solved"] + counts["infeasible_six_rows"] == counts["feasible"]
+        assert (counts["infeasible_six_rows"] > 0) == data.name.startswith("inconsistent")
+        assert counts["infeasible_right"] == counts["solves"] - counts["feasible"]
+        assert counts["silently_wrong"] == counts["failed"] == counts["infeasible_wrong"] == 0
+
+
+def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
+    data = load("circle", 8)
+    found = cell(broken, Entry("hangs", "recommended", {"at": 3}, ""), data)
+    # a fresh session after each hang: the fourth and the eighth problem; then the rest is left alone
+    assert np.flatnonzero(found.status == "hung").tolist() == [3, 7]
+    assert (found.status[8:] == "not asked").all()
+    counts = found.counts()
+    assert (counts["hung"], counts["claimed_solved"], counts["not_asked"]) == (2, 6, 8)
+    assert not found.complete
+    times = timed(Store(None), broken, found.entry, data, LIMITS, found.complete)
+    assert time_figures(times)["timed_solves"] == 0
+    assert "not every problem was answered" in times.values["reason"]
+
+
+def test_a_crash_is_recorded_with_its_signal(broken):
+    found = cell(broken, Entry("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
+    assert np.flatnonzero(found.status == "crashed").tolist() == [1, 3]
+    assert all("SIGSEGV" in event for event in found.part.values["events"])
+
+
+def test_an_exception_costs_one_answer(broken):
+    found = cell(broken, Entry("raises", "recommended", {"at": 2}, ""), load("circle", 16))
+    assert np.flatnonzero(found.status == "raised").tolist() == [2, 5]
+    counts = found.counts()
+    assert (counts["raised"], counts["failed"], counts["verified_solved"]) == (2, 2, 6)
+
+
+def test_a_solver_that_refuses_is_not_asked(worker):
+    found = cell(worker, Entry("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
+    assert "damping" in found.refused
+    assert found.counts()["not_asked"] == 8
+    assert cell(worker, Entry("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
+        "UnknownName"
+    )
+
+
+def made(status, x, feasible, rows):
+    part = Part(
+        {"reason": "", "events": []},
+        {
+            "status": np.array(status),
+            "iterations": np.ones(len(status), int),
+            "x": x,
+            "y": np.full((len(x), 6), np.nan),
+        },
+    )
+    return Cell(EXACT, Data("made", rows, rows, np.array(feasible)), part)
+
+
+def test_claims_are_counted_by_the_certificate_and_the_judge():
+    kept = load("circle", 32)
+    from benchmarks.testsets import TestSet
+
+    x = TestSet.load("circle").x[::32].copy()
+    x[1] = 0.0  # claimed, and wrong
+    found = made(["solved", "solved", "infeasible", "max_iter"], x, [True] * 4, kept.rows).counts()
+    assert (found["claimed_solved"], found["verified_solved"], found["silently_wrong"]) == (2, 1, 1)
+    assert (found["infeasible_right"], found["infeasible_wrong"], found["failed"]) == (0, 1, 2)
+    assert found["verified"] == 3  # the last two are right, whatever was claimed
+    found = made(["infeasible", "solved", "max_iter", "solved"], x, [False] * 4, kept.rows).counts()
+    assert (found["infeasible_right"], found["infeasible_wrong"]) == (1, 0)
+    assert (found["silently_wrong"], found["failed"]) == (2, 1)
+
+
+def test_times_are_measured_warm_and_cold(worker):
+    data = load("circle", 8)
+    figures = time_figures(timed(Store(None), worker, EXACT, data, LIMITS, True))
+    assert figures["timed_solves"] == 2 * 16
+    for prefix in ("solve", "cold", "setup"):
+        assert (
+            0.1
+            < figures[f"{prefix}_p50_us"]
+            <= figures[f"{prefix}_p99_us"]
+            <= figures[f"{prefix}_p99_9_us"]
+            < 1e5
+        )
+
+
+def test_totals_add_counts_and_quote_the_worst_set(worker):
+    cells = [cell(worker, EXACT, load(name, 32)) for name in ("circle", "infeasible")]
+    slow = {"solve_us": np.full((2, 4), 7.0), "setup_us": np.array([1.0]), "cold_us": np.array([2.0])}
+    fast = {**slow, "solve_us": np.full((2, 4), 3.0)}
+    found = totals(cells, {"circle": Part({}, slow), "infeasible": Part({}, fast)})
+    assert found["solves"] == 8
+    assert found["solve_p50_us_worst_set"] == 7.0
+    assert not any("mean" in name for name in found)
+
+
+def test_a_part_is_asked_once(worker, tmp_path, monkeypatch):
+    store, data = Store(tmp_path), load("circle", 32)
+    first = asked(store, worker, EXACT, data, LIMITS)
+    monkeypatch.setattr(study_answers, "ask", lambda *_: pytest.fail("asked again"))
+    second = asked(store, worker, EXACT, data, LIMITS)
+    np.testing.assert_array_equal(first.arrays["x"], second.arrays["x"])
+    assert store.reused == 1
+
+
+def test_cold_sessions_know_nothing_of_each_other(worker):
+    """The network forgets: cold, every answer starts from rest."""
+    data = load("circle", 16)
+    entry = Entry("rnn", "x", {"steps": 5}, "")
+    warm, cold = cell(worker, entry, data), cell(worker, entry, data, warm=False)
+    assert np.abs(warm.part.arrays["x"][-1] - cold.part.arrays["x"][-1]).max() > 1e-3
+    np.testing.assert_array_equal(warm.part.arrays["x"][0], cold.part.arrays["x"][0])
+
+
+# --- settings ---
+
+
+@pytest.mark.parametrize(
+    "entry", entries([n for n, why in available().items() if why is None]), ids=lambda e: e.label
+)
+def test_every_setting_exists_and_has_its_reason(entry, robot):
+    assert len(entry.reason) > 10
+    solver = make_solver(entry.solver, robot, **entry.options)
+    assert solver.name == entry.solver
+    assert all(accepts(entry.solver, option) for option in entry.options)
+
+
+def test_the_table_names_no_solver_that_does_not_exist():
+    assert set(SETTINGS) <= set(available())
+    assert {f"qpsolvers:{name}" for name in TIGHT_OPTIONS} <= set(available())
+
+
+def test_overrides_change_the_recommended_setting_alone():
+    found = {e.setting: e.options for e in entries(["osqp"], {"osqp": {"eps": 0.5}})}
+    assert found["recommended"] == {"eps": 0.5}
+    assert found["default"]["eps"] == 1e-3
+
+
+# --- joints ---
+
+
+@pytest.mark.parametrize("n", [7, 9])
+def test_arms_with_more_joints_are_feasible_and_answered(worker, n):
+    data = study_growth.sequence(n, count=6)
+    assert data.n == n
+    assert data.feasible.all()
+    assert cell(worker, EXACT, data).counts()["verified_solved"] == 6
+
+
+def test_the_exponent_is_that_of_a_power_law():
+    times = {n: {"solve_p50_us": 3.0 * n**2} for n in (7, 9, 14)}
+    found = study_growth.growth(times)
+    assert found["exponent"] == pytest.approx(2.0)
+    assert found["14_over_7"] == pytest.approx(4.0)
+    assert study_growth.growth({7: {}}) == {}
