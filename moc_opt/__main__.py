@@ -1,4 +1,4 @@
-"""python -m moc_opt run scenario.toml: one scenario, its metrics, and its trace if asked for."""
+"""python -m moc_opt run | replay | live | export-c: scenarios from the command line."""
 
 from __future__ import annotations
 
@@ -24,10 +24,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     c = commands.add_parser("export-c", help="write the scenario's control tick as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
+    replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
+    replay.add_argument("--out", type=Path, default=Path("replay.html"))
+    live = commands.add_parser("live", help="a scenario in real time, on a page of this machine")
+    live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
+    live.add_argument("--host", default="127.0.0.1", help="a loopback address")
+    live.add_argument("--port", type=int, default=8642)
+    live.add_argument(
+        "--i-know-this-is-public", action="store_true", dest="public", help="allow any other host"
+    )
     given = parser.parse_args(arguments)
     try:
         if given.command == "export-c":
             return export_c(given.scenario, given.out)
+        if given.command == "replay":
+            from moc_opt.report.replay import Replay
+
+            print(Replay.load(given.traces).save(given.out))
+            return 0
+        if given.command == "live":
+            from moc_opt.live.page import serve
+            from moc_opt.scenario import Scenario
+
+            scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
+            return serve(scenario, host=given.host, port=given.port, public=given.public)
         return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json)
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -41,8 +62,7 @@ def run_scenario(
     from moc_opt.metrics import summarize
     from moc_opt.report.console import console, progress
     from moc_opt.report.tables import Column, Table
-    from moc_opt.scenario import Scenario, Setup, run
-    from moc_opt.sim.loop import RunAway
+    from moc_opt.scenario import RunAway, Scenario, Setup, run
 
     scenario = Scenario() if path is None else Scenario.load(path)
     if seed is not None:

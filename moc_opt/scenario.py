@@ -21,7 +21,7 @@ from moc_opt.model import RobotModel, load_robot
 from moc_opt.selfmotion import self_motion
 from moc_opt.settings import Settings
 from moc_opt.sim.faults import Faults, FaultSettings
-from moc_opt.sim.loop import Brain, Stop, simulate
+from moc_opt.sim.loop import Brain, RunAway, Stop, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.settings import PlantSettings
 from moc_opt.solvers.base import Solver, Status
@@ -442,4 +442,4 @@ def run(scenario: Scenario, watch: Callable[[int], None] | None = None) -> Trace
     return Setup(scenario).trace(watch)
 
 
-__all__ = ["MocOptError", "Scenario", "Setup", "make_solver", "run"]
+__all__ = ["MocOptError", "RunAway", "Scenario", "Setup", "make_solver", "run"]

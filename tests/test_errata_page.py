@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from benchmarks import errata
+from benchmarks import errata, errata_numbers
 
 
 @pytest.fixture(scope="module")
 def arm():
-    return errata.Arm.load()
+    return errata_numbers.Arm.load()
 
 
 def test_the_page_agrees_with_the_numbers(capsys):
@@ -27,7 +27,7 @@ def test_a_page_that_does_not_agree_is_found_and_mended(tmp_path, monkeypatch, c
 
 
 def test_every_row_has_a_number(arm):
-    text = errata.page(errata.Arm(arm.robot, arm.states[:8]))
+    text = errata.page(errata_numbers.Arm(arm.robot, arm.states[:8]))
     rows = [line for line in text.splitlines() if line.startswith("| ") and "printed |" not in line]
     assert len(rows) == len(errata.ERRATA)
     for row in rows:
@@ -38,23 +38,23 @@ def test_every_row_has_a_number(arm):
 
 def test_only_the_printed_projector_moves_the_tip(arm):
     for state in arm.states:
-        printed, dynamic, static = errata.projectors(state)
-        assert errata.idempotence(printed) > 0.05
-        assert max(errata.idempotence(dynamic), errata.idempotence(static)) < 1e-12
+        printed, dynamic, static = errata_numbers.projectors(state)
+        assert errata_numbers.idempotence(printed) > 0.05
+        assert max(errata_numbers.idempotence(dynamic), errata_numbers.idempotence(static)) < 1e-12
         leak = [np.abs(state.J_tip @ np.linalg.solve(state.M, N)).max() for N in (printed, dynamic)]
         assert leak[1] < 1e-10 < 0.1 < leak[0]
 
 
 def test_printed_third_level_is_no_projection(arm):
     for state in arm.states:
-        consistent, printed, _ = errata.third_level(state)
-        assert errata.idempotence(consistent) < 1e-12
-        assert errata.idempotence(printed) > 0.5
+        consistent, printed, _ = errata_numbers.third_level(state)
+        assert errata_numbers.idempotence(consistent) < 1e-12
+        assert errata_numbers.idempotence(printed) > 0.5
 
 
 def test_printed_modes_are_slow_and_its_torque_is_small(arm):
-    assert errata.time_constants(arm)[0] > 50.0
-    assert 0.0 < errata.torque_of_mu(arm) < 2e-3
+    assert errata_numbers.time_constants(arm)[0] > 50.0
+    assert 0.0 < errata_numbers.torque_of_mu(arm) < 2e-3
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from moc_opt.__main__ import main
 from moc_opt.control.guard import Guard, GuardSettings, limit_torque
 from moc_opt.errors import ControlError, PlantError
 from moc_opt.scenario import Driver, Scenario, Setup, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import RunAway, Stop, simulate
+from moc_opt.trace import Trace
 
 PERIOD = 0.002
 N = 7
@@ -320,6 +322,27 @@ def test_a_run_away_keeps_its_trace(robot):
     assert len(found.value.trace) == 101
     assert found.value.trace.meta["ended"].startswith("ran away")
     assert np.isfinite(found.value.trace.q_rad).all()
+
+
+def test_the_command_line_says_that_a_run_was_stopped(tmp_path, capsys):
+    file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text(
+        'name = "blind"\nduration_s = 1.2\nbound_samples = 0\njudge = false\n[control]\nlaw = "dcac"\n'
+        "[faults]\nnan_at_s = 0.1\nnan_ticks = 9999\n"
+    )
+    assert main(["run", str(file), "--trace", str(out)]) == 0
+    assert "blind: stopped: measurements not believed" in capsys.readouterr().err
+    assert Trace.load(out).meta["ended"].startswith("stopped")
+
+
+def test_the_command_line_keeps_the_trace_of_a_run_away(tmp_path, capsys):
+    file, out = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text(
+        "duration_s = 0.1\nbound_samples = 0\n[plant]\ntrocar_stiffness_N_per_m = 1e6\ntrocar_damping_Ns_per_m = 1e4\n"
+    )
+    assert main(["run", str(file), "--trace", str(out)]) == 2
+    assert "RunAway: ran away" in capsys.readouterr().err
+    assert Trace.load(out).meta["ended"].startswith("ran away")
 
 
 def test_it_costs_little(guard, robot):

@@ -15,7 +15,8 @@ from moc_opt.live import LiveError, LiveRun
 from moc_opt.live.address import CONSENT, checked_address
 from moc_opt.live.history import QUANTITIES, History, thinned
 from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
-from moc_opt.live.run import DCAC, HISTORY_S
+from moc_opt.live.orders import DCAC
+from moc_opt.live.run import HISTORY_S
 from moc_opt.model import RobotModel
 from moc_opt.report.swivel import Elbow
 from moc_opt.scenario import Scenario, Setup

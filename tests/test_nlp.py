@@ -7,13 +7,13 @@ import pytest
 
 from moc_opt.errors import SolverError
 from moc_opt.solvers import Status, create
-from moc_opt.solvers.nlp import SQP, Ipopt, program
+from moc_opt.solvers.nlp import SQP, Fatrop, Ipopt, program
 from moc_opt.subproblem import NullSpaceQP
 from tests.problems import infeasible_problem, problem_of, random_arm, random_problem
 
 ARM = random_arm(np.random.default_rng(3))
 KINEMATICS = ARM.kinematics()
-BOTH = pytest.mark.parametrize("kind", [SQP, Ipopt])
+EVERY = pytest.mark.parametrize("kind", [SQP, Ipopt, Fatrop])
 
 
 def solve(chosen, qp):
@@ -39,7 +39,7 @@ def test_the_symbolic_arm_is_the_numeric_one():
     assert float(KINEMATICS.mu(q)) == pytest.approx(ARM.mu(q), abs=1e-12)
 
 
-@BOTH
+@EVERY
 def test_error_against_the_linear_problem_shrinks_with_the_period(kind):
     """In the limit T -> 0 the program is the null-space subproblem: every residual falls in proportion."""
     rng = np.random.default_rng(1)
@@ -56,7 +56,7 @@ def test_error_against_the_linear_problem_shrinks_with_the_period(kind):
     assert worst[2e-5] == pytest.approx(0.1 * worst[2e-4], rel=0.2)
 
 
-@BOTH
+@EVERY
 def test_the_step_lands_where_the_references_say(kind):
     """tip(q + x T) = tip(q) + v_T T, exactly and not to first order; the wrist across the tool likewise."""
     rng = np.random.default_rng(2)
@@ -75,7 +75,7 @@ def test_the_step_lands_where_the_references_say(kind):
         assert np.abs(qp.A @ x - qp.b).max() > 1e-6  # the linear rows are another matter
 
 
-@BOTH
+@EVERY
 def test_duals_are_those_of_the_six_linear_rows(kind):
     rng = np.random.default_rng(4)
     for _ in range(10):
@@ -107,7 +107,7 @@ def test_what_is_said_of_infeasible_problems():
     assert {solve(Ipopt(KINEMATICS), qp).status for qp in qps} == {Status.INFEASIBLE}
 
 
-@BOTH
+@EVERY
 def test_unsupported_problems_have_a_reason(kind):
     chosen = kind(KINEMATICS)
     rng = np.random.default_rng(6)
@@ -129,7 +129,7 @@ def test_unsupported_problems_have_a_reason(kind):
     assert chosen.supports(qp) is None
 
 
-@BOTH
+@EVERY
 def test_programs_are_compiled_once_and_sessions_own_their_buffers(kind):
     qp = random_problem(np.random.default_rng(7), arm=ARM)
     assert program(kind(KINEMATICS)) is program(kind(KINEMATICS))

@@ -4,6 +4,7 @@
 - ``live.page.serve``: the page on top of it, on loopback
 """
 
-from moc_opt.live.run import LiveError, LiveRun, Moment
+from moc_opt.live.orders import LiveError, Moment
+from moc_opt.live.run import LiveRun
 
 __all__ = ["LiveError", "LiveRun", "Moment"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from ipaddress import ip_address
 
-from moc_opt.live.run import LiveError
+from moc_opt.live.orders import LiveError
 
 CONSENT = "--i-know-this-is-public"
 

@@ -13,8 +13,9 @@ from time import monotonic
 from typing import Any
 
 from moc_opt.live.address import checked_address
+from moc_opt.live.orders import LiveError
 from moc_opt.live.panel import Panel
-from moc_opt.live.run import LiveError, LiveRun
+from moc_opt.live.run import LiveRun
 from moc_opt.live.scene import LiveScene
 from moc_opt.scenario import Scenario
 

@@ -10,7 +10,8 @@ import numpy as np
 from moc_opt import solvers
 from moc_opt.errors import MocOptError
 from moc_opt.live.history import QUANTITIES
-from moc_opt.live.run import DCAC, LiveError, LiveRun, Moment
+from moc_opt.live.orders import DCAC, LiveError, Moment
+from moc_opt.live.run import LiveRun
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"

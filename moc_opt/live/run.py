@@ -4,21 +4,29 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Lock
 from time import perf_counter_ns
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.guard import Guard
-from moc_opt.errors import MocOptError, RobotError, ScenarioError
+from moc_opt.errors import MocOptError, RobotError
 from moc_opt.live.history import History, thinned
 from moc_opt.live.motion import MovingTrocar, ToAndFro
+from moc_opt.live.orders import (
+    DCAC,
+    LiveError,
+    Moment,
+    changed,
+    check_breathing,
+    check_push,
+    checked_offset,
+    child_link,
+)
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.report.swivel import Elbow
 from moc_opt.scenario import Scenario, Setup, make_solver
@@ -27,7 +35,6 @@ from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
 
-DCAC = "none (DCAC)"
 BLEND_S = 0.1
 """Time constant in which the difference of two controllers' torques dies away after an exchange."""
 RAMP_S = 0.3
@@ -35,35 +42,6 @@ RAMP_S = 0.3
 at first, and so shortly, that no blend could make up for it."""
 BOUND_EVERY_TICKS = 50
 HISTORY_S = 20.0
-MOST_OFFSET_M, MOST_BREATH_M, LEAST_PERIOD_S, MOST_PUSH_N, MOST_PUSH_S = 0.05, 0.03, 0.5, 60.0, 3.0
-
-
-class LiveError(ScenarioError):
-    """A live run cannot do what it was told; it goes on as it was."""
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """What there is to see."""
-
-    t_s: float
-    q: Array
-    """(n,) [rad]"""
-    tip: Array
-    """(3,) [m]"""
-    tip_ref: Array
-    """(3,) [m]"""
-    trocar: Array
-    """(3,) [m]"""
-    J_tip: Array
-    """(3, n)"""
-    mu: float
-    solver: str
-    """Its name, or `DCAC`."""
-    status: str
-    """What it claimed last."""
-    stopped: str
-    """Why the arm was stopped; empty while it runs."""
 
 
 class LiveRun:
@@ -100,7 +78,7 @@ class LiveRun:
         self._history = History(round(HISTORY_S / self.period_s))
         wrist = self.robot.state(self._setup.q_start).wrist
         self._elbow = Elbow(self.robot, wrist[None])
-        self._elbow_link = _child_link(self.robot, self._elbow.joint)
+        self._elbow_link = child_link(self.robot, self._elbow.joint)
         self._guard = Guard(self.robot.data, scenario.guard, self.period_s, self.robot.gravity)
         self._truth = np.empty(2 * self.robot.n + 9)
         self._controller, self._used = self._build(self._control, self._name), (self._name, self._control)
@@ -134,7 +112,7 @@ class LiveRun:
             law = {"law": "dcac", "gains": self._control.gains or self._control.law}
             if solver != DCAC:
                 law["law"] = "moc"
-            self._exchange(_changed(self._control, **law), solver)
+            self._exchange(changed(self._control, **law), solver)
 
     def tune(self, **settings: Any) -> None:
         """Change settings of the control law, by the names of `ControlSettings`.
@@ -148,7 +126,7 @@ class LiveRun:
                 raise LiveError(
                     "law, backend: choose(solver) decides on the law; a live run computes in Python"
                 )
-            self._exchange(_changed(self._control, **settings), self._name)
+            self._exchange(changed(self._control, **settings), self._name)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
         """Move the trocar away from where it was, world axes [m]; it goes slowly, and the controller knows.
@@ -156,11 +134,7 @@ class LiveRun:
         Raises:
             LiveError: farther than `MOST_OFFSET_M`.
         """
-        offset = np.array([x_m, y_m, z_m], dtype=np.float64)
-        if not np.abs(offset).max() <= MOST_OFFSET_M:
-            raise LiveError(
-                f"trocar offset {offset.tolist()} m: give up to {MOST_OFFSET_M} m in each direction"
-            )
+        offset = checked_offset(x_m, y_m, z_m)
         self._todo.put(lambda: self._move_trocar(offset=offset))
 
     def breathe(self, amplitude_m: float, period_s: float) -> None:
@@ -169,11 +143,7 @@ class LiveRun:
         Raises:
             LiveError: out of range.
         """
-        if not (0.0 <= amplitude_m <= MOST_BREATH_M and LEAST_PERIOD_S <= period_s < np.inf):
-            raise LiveError(
-                f"breathing of {amplitude_m} m in {period_s} s: give 0 to {MOST_BREATH_M} m, "
-                f"and {LEAST_PERIOD_S} s or longer"
-            )
+        check_breathing(amplitude_m, period_s)
         self._todo.put(lambda: self._move_trocar(amplitude=amplitude_m, period_s=period_s))
 
     def push_elbow(self, force_N: float, seconds: float = 0.3) -> None:
@@ -182,10 +152,7 @@ class LiveRun:
         Raises:
             LiveError: out of range.
         """
-        if not (abs(force_N) <= MOST_PUSH_N and 0.0 < seconds <= MOST_PUSH_S):
-            raise LiveError(
-                f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s"
-            )
+        check_push(force_N, seconds)
         self._todo.put(lambda: self._push(force_N, seconds))
 
     def reset(self) -> None:
@@ -367,18 +334,3 @@ class LiveRun:
             self._waiting = controller, (name, control)
 
         self._todo.put(exchange)
-
-
-def _changed(settings: ControlSettings, **changes: Any) -> ControlSettings:
-    """With all the checks of the constructor, which `model_copy` leaves out."""
-    values = {name: getattr(settings, name) for name in ControlSettings.model_fields}
-    return ControlSettings(**{**values, **changes})
-
-
-def _child_link(robot: RobotModel, joint: int) -> str:
-    """The link that a joint moves."""
-    name = robot.data.joint_names[joint]
-    child = ElementTree.fromstring(robot.data.urdf).find(f"joint[@name='{name}']/child")
-    if child is None:
-        raise RobotError(f"joint {name!r} has no child link in the URDF")
-    return child.get("link", "")

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.live.run import LiveRun, Moment
+from moc_opt.live.orders import Moment
+from moc_opt.live.run import LiveRun
 from moc_opt.report.replay.arm import BASE, arm_parts, link_frames
 from moc_opt.report.replay.tracks import velocity_ellipsoids
 

@@ -1,0 +1,87 @@
+"""What a live run can be told and what it shows: the words between it and its page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.control import ControlSettings
+from moc_opt.errors import RobotError, ScenarioError
+from moc_opt.model import RobotModel
+
+Array = NDArray[np.float64]
+
+DCAC = "none (DCAC)"
+MOST_OFFSET_M, MOST_BREATH_M, LEAST_PERIOD_S, MOST_PUSH_N, MOST_PUSH_S = 0.05, 0.03, 0.5, 60.0, 3.0
+
+
+class LiveError(ScenarioError):
+    """A live run cannot do what it was told; it goes on as it was."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What there is to see."""
+
+    t_s: float
+    q: Array
+    """(n,) [rad]"""
+    tip: Array
+    """(3,) [m]"""
+    tip_ref: Array
+    """(3,) [m]"""
+    trocar: Array
+    """(3,) [m]"""
+    J_tip: Array
+    """(3, n)"""
+    mu: float
+    solver: str
+    """Its name, or `DCAC`."""
+    status: str
+    """What it claimed last."""
+    stopped: str
+    """Why the arm was stopped; empty while it runs."""
+
+
+def checked_offset(x_m: float, y_m: float, z_m: float) -> Array:
+    """(3,) [m]; LiveError where it is farther than `MOST_OFFSET_M`."""
+    offset = np.array([x_m, y_m, z_m], dtype=np.float64)
+    if not np.abs(offset).max() <= MOST_OFFSET_M:
+        raise LiveError(f"trocar offset {offset.tolist()} m: give up to {MOST_OFFSET_M} m in each direction")
+    return offset
+
+
+def check_breathing(amplitude_m: float, period_s: float) -> None:
+    """LiveError where it is out of range."""
+    if not (0.0 <= amplitude_m <= MOST_BREATH_M and LEAST_PERIOD_S <= period_s < np.inf):
+        raise LiveError(
+            f"breathing of {amplitude_m} m in {period_s} s: give 0 to {MOST_BREATH_M} m, "
+            f"and {LEAST_PERIOD_S} s or longer"
+        )
+
+
+def check_push(force_N: float, seconds: float) -> None:
+    """LiveError where it is out of range."""
+    if not (abs(force_N) <= MOST_PUSH_N and 0.0 < seconds <= MOST_PUSH_S):
+        raise LiveError(
+            f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s"
+        )
+
+
+def changed(settings: ControlSettings, **changes: Any) -> ControlSettings:
+    """With all the checks of the constructor, which `model_copy` leaves out."""
+    values = {name: getattr(settings, name) for name in ControlSettings.model_fields}
+    return ControlSettings(**{**values, **changes})
+
+
+def child_link(robot: RobotModel, joint: int) -> str:
+    """The link that a joint moves."""
+    name = robot.data.joint_names[joint]
+    child = ElementTree.fromstring(robot.data.urdf).find(f"joint[@name='{name}']/child")
+    if child is None:
+        raise RobotError(f"joint {name!r} has no child link in the URDF")
+    return child.get("link", "")
