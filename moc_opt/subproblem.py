@@ -23,6 +23,7 @@ from moc_opt.optimality import Residuals
 Array = NDArray[np.float64]
 
 TIED = 1e-9  # tip and wrist are rigidly tied when u^T (J_T - J_W) is smaller than this, relative to the largest entry
+LARGEST_WEIGHT = 1e12
 WEIGHTS = ("c0", "c1", "c2", "damping")
 
 
@@ -128,6 +129,10 @@ class NullSpaceQP:
             weight = float(_array(name, value, ()))
             if weight < 0.0:
                 raise SubproblemError(f"{name}: {weight} is negative; a weight must be 0 or larger")
+            if weight > LARGEST_WEIGHT:
+                raise SubproblemError(
+                    f"{name}: {weight} is above {LARGEST_WEIGHT:g}: products of it overflow; scale all weights down"
+                )
             weights.append(weight)
         crossed = np.flatnonzero(arrays[5] > arrays[6])
         if crossed.size:

@@ -87,6 +87,16 @@ def accepts(name: str, setting: str) -> bool:
     return setting in inspect.signature(_factory(name)).parameters
 
 
+def defaults(name: str) -> dict[str, Any]:
+    """Setting -> default of the named solver; those without one are left out.
+
+    Raises:
+        UnknownNameError, SolverError: as ``create``.
+    """
+    parameters = inspect.signature(_factory(name)).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not p.empty}
+
+
 def create(name: str, **settings: Any) -> Solver:
     """Build a solver's frozen settings.
 
