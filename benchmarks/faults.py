@@ -7,7 +7,6 @@ python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--pa
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -79,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         check_solvers(config)
         found = inject(config, given.out, given.json, argv)
         if given.page:
-            write_page(json.loads(json.dumps(output.plain(found))))
+            write_page(found)
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2

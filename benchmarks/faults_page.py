@@ -1,16 +1,20 @@
 """docs/reliability.md: what is promised, how each promise is tested, and the figures that a run of this benchmark gave.
 
-The page is a function of docs/reliability.json alone; `python -m benchmarks.faults --page` writes both.
+The page is a function of docs/reliability.json alone. `python -m benchmarks.faults --page` and
+`python -m benchmarks.fuzz --page` write both, each its own figures.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from benchmarks import output
 from benchmarks.faults_report import CASES, GOALS, SEEN, by_group, headline, markdown
+from moc_opt.errors import ScenarioError
+from moc_opt.report.tables import Column
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reliability.md"
 
@@ -80,7 +84,8 @@ def page(found: Mapping[str, Any]) -> str:
     parts = [
         "# Reliability",
         "What is promised when something goes wrong, how each promise is tested, and what a run of the fault benchmark "
-        "found. This page is written by `python -m benchmarks.faults --page`; do not edit it.",
+        "found. This page is written by `python -m benchmarks.faults --page` and `python -m benchmarks.fuzz --page`; "
+        "do not edit it.",
         "## Promises",
         "\n".join(f"{i}. **{text}** Tested: {how} ({file})" for i, (text, how, file) in enumerate(PROMISES, 1)),
         "## Limits of these promises",
@@ -96,11 +101,22 @@ def page(found: Mapping[str, Any]) -> str:
         "### Solver faults: injected and detected",
         markdown(SEEN, by_group(cases).get("solver", [])),
     ]  # fmt: skip
-    for group, rows in by_group(cases).items():
+    if "fuzz" in found:
+        sent = found["fuzz"]
+        columns = [Column("kind", "input"), *(Column(name, name, format=".0f") for name in COUNTED)]
+        parts += [
+            "### Bad input",
+            f"`python -m benchmarks.fuzz --cases {sent['cases']} --seed {sent['seed']} --page`. Accepted: it ran, and "
+            "what came of it is right; refused: with a message that names the field or the file.",
+            markdown(columns, [{"kind": kind, **sent["kinds"][kind]} for kind in sorted(sent["kinds"])]),
+        ]
+    groups = by_group(cases)
+    for group, rows in ((name, groups[name]) for name in TITLES if name in groups):
         parts += [f"### Worst of the trials: {TITLES[group]}", markdown(CASES, rows)]
     return "\n\n".join(parts) + "\n"
 
 
+COUNTED = ("cases", "accepted", "refused", "failed")
 TITLES = {
     "none": "no fault", "solver": "solver", "sensors": "sensors and packets", "plant": "plant and delay",
     "contact": "bumps and trocar", "camera": "camera",
@@ -108,6 +124,15 @@ TITLES = {
 
 
 def write_page(found: Mapping[str, Any], path: Path = PAGE) -> None:
-    """The page, and beside it the figures that it was made from."""
-    output.write_json(path.with_suffix(".json"), found)
-    output.write_atomically(path, page(found).encode())
+    """The page, and beside it the figures that it was made from; those of another command stay as they are.
+
+    Raises:
+        ScenarioError: the figures of the faults are not there yet.
+    """
+    figures = path.with_suffix(".json")
+    old = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
+    if "cases" not in {**old, **found}:
+        raise ScenarioError(f"{figures}: no figures yet; run python -m benchmarks.faults --page first")
+    output.write_json(figures, {**old, **found})
+    # of the file, not of what it was written from: whoever reads it must come to the same page
+    output.write_atomically(path, page(json.loads(figures.read_text(encoding="utf-8"))).encode())

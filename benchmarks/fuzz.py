@@ -1,6 +1,6 @@
 """Bad input, in quantity: every case ends in success or in a MocOptError that says what is wrong.
 
-python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [--json]
+python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [--json] [--page]
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
+from benchmarks.faults_page import PAGE, write_page
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
@@ -81,6 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
     options.add_argument("--out", type=Path, default=Path("results") / "fuzz", help="folder for the results")
     options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
+    options.add_argument(
+        "--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}"
+    )
     given = options.parse_args(arguments)
     kinds = given.only or list(KINDS)
     whole = sum(KINDS[kind] for kind in kinds)
@@ -99,6 +103,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         output.write_json(given.out / "summary.json", summary)
         output.write_json(given.out / "environment.json", environment)
+        if given.page:
+            write_page({"fuzz": {"cases": given.cases, "seed": given.seed, "kinds": summary}})
     except (MocOptError, ImportError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2

@@ -16,6 +16,8 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.fuzz_inputs import good_trace
+from moc_opt.control.manipulability import null_space
+from moc_opt.control.supervisor import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
 from moc_opt.metrics import summarize
 from moc_opt.model import load_robot
@@ -58,7 +60,9 @@ def warm_up() -> None:
     """Compile what is compiled: a compiler at work looks like a hang."""
     for law in ("moc", "dcac"):
         trace = run(Scenario(control={"law": law}, duration_s=0.004, bound_samples=1))
-    qp = NullSpaceQP(np.eye(3, 7), np.eye(3, 7), np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7))
+    qp = NullSpaceQP(
+        np.eye(3, 7), np.eye(3, 7), np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7)
+    )
     for name in ("exact", "rnn"):
         solver = create(name)
         solver.start(qp).solve(qp)
@@ -162,7 +166,9 @@ def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]])
     if 0.0 < part.weights[2] * np.abs(part.grad_mu).max() < 1e-9:
         return
     found = judge(qp.row[None], x[None])
-    if found.primal[0] > 1e-6 or found.loss[0] > 1e-2:
+    # A loss is a share of the way that the box leaves, which may be one of rounding errors: only ways count.
+    off = answer_residuals(qp.row, qp.n, null_space(part.A), x)[3]
+    if found.primal[0] > 1e-6 or (found.loss[0] > 1e-2 and off > 1e-9):
         raise Wrong(f"{name}: claims success with primal {found.primal[0]:.1e}, loss {found.loss[0]:.1e}")
 
 

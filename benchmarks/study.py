@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks import closed_loop, open_loop, study_compare, study_growth, study_loop
 from benchmarks.closed_loop import BASELINE, Run
-from benchmarks.study_answers import Cell, Data, Limits, asked, time_figures, timed, totals
+from benchmarks.study_answers import Cell, Data, Limits, asked, asked_all, time_figures, timed, totals
 from benchmarks.study_config import Config
-from benchmarks.study_settings import RECOMMENDED, Entry, entries
+from benchmarks.study_settings import RECOMMENDED, Entry, effective, entries, in_words
 from benchmarks.study_store import Part, Store
 from benchmarks.study_worker import Worker
 from benchmarks.testsets import TestSet
@@ -147,7 +147,7 @@ class Study:
         limits = table.limits()
 
         def all_sets(worker: Worker, entry: Entry) -> list[Cell]:
-            found = [Cell(entry, data, asked(self.store, worker, entry, data, limits)) for data in chosen]
+            found = asked_all(self.store, worker, entry, chosen, limits)
             self.advance(f"answers {entry.label}")
             return found
 
@@ -171,8 +171,7 @@ class Study:
         self.summary["testsets"] = whole
         self.samples["profile"] = costs
         self.summary["settings"] = {
-            e.label: {"options": ", ".join(f"{k} = {v}" for k, v in e.options.items()), "reason": e.reason}
-            for e in self.entries
+            e.label: {"options": in_words(effective(e)), "reason": e.reason} for e in self.entries
         }
 
     # --- joints ---

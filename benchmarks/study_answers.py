@@ -93,7 +93,7 @@ def answers(entry: Entry, rows: Array, warm: bool, arm: Callable[[], Any] | None
         yield reason
         return
     # Before the first word: setting up may compile, and the patience for that is longer than for a solve.
-    session = solver.start(problems[0])
+    session: Any = solver.start(problems[0])
     yield ""
     for qp in problems:
         try:
@@ -136,14 +136,14 @@ def cold_times(
 # --- around it ---
 
 
-def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool) -> Part:
+def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool, give_up: int = GIVE_UP) -> Part:
     """All answers of one solver to one set, whatever it takes to get them."""
     count, n = len(data.rows), data.n
     status = np.full(count, NOT_ASKED, dtype="<U12")
     iterations, x, y = np.zeros(count, int), np.full((count, n), np.nan), np.full((count, 6), np.nan)
     events: list[str] = []
     place, broken = 0, 0
-    while place < count and broken < GIVE_UP:
+    while place < count and broken < give_up:
         try:
             stream = worker.stream(
                 answers, entry, data.rows[place:], warm, data.kinematics, patience_s=limits.patience_s
@@ -194,13 +194,31 @@ def _arrays(status: Any, iterations: Any, x: Array, y: Array) -> dict[str, NDArr
     return {"status": status, "iterations": iterations, "x": x, "y": y}
 
 
-def asked(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool = True) -> Part:
+def asked(
+    store: Store,
+    worker: Worker,
+    entry: Entry,
+    data: Data,
+    limits: Limits,
+    warm: bool = True,
+    give_up: int = GIVE_UP,
+) -> Part:
     """`ask`, or what an earlier run was answered."""
     key = store.key(
         part="answers", solver=entry.solver, options=entry.options, rows=data.rows, warm=warm,
-        patience=limits.patience_s, arm=data.kinematics is not None,
+        patience=limits.patience_s, arm=data.kinematics is not None, give_up=give_up,
     )  # fmt: skip
-    return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm))
+    return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm, give_up))
+
+
+def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
+    """All sets, judged. A solver that broke in two of them is given up after its first hang or crash in the others."""
+    cells: list[Cell] = []
+    for data in sets:
+        broke = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
+        give_up = GIVE_UP if broke < 2 else 1
+        cells.append(Cell(entry, data, asked(store, worker, entry, data, limits, give_up=give_up)))
+    return cells
 
 
 def timed(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits, answered: bool) -> Part:
@@ -335,4 +353,4 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
     return found
 
 
-__all__ = ["Cell", "Data", "Limits", "asked", "timed", "totals"]
+__all__ = ["Cell", "Data", "Limits", "asked", "asked_all", "timed", "totals"]

@@ -2,6 +2,8 @@
 
 from contextlib import suppress
 
+import benchmarks.closed_loop
+import benchmarks.study_answers  # noqa: F401
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.solvers import create

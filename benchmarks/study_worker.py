@@ -49,7 +49,7 @@ class Worker:
         # Forked from a clean server that has imported everything, a new worker costs milliseconds, not seconds.
         self._context: Any = multiprocessing.get_context("forkserver" if "forkserver" in known else "spawn")
         if "forkserver" in known:
-            self._context.set_forkserver_preload(["benchmarks.study_preload"])
+            self._context.set_forkserver_preload(["__main__", "benchmarks.study_preload"])
         self._process: Any = None
         self._pipe: Connection | None = None
 

@@ -2,7 +2,7 @@
 
 Other work on the machine spoils `over bare` and `speed-up`, which compare one time with another; `overhead` and
 `parent` compare times of the same seconds, as shares of the time in runs, and stand it better; `others` says how
-much of it there was.
+much of it there was. With --waiting the runs wait instead of computing: that shows the engine alone, on any machine.
 
 python -m benchmarks.sweep_speed [--runs N] [--seconds S] [--workers N] [--rounds N] [--out DIR] [--json]
 """
@@ -21,17 +21,18 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter, process_time, sleep
 from typing import Any
 
 from benchmarks import output
 from benchmarks.sweep_config import Config
 from benchmarks.sweep_dask import DaskPool
-from benchmarks.sweep_engine import Pool, Table, execute, run_all
+from benchmarks.sweep_engine import Pool, Table, Work, execute, run_all
 from benchmarks.sweep_errors import WorkerError
 from benchmarks.sweep_local import THREADS, LocalPool
 from benchmarks.sweep_plan import Plan
 from benchmarks.sweep_store import Store
+from benchmarks.sweep_version import code_version
 from moc_opt.errors import MocOptError
 from moc_opt.report import tables as report
 from moc_opt.report.console import console, progress
@@ -66,29 +67,35 @@ def calibrate(seconds: float) -> int:
     return max(100, round((seconds - times[100]) / per_tick))
 
 
-def bare(tables: Sequence[Table]) -> float:
+def pause(table: Table, limit_s: float) -> dict[str, Any]:
+    """A run that waits as long as its scenario lasts."""
+    sleep(table["duration_s"])
+    return {"error": None, "figures": {}, "wall_s": table["duration_s"], "version": code_version()}
+
+
+def bare(tables: Sequence[Table], work: Work) -> float:
     """The runs in a loop, in a process of its own [s]."""
-    execute({**tables[0], "duration_s": 0.1}, LIMIT_S)
+    work({**tables[0], "duration_s": 0.1}, LIMIT_S)
     begin = perf_counter()
     for table in tables:
-        execute(table, LIMIT_S)
+        work(table, LIMIT_S)
     return perf_counter() - begin
 
 
-def timed(plan: Plan, pool: Pool, workers: int) -> dict[str, float]:
+def timed(plan: Plan, pool: Pool, workers: int, work: Work) -> dict[str, float]:
     """The runs as a sweep does them, folder and all."""
     tiny = [scenario_table(the_plan(2 * workers, 50), i) for i in range(2 * workers)]
     walls: list[float] = []
     begin = perf_counter()
     with tempfile.TemporaryDirectory() as folder, Store(Path(folder) / "sweep", plan) as store, pool:
-        run_all(pool, range(len(tiny)), tiny.__getitem__, lambda i, result: None, LIMIT_S)
+        run_all(pool, range(len(tiny)), tiny.__getitem__, lambda i, result: None, LIMIT_S, work)
         started, own = perf_counter(), process_time()
 
         def keep(index: int, result: dict[str, Any]) -> None:
             store.add(index, result)
             walls.append(result["wall_s"])
 
-        run_all(pool, range(len(plan)), lambda i: scenario_table(plan, i), keep, LIMIT_S)
+        run_all(pool, range(len(plan)), lambda i: scenario_table(plan, i), keep, LIMIT_S, work)
         store.finish({})
         seconds, own = perf_counter() - started, process_time() - own
     return {
@@ -131,36 +138,41 @@ def others(turn: Callable[[], dict[str, float]]) -> dict[str, float]:
     return found | {"others": (everybody_after - everybody - own_after + own) / (perf_counter() - begin)}
 
 
-def contenders(plan: Plan, workers: int) -> dict[str, Callable[[], dict[str, float]]]:
+def contenders(plan: Plan, workers: int, work: Work) -> dict[str, Callable[[], dict[str, float]]]:
     """Who does the runs, in the order of their turns."""
     scenarios = [scenario_table(plan, i) for i in range(len(plan))]
 
     def loop() -> dict[str, float]:
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
-            seconds = alone.submit(bare, scenarios).result()
+            seconds = alone.submit(bare, scenarios, work).result()
         return {"seconds": seconds, "run_s": seconds / len(plan)}
 
     def dask() -> dict[str, float]:
         with dask_cluster(workers) as address:
-            return timed(plan, DaskPool(address, workers), workers)
+            return timed(plan, DaskPool(address, workers), workers, work)
 
     found = {
         "bare loop": loop,
-        "1 worker": lambda: timed(plan, LocalPool(1), 1),
-        f"{workers} workers": lambda: timed(plan, LocalPool(workers), workers),
+        "1 worker": lambda: timed(plan, LocalPool(1), 1, work),
+        f"{workers} workers": lambda: timed(plan, LocalPool(workers), workers, work),
     }
     if find_spec("distributed") is not None:  # an extra; the local figures stand without it
         found[f"Dask, {workers} workers"] = dask
     return found
 
 
-def measure(runs: int, seconds: float, workers: int, rounds: int) -> dict[str, dict[str, float]]:
+def measure(
+    runs: int, seconds: float, workers: int, rounds: int, waiting: bool
+) -> dict[str, dict[str, float]]:
     """Medians over the rounds; in each round every engine has its turn, so that drift of the machine hits all."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
-        plan = the_plan(runs, alone.submit(calibrate, seconds).result())
-    turns = contenders(plan, workers)
+    if waiting:
+        plan = the_plan(runs, round(seconds / 0.002))
+    else:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
+            plan = the_plan(runs, alone.submit(calibrate, seconds).result())
+    turns = contenders(plan, workers, pause if waiting else execute)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in turns}
     with progress("speed", len(turns) * rounds) as bar:
         for _ in range(rounds):
@@ -186,6 +198,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--rounds", type=int, default=3)
     options.add_argument(
+        "--waiting", action="store_true", help="runs that wait, for a machine that others use"
+    )
+    options.add_argument(
         "--out", type=Path, default=Path("results") / "sweep_speed", help="folder for the results"
     )
     options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
@@ -195,9 +210,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise WorkerError(
                 "--runs, --workers, --rounds and --seconds: give one or more, and a positive time"
             )
-        found = measure(given.runs, given.seconds, given.workers, given.rounds)
+        found = measure(given.runs, given.seconds, given.workers, given.rounds, given.waiting)
         output.write_json(given.out / "summary.json", {"speed": found})
-        settings = {name: getattr(given, name) for name in ("runs", "seconds", "workers", "rounds")}
+        settings = {
+            name: getattr(given, name) for name in ("runs", "seconds", "workers", "rounds", "waiting")
+        }
         output.write_json(given.out / "environment.json", output.environment(settings, 0))
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -206,7 +223,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print((given.out / "summary.json").read_text(), end="")
     else:
         rows = [{"engine": name, **figures} for name, figures in found.items()]
-        title = f"{given.runs} runs of about {given.seconds:g} s, medians of {given.rounds} rounds"
+        kind = "waiting runs" if given.waiting else "runs"
+        title = f"{given.runs} {kind} of about {given.seconds:g} s, medians of {given.rounds} rounds"
         console().print(report.Table(title, COLUMNS, rows).to_rich())
     return 0
 

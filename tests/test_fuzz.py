@@ -17,10 +17,11 @@ import pytest
 from benchmarks import fuzz, fuzz_checks
 from benchmarks.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
-from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, TraceError
+from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
 from moc_opt.model import load_robot
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
+from moc_opt.subproblem import NullSpaceQP
 from moc_opt.trace import Trace
 
 SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
@@ -243,3 +244,11 @@ def test_a_urdf_reads_no_other_file(entity, tmp_path):
     (tmp_path / "arm.urdf").write_text(entity + (ROBOTS / "lwr4.urdf").read_text())
     with pytest.raises(RobotError, match="entities"):
         load_robot(tmp_path / "arm.toml")
+
+
+@pytest.mark.parametrize("name", ["c0", "c1", "c2", "damping"])
+def test_weights_that_overflow_are_refused_by_name(name):
+    """At 1e300 even the exact solver would claim success for a wrong answer."""
+    J, ones = np.eye(3, 7), np.ones(7)
+    with pytest.raises(SubproblemError, match=name):
+        NullSpaceQP(J, J, np.zeros(3), np.zeros(3), ones, -ones, ones, **{name: 1e300})

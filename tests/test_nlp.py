@@ -160,8 +160,14 @@ def test_the_real_arm(name, robot, regular_poses):
         state = robot.state(q)
         inside = rng.uniform(-0.3, 0.3, robot.n)
         qp = NullSpaceQP(
-            state.J_tip, state.J_wrist, state.J_tip @ inside, state.J_wrist @ inside, state.grad_mu,
-            -np.ones(robot.n), np.ones(robot.n), q=q,
+            state.J_tip,
+            state.J_wrist,
+            state.J_tip @ inside,
+            state.J_wrist @ inside,
+            state.grad_mu,
+            -np.ones(robot.n),
+            np.ones(robot.n),
+            q=q,
         )
         exact = create("exact").start(qp) if exact is None else exact
         found, best = solve(chosen, qp), exact.solve(qp)

@@ -1,9 +1,11 @@
 """Answers to sets: what is counted as what, and that a solver which hangs or crashes is recorded and no more."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks import study_answers, study_growth
+from benchmarks import study_answers, study_growth, study_settings
 from benchmarks.study import load
 from benchmarks.study_answers import Cell, Data, Limits, asked, time_figures, timed, totals
 from benchmarks.study_settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
@@ -67,6 +69,15 @@ def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
     times = timed(Store(None), broken, found.entry, data, LIMITS, found.complete)
     assert time_figures(times)["timed_solves"] == 0
     assert "not every problem was answered" in times.values["reason"]
+
+
+def test_a_solver_that_hangs_everywhere_is_given_up_sooner(broken):
+    sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid")]
+    limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
+    cells = study_answers.asked_all(
+        Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits
+    )
+    assert [found.counts()["hung"] for found in cells] == [2, 2, 1]
 
 
 def test_a_crash_is_recorded_with_its_signal(broken):
@@ -177,6 +188,22 @@ def test_every_setting_exists_and_has_its_reason(entry, robot):
 def test_the_table_names_no_solver_that_does_not_exist():
     assert set(SETTINGS) <= set(available())
     assert {f"qpsolvers:{name}" for name in TIGHT_OPTIONS} <= set(available())
+
+
+def test_the_page_shows_the_table_as_it_is():
+    """python -m benchmarks.study_settings prints it; solvers that are missing here are missing there."""
+    page = (Path(__file__).parent.parent / "docs" / "solvers.md").read_text(encoding="utf-8")
+    shown = page.partition("<!-- settings -->\n")[2].partition("\n<!-- settings end -->")[0].splitlines()
+    assert len(shown) > 30
+    assert [line for line in study_settings.as_markdown().splitlines() if line not in shown] == []
+
+
+def test_recommended_is_what_an_adapter_does_untold():
+    by_label = {e.label: study_settings.effective(e) for e in entries(["osqp", "qpsolvers:osqp", "exact"])}
+    assert by_label["osqp@recommended"]["cost_scale"] == 100.0
+    assert by_label["osqp@default"]["rows"] == 6
+    assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
+    assert "eps_abs" not in by_label["qpsolvers:osqp@default"]
 
 
 def test_overrides_change_the_recommended_setting_alone():

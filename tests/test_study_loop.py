@@ -1,4 +1,4 @@
-"""Sweeps in closed loop: replayed deadlines are exact, truncated answers are followed, and costs begin where they do."""
+"""Sweeps in closed loop: replayed deadlines are exact, answers are followed as they are, costs begin where they do."""
 
 import numpy as np
 import pytest
