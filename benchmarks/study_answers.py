@@ -29,6 +29,7 @@ Array = NDArray[np.float64]
 
 # What became of an answer, beside the statuses of solvers.
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
+SETTING_UP = ", while setting up"
 GIVE_UP = 2  # hangs and crashes in one set, after which the rest of it is not asked
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
@@ -42,6 +43,7 @@ class Limits:
     rounds: int = 8
     seconds: float = 1.0
     cold: int = 32
+    setup_s: float = 40.0  # for setting up: programs are built, kernels compiled
 
 
 @dataclass(frozen=True)
@@ -144,15 +146,18 @@ def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool, gi
     events: list[str] = []
     place, broken = 0, 0
     while place < count and broken < give_up:
+        ready = False
         try:
             stream = worker.stream(
-                answers, entry, data.rows[place:], warm, data.kinematics, patience_s=limits.patience_s
-            )
+                answers, entry, data.rows[place:], warm, data.kinematics, patience_s=limits.patience_s,
+                first_s=limits.setup_s,
+            )  # fmt: skip
             for item in stream:
                 if isinstance(item, str):
                     if item:
                         status[:] = REFUSED
                         return Part({"reason": item, "events": []}, _arrays(status, iterations, x, y))
+                    ready = True
                     continue
                 status[place], iterations[place], x[place], y[place], said = item
                 if said:
@@ -163,9 +168,9 @@ def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool, gi
             return Part({"reason": str(error), "events": events}, _arrays(status, iterations, x, y))
         except (Hung, Crashed) as error:
             status[place] = HUNG if isinstance(error, Hung) else CRASHED
-            events.append(f"problem {place}: {error}")
+            events.append(f"problem {place}{'' if ready else SETTING_UP}: {error}")
             place += 1
-            broken += 1
+            broken = broken + 1 if ready else give_up  # no other problem will be set up either
     return Part({"reason": "", "events": events}, _arrays(status, iterations, x, y))
 
 
@@ -211,10 +216,23 @@ def asked(
     return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm, give_up))
 
 
+def _not_asked(data: Data) -> Part:
+    count = len(data.rows)
+    nothing = np.full((count, data.n), np.nan), np.full((count, 6), np.nan)
+    arrays = _arrays(np.full(count, NOT_ASKED, dtype="<U12"), np.zeros(count, int), *nothing)
+    return Part({"reason": "", "events": [NOT_ASKED]}, arrays)
+
+
 def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """All sets, judged. A solver that broke in two of them is given up after its first hang or crash in the others."""
+    """All sets, judged. A solver that broke in two of them is given up after its first hang or crash in the others.
+
+    One that does not survive being set up is not asked again.
+    """
     cells: list[Cell] = []
     for data in sets:
+        if any(SETTING_UP in event for cell in cells for event in cell.part.values["events"]):
+            cells.append(Cell(entry, data, _not_asked(data)))
+            continue
         broke = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
         give_up = GIVE_UP if broke < 2 else 1
         cells.append(Cell(entry, data, asked(store, worker, entry, data, limits, give_up=give_up)))

@@ -52,6 +52,7 @@ class TestSets(Settings):
     rounds: int = Field(8, ge=2)
     seconds: float = Field(1.0, gt=0.0, description="of timing a set, at most")
     patience_s: float = Field(2.0, gt=0.0, description="longer without an answer is a hang")
+    setup_s: float = Field(40.0, gt=0.0, description="longer without being set up is one too")
     cold: int = Field(32, ge=1)
 
     @field_validator("names", "timed")
@@ -68,7 +69,7 @@ class TestSets(Settings):
 
     def limits(self) -> Limits:
         """How much is measured."""
-        return Limits(self.patience_s, self.rounds, self.seconds, self.cold)
+        return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
 
 
 class Growth(Settings):
@@ -119,7 +120,7 @@ class Config(Settings):
         """The same study on less data: for a first look and for the tests."""
         few = {
             "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
-            "patience_s": 1.0, "seconds": 0.1,
+            "patience_s": 1.0, "setup_s": 15.0, "seconds": 0.1,
         }  # fmt: skip
         return self._with(
             open_loop={"ticks": 200, "cold": 10},

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from moc_opt.errors import MocOptError
 
-START_S = 120.0  # for the first result: the worker may still be importing and compiling
+START_S = 40.0  # for the first result: the worker may still be importing and compiling
 
 _beat: Callable[[], None] | None = None  # set in a worker while it works
 

@@ -35,6 +35,11 @@ class Hangs(Base):
         while True:
             pass
 
+class Stuck(Hangs):
+    name = "stuck"
+    def start(self, qp):
+        self.misbehave()
+
 class Crashes(Base):
     name = "crashes"
     def misbehave(self):
@@ -45,7 +50,7 @@ class Raises(Base):
     def misbehave(self):
         self_count = 1 / 0
 """
-NAMES = ("hangs", "crashes", "raises")
+NAMES = ("hangs", "stuck", "crashes", "raises")
 
 
 def install(folder: Path) -> Path:

@@ -86,6 +86,7 @@ def test_closed_loop_stays_inside_the_limits(number, preset, robot, regular_pose
         Scenario(
             start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=2.0,
             task={"wait_s": 5.0}, judge=False, bound_samples=0,
+            guard={"position_margin_rad": 0.0},  # the damper alone: the guard's wall stands before the limit
         )
     )  # fmt: skip
     room = np.minimum(robot.q_max - trace.q_rad, trace.q_rad - robot.q_min)

@@ -80,6 +80,16 @@ def test_a_solver_that_hangs_everywhere_is_given_up_sooner(broken):
     assert [found.counts()["hung"] for found in cells] == [2, 2, 1]
 
 
+def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
+    sets = [load(name, 32) for name in ("circle", "spiral")]
+    first, second = study_answers.asked_all(
+        Store(None), broken, Entry("stuck", "recommended", {}, ""), sets, Limits(patience_s=0.5, setup_s=2.0)
+    )
+    assert (first.counts()["hung"], first.counts()["not_asked"]) == (1, 3)
+    assert "while setting up" in first.part.values["events"][0]
+    assert second.counts()["not_asked"] == 4
+
+
 def test_a_crash_is_recorded_with_its_signal(broken):
     found = cell(broken, Entry("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
     assert np.flatnonzero(found.status == "crashed").tolist() == [1, 3]
