@@ -14,7 +14,10 @@ import numpy as np
 
 from benchmarks import closed_loop, open_loop, study_compare, study_growth, study_loop
 from benchmarks.closed_loop import BASELINE, Run
-from benchmarks.study_answers import Cell, Data, Limits, asked, asked_all, time_figures, timed, totals
+from benchmarks.study_answers import Data, Limits, asked, timed
+from benchmarks.study_cells import (
+    Cell, asked_all, cold_only, costs_of, load, solved_duals, time_figures, totals,
+)  # fmt: skip
 from benchmarks.study_config import Config
 from benchmarks.study_settings import RECOMMENDED, Entry, effective, entries, in_words
 from benchmarks.study_store import Part, Store
@@ -31,32 +34,6 @@ Summary = dict[str, dict[str, dict[str, Any]]]
 
 DUAL_SETS = ("circle", "random")
 NONLINEAR = "nlp-"
-
-
-def spread(items: Sequence[Item], work: Callable[[Worker, Item], Result], processes: int) -> list[Result]:
-    """``work(worker, item)`` on every item, each of ``processes`` threads with a worker of its own; in order."""
-    workers: SimpleQueue[Worker] = SimpleQueue()
-    everyone = [Worker() for _ in range(max(1, min(processes, len(items))))]
-    for worker in everyone:
-        workers.put(worker)
-
-    def call(item: Item) -> Result:
-        worker = workers.get()
-        try:
-            return work(worker, item)
-        finally:
-            workers.put(worker)
-
-    pool = ThreadPoolExecutor(len(everyone))
-    try:
-        return list(pool.map(call, items))
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    finally:
-        for worker in everyone:
-            worker.stop()
-        pool.shutdown()
 
 
 class Study:
@@ -132,7 +109,7 @@ class Study:
                     continue
                 warm[entry.solver] = cell.summary(times)
                 apart = Cell(entry, thin, asked(self.store, worker, entry, thin, limits, warm=False))
-                cold[entry.solver] = apart.summary(_cold_only(times))
+                cold[entry.solver] = apart.summary(cold_only(times))
                 self.rows += cell.rows("open_loop_warm") + apart.rows("open_loop_cold")
                 self.samples.setdefault("open_loop", {})[entry.solver] = times.arrays["solve_us"].ravel()
                 self.advance(f"open loop {entry.solver}, cold")
@@ -166,7 +143,7 @@ class Study:
                     self.rows += cell.rows("testset")
                 whole[entry.label] = totals(mine, measured)
                 if entry.setting == RECOMMENDED:
-                    costs[entry.solver] = _costs(mine, measured)
+                    costs[entry.solver] = costs_of(mine, measured)
                 self.advance(f"times {entry.label}")
         self.summary["testsets"] = whole
         self.samples["profile"] = costs
@@ -327,7 +304,7 @@ class Study:
                 options = {**self.config.settings.get(name, {}), "rows": rows}
                 entry = Entry(name, f"rows={rows}", options, "")
                 mine[rows] = np.concatenate(
-                    [_solved_duals(asked(self.store, worker, entry, d, limits)) for d in sets]
+                    [solved_duals(asked(self.store, worker, entry, d, limits)) for d in sets]
                 )
             self.advance(f"duals {name}")
             return mine
@@ -357,47 +334,7 @@ class Study:
         self.summary.setdefault("not_run", {})
 
 
-def load(name: str, every: int = 1) -> Data:
-    """A certified set as the study needs it."""
-    kept = TestSet.load(name)
-    return Data(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
-
-
 def _exact(problems: Sequence[NullSpaceQP]) -> Any:
     from moc_opt.solvers.exact import Exact
 
     return Exact().start(problems[0])
-
-
-def _cold_only(times: Part) -> Part:
-    """The cold part of timings, under the names that solves have."""
-    arrays = {
-        "solve_us": times.arrays["cold_us"],
-        "setup_us": times.arrays["setup_us"],
-        "cold_us": np.empty(0),
-    }
-    return Part(times.values, arrays)
-
-
-def _costs(cells: Sequence[Cell], measured: Mapping[str, Part]) -> Any:
-    """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
-    found = []
-    for cell in cells:
-        right = (cell.verified & (cell.status == "solved")) | (
-            (cell.status == "infeasible") & ~cell.data.feasible
-        )
-        times = (
-            measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else np.empty((0, 0))
-        )
-        known = np.median(times, axis=0) if len(times) else np.full(len(right), np.inf)
-        found.append(np.where(right, known, np.inf))
-    return np.concatenate(found)
-
-
-def _solved_duals(part: Part) -> Any:
-    y = np.array(part.arrays["y"])
-    y[part.arrays["status"] != "solved"] = np.nan
-    return y
-
-
-__all__ = ["BASELINE", "Study", "load", "spread"]

@@ -7,7 +7,7 @@ warm (one session in order) and cold (a fresh session each, of a part of it).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +18,12 @@ from benchmarks import open_loop
 from benchmarks.study_settings import Entry
 from benchmarks.study_store import Part, Store
 from benchmarks.study_worker import Crashed, Hung, Raised, Worker, WorkerError
-from benchmarks.timing import each_us, percentiles
+from benchmarks.timing import each_us
 from moc_opt.model import load_robot
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.registry import accepts
-from moc_opt.subproblem import NullSpaceQP, fields, judge
+from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 
@@ -31,8 +31,6 @@ Array = NDArray[np.float64]
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 SETTING_UP = ", while setting up"
 GIVE_UP = 2  # hangs and crashes in one set, after which the rest of it is not asked
-CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
-RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
 @dataclass(frozen=True)
@@ -216,27 +214,11 @@ def asked(
     return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm, give_up))
 
 
-def _not_asked(data: Data) -> Part:
+def not_asked(data: Data) -> Part:
     count = len(data.rows)
     nothing = np.full((count, data.n), np.nan), np.full((count, 6), np.nan)
     arrays = _arrays(np.full(count, NOT_ASKED, dtype="<U12"), np.zeros(count, int), *nothing)
     return Part({"reason": "", "events": [NOT_ASKED]}, arrays)
-
-
-def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """All sets, judged. A solver that broke in two of them is given up after its first hang or crash in the others.
-
-    One that does not survive being set up is not asked again.
-    """
-    cells: list[Cell] = []
-    for data in sets:
-        if any(SETTING_UP in event for cell in cells for event in cell.part.values["events"]):
-            cells.append(Cell(entry, data, _not_asked(data)))
-            continue
-        broke = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
-        give_up = GIVE_UP if broke < 2 else 1
-        cells.append(Cell(entry, data, asked(store, worker, entry, data, limits, give_up=give_up)))
-    return cells
 
 
 def timed(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits, answered: bool) -> Part:
@@ -246,129 +228,3 @@ def timed(store: Store, worker: Worker, entry: Entry, data: Data, limits: Limits
         seconds=limits.seconds, cold=limits.cold, answered=answered, arm=data.kinematics is not None,
     )  # fmt: skip
     return store.get(key) or store.put(key, time(worker, entry, data, limits, answered))
-
-
-# --- what it means ---
-
-
-@dataclass(frozen=True)
-class Cell:
-    """The answers of one solver under one setting to one set, judged."""
-
-    entry: Entry
-    data: Data
-    part: Part
-
-    def __post_init__(self) -> None:
-        found = judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
-        object.__setattr__(self, "residuals", found)
-        object.__setattr__(self, "verified", found.verified() & self.data.feasible)
-
-    residuals: Any = None
-    verified: Any = None
-
-    @property
-    def status(self) -> NDArray[Any]:
-        """One word per problem."""
-        return self.part.arrays["status"]
-
-    @property
-    def contradictory(self) -> NDArray[np.bool_]:
-        """Where the six rows cannot all be met: their references were moved before the certificate was made."""
-        moved = np.abs(fields(self.data.judged).b - fields(self.data.rows).b).max(axis=-1)
-        return moved > CONTRADICTION
-
-    @property
-    def refused(self) -> str:
-        """Why the solver does not take these problems; "" where it does."""
-        return str(self.part.values["reason"])
-
-    @property
-    def complete(self) -> bool:
-        """Every problem was answered, somehow."""
-        return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
-
-    def counts(self) -> dict[str, int]:
-        """How many answers were what; what is right adds up with what is wrong to the problems."""
-        status, feasible = self.status, self.data.feasible
-        claimed, infeasible = status == "solved", status == "infeasible"
-        right = infeasible & ~feasible
-        contradicted = infeasible & feasible & self.contradictory & self.entry.six_rows
-        broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
-        failed = ~claimed & ~right & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
-        return {
-            "solves": len(status),
-            "feasible": int(feasible.sum()),
-            "claimed_solved": int(claimed.sum()),
-            "verified_solved": int((claimed & self.verified).sum()),
-            "verified": int(self.verified.sum()),
-            "silently_wrong": int((claimed & ~self.verified).sum()),
-            "infeasible_right": int(right.sum()),
-            "infeasible_six_rows": int(contradicted.sum()),
-            "infeasible_wrong": int((infeasible & feasible & ~contradicted).sum()),
-            "failed": int(failed.sum()),
-            **broken,
-            "not_asked": int(np.isin(status, (NOT_ASKED, REFUSED)).sum()),
-        }
-
-    def figures(self) -> dict[str, float | None]:
-        """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
-        given = self.data.feasible & np.isfinite(self.part.arrays["x"]).all(axis=1)
-        found: dict[str, float | None] = {}
-        for name in RESIDUALS:
-            values = np.asarray(getattr(self.residuals, name))[given]
-            for word, q in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
-                found[f"{name}_{word}"] = float(np.percentile(values, q)) if values.size else None
-        found["iterations_p50"] = float(np.median(self.part.arrays["iterations"]))
-        return found
-
-    def summary(self, times: Part | None = None) -> dict[str, Any]:
-        """Everything, for summary.json."""
-        found: dict[str, Any] = {**self.counts(), **self.figures()}
-        if self.refused:
-            found["reason"] = self.refused
-        return {**found, **({} if times is None else time_figures(times))}
-
-    def rows(self, part: str) -> list[dict[str, Any]]:
-        """One row per problem, for rows.parquet."""
-        return [
-            {
-                "part": part, "solver": self.entry.solver, "setting": self.entry.setting, "set": self.data.name,
-                "index": i, "status": str(self.status[i]), "iterations": int(self.part.arrays["iterations"][i]),
-                "feasible": bool(self.data.feasible[i]), "verified": bool(self.verified[i]),
-                **{name: float(getattr(self.residuals, name)[i]) for name in RESIDUALS},
-            }
-            for i in range(len(self.status))
-        ]  # fmt: skip
-
-
-def time_figures(times: Part) -> dict[str, Any]:
-    """Percentiles, and of how many solves."""
-    arrays = times.arrays
-    found: dict[str, Any] = {
-        **percentiles(arrays["solve_us"].ravel(), "solve"),
-        **percentiles(arrays["cold_us"], "cold"),
-        **percentiles(arrays["setup_us"], "setup"),
-        "timed_solves": int(arrays["solve_us"].size),
-    }
-    return found
-
-
-def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
-    """One solver under one setting over all its sets: sums of counts, largest of maxima, worst of percentiles."""
-    found: dict[str, Any] = {}
-    for cell in cells:
-        for name, count in cell.counts().items():
-            found[name] = found.get(name, 0) + count
-    for name in RESIDUALS:
-        values = [v for cell in cells if (v := cell.figures()[f"{name}_max"]) is not None]
-        found[f"{name}_max"] = max(values) if values else None
-    figures = [time_figures(part) for part in timings.values()]
-    for name in dict.fromkeys(name for f in figures for name in f):
-        if name.endswith("_us"):
-            # of the slowest set: a mean over sets would hide it
-            found[f"{name}_worst_set"] = max(f[name] for f in figures if name in f)
-    return found
-
-
-__all__ = ["Cell", "Data", "Limits", "asked", "asked_all", "timed", "totals"]

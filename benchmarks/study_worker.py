@@ -170,3 +170,29 @@ def _reason(code: int | None) -> str:
     if code is not None and code < 0:
         return signal.Signals(-code).name
     return f"exit code {code}"
+
+
+def spread(items: Sequence[Item], work: Callable[[Worker, Item], Result], processes: int) -> list[Result]:
+    """``work(worker, item)`` on every item, each of ``processes`` threads with a worker of its own; in order."""
+    workers: SimpleQueue[Worker] = SimpleQueue()
+    everyone = [Worker() for _ in range(max(1, min(processes, len(items))))]
+    for worker in everyone:
+        workers.put(worker)
+
+    def call(item: Item) -> Result:
+        worker = workers.get()
+        try:
+            return work(worker, item)
+        finally:
+            workers.put(worker)
+
+    pool = ThreadPoolExecutor(len(everyone))
+    try:
+        return list(pool.map(call, items))
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    finally:
+        for worker in everyone:
+            worker.stop()
+        pool.shutdown()

@@ -56,7 +56,7 @@ class Store:
     def __enter__(self) -> Store:
         with self._plainly("cannot be used"):
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = os.open(self.folder / ".lock", os.O_CREAT | os.O_RDWR)
+            self._lock = os.open(self.folder / ".lock", os.O_CREAT | os.O_RDWR, 0o666)
             try:
                 self._own()
                 self._check_plan()

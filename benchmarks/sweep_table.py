@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -126,9 +126,9 @@ def write_final(folder: Path, plan: Plan, blocks: Iterator[pa.Table]) -> None:
 @contextmanager
 def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table], None]]:
     """A Parquet file that is there only once all of it is written; yields what writes one row group."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    name = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(name, "xb") as file:
             # No statistics of time or writer enter: the same tables in give the same bytes out.
             with pq.ParquetWriter(file, schema, compression="zstd", write_page_checksum=True) as writer:
                 yield lambda table: writer.write_table(table, row_group_size=BLOCK)
@@ -136,7 +136,7 @@ def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table]
             os.fsync(file.fileno())
         os.replace(name, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        name.unlink(missing_ok=True)
         raise
 
 
