@@ -3,32 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from benchmarks import closed_loop, open_loop, study_compare, study_growth, study_loop
-from benchmarks.closed_loop import BASELINE, Run
+from benchmarks.closed_loop import Run
 from benchmarks.study_answers import Data, Limits, asked, timed
 from benchmarks.study_cells import (
-    Cell, asked_all, cold_only, costs_of, load, solved_duals, time_figures, totals,
+    Cell,
+    asked_all,
+    cold_only,
+    costs_of,
+    load,
+    solved_duals,
+    time_figures,
+    totals,
 )  # fmt: skip
 from benchmarks.study_config import Config
 from benchmarks.study_settings import RECOMMENDED, Entry, effective, entries, in_words
-from benchmarks.study_store import Part, Store
-from benchmarks.study_worker import Worker
-from benchmarks.testsets import TestSet
+from benchmarks.study_store import Store
+from benchmarks.study_worker import Worker, spread
 from moc_opt.scenario import Scenario
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import NullSpaceQP
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 Advance = Callable[[str], None]
 Summary = dict[str, dict[str, dict[str, Any]]]
 

@@ -10,7 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.study_answers import (
-    CRASHED, GIVE_UP, HUNG, NOT_ASKED, RAISED, REFUSED, SETTING_UP, Data, Limits, asked, not_asked,
+    CRASHED,
+    GIVE_UP,
+    HUNG,
+    NOT_ASKED,
+    RAISED,
+    REFUSED,
+    SETTING_UP,
+    Data,
+    Limits,
+    asked,
+    not_asked,
 )  # fmt: skip
 from benchmarks.study_settings import Entry
 from benchmarks.study_store import Part, Store

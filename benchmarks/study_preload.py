@@ -3,7 +3,7 @@
 from contextlib import suppress
 
 import benchmarks.closed_loop
-import benchmarks.study_answers  # noqa: F401
+import benchmarks.study_cells  # noqa: F401
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.solvers import create

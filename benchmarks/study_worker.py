@@ -9,13 +9,18 @@ from __future__ import annotations
 import math
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from moc_opt.errors import MocOptError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 START_S = 40.0  # for the first result: the worker may still be importing and compiling
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks import study_answers, study_growth, study_settings
-from benchmarks.study import load
-from benchmarks.study_answers import Cell, Data, Limits, asked, time_figures, timed, totals
+from benchmarks.study_answers import Data, Limits, asked, timed
+from benchmarks.study_cells import Cell, asked_all, load, time_figures, totals
 from benchmarks.study_settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
 from benchmarks.study_store import Part, Store
 from benchmarks.study_worker import Worker
@@ -74,15 +74,13 @@ def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
 def test_a_solver_that_hangs_everywhere_is_given_up_sooner(broken):
     sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid")]
     limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
-    cells = study_answers.asked_all(
-        Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits
-    )
+    cells = asked_all(Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits)
     assert [found.counts()["hung"] for found in cells] == [2, 2, 1]
 
 
 def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
     sets = [load(name, 32) for name in ("circle", "spiral")]
-    first, second = study_answers.asked_all(
+    first, second = asked_all(
         Store(None), broken, Entry("stuck", "recommended", {}, ""), sets, Limits(patience_s=0.5, setup_s=2.0)
     )
     assert (first.counts()["hung"], first.counts()["not_asked"]) == (1, 3)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from benchmarks import study_compare
-from benchmarks.study import load
+from benchmarks.study_cells import load
 from benchmarks.study_compare import correlations, disagreements, dual_distances, profile, ranks, verdict
 from moc_opt.solvers import create
 from moc_opt.subproblem import NullSpaceQP
