@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks.faults_summary import Summary, outcome
+from benchmarks.output import save_page
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -117,7 +118,7 @@ def write_report(
     page.section("Solver faults")
     page.table(seen)
     page.environment(environment)
-    page.save(path)
+    save_page(page, path)
 
 
 def markdown(columns: list[Column], rows: list[dict[str, Any]]) -> str:

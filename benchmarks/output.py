@@ -13,7 +13,10 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from moc_opt.report.page import Page
 
 PACKAGES = (
     "moc-opt", "numpy", "numba", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
@@ -33,7 +36,30 @@ def parser(name: str, about: str) -> argparse.ArgumentParser:
     options.add_argument("--seed", type=int, help="replaces the configuration's seed")
     options.add_argument("--quick", action="store_true", help="the same on less data")
     options.add_argument("--json", action="store_true", help="print summary.json instead of tables")
+    options.add_argument("--figures", action=_WantFigures, nargs=0, help="every figure also as SVG and PDF")
     return options
+
+
+class _WantFigures(argparse.Action):
+    """``--figures``: the page is built far from the command line, and asks ``save_page`` alone."""
+
+    wanted = False
+
+    def __call__(self, *_: object, **__: object) -> None:
+        type(self).wanted = True
+
+
+def save_page(page: Page, path: Path) -> None:
+    """Save a report, and its figures as files beside it where ``--figures`` was given.
+
+    Raises:
+        BrowserError: no browser that could draw them; the page is saved all the same.
+    """
+    page.save(path)
+    if _WantFigures.wanted:
+        from moc_opt.report.export import save_figures
+
+        save_figures(page.figures, path.parent / "figures")
 
 
 def default_config(name: str) -> Path:

@@ -9,6 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 from rich.console import Console
 
+from benchmarks.output import save_page
 from benchmarks.paper_figures import titles
 from benchmarks.paper_verdict import GAINS_ONLY, HOLDS
 from moc_opt.report.page import Page
@@ -243,4 +244,4 @@ def write_page(
     )
     page.table(procedure_table(summary))
     page.environment(environment)
-    page.save(path)
+    save_page(page, path)

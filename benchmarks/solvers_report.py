@@ -11,6 +11,7 @@ from rich.console import Console
 
 from benchmarks import study_compare, study_figures
 from benchmarks.closed_loop import BASELINE
+from benchmarks.output import save_page
 from benchmarks.study_tables import FOOTNOTE, headline, tables
 from moc_opt.report import figures
 from moc_opt.report.page import Page
@@ -65,7 +66,7 @@ def write_report(path: Path, study: Study, environment: Mapping[str, Any]) -> No
         page.section("Not run")
         page.table(made["not_run"])
     page.environment(environment)
-    page.save(path)
+    save_page(page, path)
 
 
 def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 from rich.console import Console
 
+from benchmarks.output import save_page
 from benchmarks.speed_goals import Summary
 from benchmarks.speed_tick import PARTS
 from moc_opt.report import figures
@@ -236,7 +237,7 @@ def write_report(
                 figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail"
             )
     page.environment(environment)
-    page.save(path)
+    save_page(page, path)
 
 
 def _rows(part: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 from rich.console import Console
 
+from benchmarks.output import save_page
 from moc_opt.report.figures.style import Styles, figure
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -114,7 +115,7 @@ def write_report(
             if drawn.data:
                 page.figure(drawn, f"{label.capitalize()} against {field}: mean over all other settings.")
     page.environment(environment)
-    page.save(path)
+    save_page(page, path)
 
 
 def against(

@@ -91,3 +91,20 @@ def test_options_that_every_benchmark_has():
 @pytest.mark.parametrize("name", ["solvers", "speed"])
 def test_default_configurations_ship(name):
     assert output.default_config(name).is_file()
+
+
+def test_figures_are_saved_only_when_asked_for(tmp_path, monkeypatch):
+    from moc_opt.report import export, figures
+    from moc_opt.report.page import Page
+
+    asked = []
+    monkeypatch.setattr(output._WantFigures, "wanted", False)  # and so it is again after the test
+    monkeypatch.setattr(export, "save_figures", lambda drawn, folder: asked.append((list(drawn), folder)))
+    page = Page("a page")
+    page.figure(figures.latency_ecdf({"a": [1.0, 2.0]}), "times", name="times")
+    output.save_page(page, tmp_path / "report.html")
+    assert (tmp_path / "report.html").exists()
+    assert not asked
+    output.parser("solvers", "about").parse_args(["--figures"])
+    output.save_page(page, tmp_path / "report.html")
+    assert asked == [(["times"], tmp_path / "figures")]
