@@ -34,7 +34,21 @@ WORDS = {
 }  # fmt: skip
 
 
-def ranks(values: Sequence[float], more_is_better: bool) -> Array:
+# Closed-loop figures this close to each other, relative to their size, say the same: no cost, no difference in rank.
+HARMLESS = {
+    "mu_mean": 0.01, "tip_error_mean_mm": 0.05, "rcm_error_mean_mm": 0.05, "torque_rate_rms_Nm_per_s": 0.1,
+}  # fmt: skip
+
+
+def levels(values: Sequence[float], metric: str) -> Array:
+    """The values in steps of what is harmless, so that noise decides no rank; as they are where one is not positive."""
+    array = np.asarray(values, dtype=float)
+    if metric not in HARMLESS or not (array > 0.0).all():
+        return array
+    return np.asarray(np.round(np.log(array) / np.log1p(HARMLESS[metric])))
+
+
+def ranks(values: Sequence[float] | Array, more_is_better: bool) -> Array:
     """1 for the best; ties share the mean of their ranks."""
     array = np.asarray(values, dtype=float)
     found: Array = stats.rankdata(-array if more_is_better else array)
@@ -54,7 +68,7 @@ def correlations(open_loop: Figures, closed_loop: Figures) -> dict[str, dict[str
         for other, other_up in CLOSED.items():
             names = _shared(open_loop, one, closed_loop, other)
             a = ranks([open_loop[name][one] for name in names], one_up)
-            b = ranks([closed_loop[name][other] for name in names], other_up)
+            b = ranks(levels([closed_loop[name][other] for name in names], other), other_up)
             if len(names) < 4 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
                 continue
             result = stats.spearmanr(a, b)
@@ -73,7 +87,7 @@ def disagreements(
     if len(names) < 4:
         return []
     a = ranks([open_loop[name][one] for name in names], OPEN[one])
-    b = ranks([closed_loop[name][other] for name in names], CLOSED[other])
+    b = ranks(levels([closed_loop[name][other] for name in names], other), CLOSED[other])
     found = []
     for i in np.argsort(-np.abs(a - b), kind="stable")[:count]:
         if a[i] == b[i]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks import closed_loop
 from benchmarks.closed_loop import BASELINE, Run
-from benchmarks.study_compare import WORDS
+from benchmarks.study_compare import HARMLESS, WORDS
 from benchmarks.study_settings import Entry
 from benchmarks.study_store import Store
 from benchmarks.study_worker import Worker
@@ -159,12 +159,6 @@ def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
     return closed_loop.run_one(
         store, worker, closed_loop.variant(trial, BASELINE), BASELINE, None, timed=False
     )
-
-
-# How far a metric may be from the tightest setting's before it counts as a cost, relative to it.
-HARMLESS = {
-    "mu_mean": 0.01, "tip_error_mean_mm": 0.05, "rcm_error_mean_mm": 0.05, "torque_rate_rms_Nm_per_s": 0.1,
-}  # fmt: skip
 
 
 def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:

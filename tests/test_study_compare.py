@@ -59,6 +59,13 @@ def test_disagreements_name_who_and_by_how_much():
     assert disagreements(*tables(same, -same, -same), "primal_p50", "mu_mean") == []
 
 
+def test_noise_decides_no_rank():
+    mu = 0.3 * (1.0 + 1e-4 * np.array([3, 1, 4, 1, 5, 9, 2, 6]))
+    assert correlations(*tables(np.arange(8.0), mu, mu)) == {}
+    mu[0] = 0.2
+    assert "primal_p50 ~ mu_mean" in correlations(*tables(np.arange(8.0), mu, mu))
+
+
 def test_missing_figures_leave_a_name_out():
     opened, closed = tables(np.arange(8.0), np.arange(8.0), np.arange(8.0))
     opened["solver 3"]["primal_p50"] = None
