@@ -168,8 +168,8 @@ def tables(summary: Summary) -> dict[str, Table]:
         [Column("open", "open loop"), Column("closed", "closed loop"),
          Column("rank_correlation", "Spearman", format="+.2f"), Column("p_value", "p", digits=2),
          _count("solvers", "solvers and settings")], pairs,
-        caption="Both ranked from good to bad: +1 where what is better in open loop is better in closed loop. Closed-loop figures that differ by "
-        "less than 1 % (mu), 5 % (errors) or 10 % (chatter) share a rank.",
+        caption="Both ranked from good to bad: +1 where what is better in open loop is better in closed loop. "
+        "Closed-loop figures that differ by less than 1 % (mu), 5 % (errors) or 10 % (chatter) share a rank.",
     )  # fmt: skip
     add("qpbenchmark", "qpbenchmark's ranking beside ours", QPBENCHMARK, _beside_ours(summary),
         caption="Theirs: on feasible problems of six sets through qpsolvers, five rows; ours: the same library "

@@ -15,6 +15,7 @@ judge with looser tolerances.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -80,7 +81,7 @@ def program(settings: NLP) -> tuple[Any, Any]:
 
 
 @dataclass(frozen=True)
-class NLP:
+class NLP(ABC):
     """Settings that all of them share; use ``SQP``, ``Ipopt`` or ``Fatrop``.
 
     Args:
@@ -136,9 +137,9 @@ class NLP:
             raise SolverError(f"{self.name}: {reason}")
         return NLPSession(self, *program(self))
 
+    @abstractmethod
     def options(self) -> dict[str, Any]:
         """Options of the CasADi plug-in."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
