@@ -131,7 +131,7 @@ class Config(Settings):
                 "tasks": self.sweeps.tasks[:1], "duration_s": 0.7, "values": "few", "deadline_solvers": ["osqp"],
                 "late_percent": [5.0],
             },
-            parts=[part for part in self.parts if part != "qpbenchmark"],
+            parts=[part for part in self.parts if part not in ("qpbenchmark", "growth")],
         )  # fmt: skip
 
     def full(self) -> Config:
