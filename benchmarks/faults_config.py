@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from moc_opt.errors import ScenarioError
+from benchmarks.config import Configuration
 from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
 
@@ -41,7 +39,7 @@ class Case(Settings):
         return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
 
-class Config(Settings):
+class Config(Configuration):
     """benchmarks/configs/faults.toml."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -67,14 +65,6 @@ class Config(Settings):
         if "none" in cases:
             raise ValueError("'none' is the name of the run without a fault: choose another one")
         return cases
-
-    @classmethod
-    def load(cls, path: Path) -> Config:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
 
     def quick(self) -> Config:
         """The same faults on one trial of half the length: for a first look and for the tests."""

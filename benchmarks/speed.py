@@ -6,7 +6,6 @@ python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick]
 from __future__ import annotations
 
 import sys
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -14,9 +13,10 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator
 
 from benchmarks import output
+from benchmarks.config import Configuration
 from benchmarks.speed_report import print_tables, write_report
 from benchmarks.speed_run import Run
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
@@ -89,7 +89,7 @@ class PeerTable(Settings):
     rounds: Count = 4
 
 
-class Config(Settings):
+class Config(Configuration):
     """benchmarks/configs/speed.toml."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -101,14 +101,6 @@ class Config(Settings):
     setup: SetupTable = SetupTable()
     peers: PeerTable = PeerTable()
     scenario: Scenario = Scenario()
-
-    @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
 
     def quick(self) -> Self:
         """The same on less data: for a first look and for the tests."""

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from benchmarks.config import Configuration
 from benchmarks.study_answers import Limits
 from benchmarks.testsets import RECIPES
-from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
 
@@ -92,7 +91,7 @@ class Sweeps(Settings):
     late_percent: list[float] = Field([1.0, 5.0, 20.0], description="of the recorded times, above the budget")
 
 
-class Config(Settings):
+class Config(Configuration):
     """The whole file."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -107,14 +106,6 @@ class Config(Settings):
     sweeps: Sweeps = Sweeps()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
-
-    @classmethod
-    def load(cls, path: Path) -> Config:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
 
     def quick(self) -> Config:
         """The same study on less data: for a first look and for the tests."""

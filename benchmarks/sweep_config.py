@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import tomllib
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
 from benchmarks.closed_loop import BASELINE
+from benchmarks.config import Configuration
 from benchmarks.sweep_errors import SweepError
-from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
+from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.scenario import Scenario, SolverTable
 from moc_opt.settings import Settings
 from moc_opt.solvers import available
@@ -24,7 +23,7 @@ class RandomSample(Settings):
     fields: dict[str, Any] = Field(default_factory=dict, description="path -> range or choice")
 
 
-class Config(Settings):
+class Config(Configuration):
     """benchmarks/configs/sweep.toml."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -40,14 +39,6 @@ class Config(Settings):
     random: RandomSample = RandomSample()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
-
-    @classmethod
-    def load(cls, path: Path) -> Config:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
 
 
 def chosen_seeds(config: Config) -> list[int]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from moc_opt.errors import ScenarioError
+from benchmarks.config import Configuration
 from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
 
@@ -48,7 +46,7 @@ class Range(Settings):
         return float(f"{value:.3g}")
 
 
-class Config(Settings):
+class Config(Configuration):
     """benchmarks/configs/tune.toml."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -63,14 +61,6 @@ class Config(Settings):
     space: dict[str, Range]
     hard: dict[str, Any] = Field(default_factory=dict)
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
-
-    @classmethod
-    def load(cls, path: Path) -> Config:
-        """Read a TOML file; errors name file and field."""
-        try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
 
     def quick(self) -> Config:
         """The same search with few candidates: for a first look and for the tests."""

@@ -1,0 +1,22 @@
+"""What every benchmark's configuration has: it is read from TOML."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Self
+
+from moc_opt.errors import ScenarioError
+from moc_opt.settings import Settings
+
+
+class Configuration(Settings):
+    """Base of the configurations in benchmarks/configs/."""
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a TOML file; errors name file and field."""
+        try:
+            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
