@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.dataset as ds
 
 from benchmarks import output
 from benchmarks.sweep_config import Config
@@ -111,7 +110,7 @@ def report(config: Config, out: Path, lost: dict[int, str], argv: list[str]) -> 
     """summary.json, environment.json and report.html, from the finished tables."""
     plan = Plan(config)
     fields = {path: values for path, values in plan.grid.items() if len(values) > 1}
-    alone = summarise(out, ["solver"], "clock", ds.field("timing_shared") == False)  # noqa: E712 - an expression
+    alone = summarise(out, ["solver"], "clock", alone=True)
     solvers = summarise(out)
     counted = {
         "all": sum(group["runs"] for group in solvers.values()),

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.dataset as ds
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from benchmarks.sweep_errors import StoreError, SweepError
@@ -22,10 +23,12 @@ from benchmarks.sweep_table import PLAN_KEY
 from moc_opt.errors import UnknownNameError
 
 BATCH = 8192
+BUFFER = 1 << 16  # bytes of a column read at a time
 MAX_GROUPS = 200
 ACCURACY = 0.01
 QUANTILES = {"p05": 0.05, "p50": 0.50, "p95": 0.95}
-KEYS = ("index", "run", "solver", "seed", "error", "timing_shared")
+SHARED = "timing_shared"
+KEYS = ("index", "run", "solver", "seed", "error", SHARED)
 
 Array = NDArray[np.float64]
 
@@ -36,7 +39,7 @@ BUCKETS = 2 * _HALF + 1  # negative, zero, positive
 
 
 def summarise(
-    folder: Path, by: Sequence[str] = ("solver",), table: str = "rows", only: ds.Expression | None = None
+    folder: Path, by: Sequence[str] = ("solver",), table: str = "rows", alone: bool = False
 ) -> dict[str, dict[str, Any]]:
     """Runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
 
@@ -44,7 +47,7 @@ def summarise(
         folder: of a finished sweep.
         by: columns whose values make the groups.
         table: "rows" or "clock".
-        only: a filter on the rows.
+        alone: only runs whose times were taken with no other run on the machine.
 
     Returns:
         "value, value" of the columns ``by`` -> {"runs": .., "failed": .., metric: {..}}, in order of appearance.
@@ -58,15 +61,16 @@ def summarise(
     if not path.exists():
         raise StoreError(f"{path}: no such file; a sweep that is not finished has none, start it again")
     try:
-        data = ds.dataset(path, format="parquet")
-        for name in by:
-            if name not in data.schema.names:
-                raise UnknownNameError("column", name, data.schema.names)
-        metrics = figure_columns(data.schema, by)
-        groups = Groups(metrics)
-        failures = [name for name in ("error",) if name in data.schema.names]
-        for batch in _batches(data, [*by, *failures, *(m for m in metrics)], only):
-            groups.add(batch, by)
+        with pq.ParquetFile(path, buffer_size=BUFFER, pre_buffer=False) as data:
+            names = data.schema_arrow.names
+            for name in by:
+                if name not in names:
+                    raise UnknownNameError("column", name, names)
+            metrics = figure_columns(data.schema_arrow, by)
+            groups = Groups(metrics)
+            beside = [name for name in ("error", SHARED) if name in names and name not in by]
+            for batch in _batches(data, [*by, *beside, *metrics]):
+                groups.add(batch.filter(pc.invert(batch.column(SHARED))) if alone else batch, by)
     except (OSError, pa.ArrowException) as error:
         raise StoreError(f"{path}: damaged, or not of a sweep: {error}") from error
     return groups.summary()
@@ -80,10 +84,10 @@ def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
         most: so many errors; of a sweep whose messages all differ only the first 1000 are told apart.
     """
     counted: Counter[str] = Counter()
-    data = ds.dataset(folder / "rows.parquet", format="parquet")
-    for batch in _batches(data, ["error"], ds.field("error").is_valid()):
-        for text in batch.column("error").to_pylist():
-            counted[text if text in counted or len(counted) < 1000 else "others"] += 1
+    with pq.ParquetFile(folder / "rows.parquet", buffer_size=BUFFER, pre_buffer=False) as data:
+        for batch in _batches(data, ["error"]):
+            for text in batch.column("error").drop_null().to_pylist():
+                counted[text if text in counted or len(counted) < 1000 else "others"] += 1
     return {text: {"runs": runs} for text, runs in counted.most_common(most)}
 
 
@@ -92,17 +96,13 @@ def figure_columns(schema: pa.Schema, but: Sequence[str] = ()) -> list[str]:
     if PLAN_KEY not in (schema.metadata or {}):
         raise StoreError("a Parquet file, but not of a sweep")
     names = schema.names
-    first = names.index("error") if "error" in names else names.index("timing_shared")
+    first = names.index("error") if "error" in names else names.index(SHARED)
     return [name for name in names[first + 1 :] if name not in but and name not in KEYS]
 
 
-def _batches(data: ds.Dataset, columns: list[str], only: ds.Expression | None) -> Iterator[pa.RecordBatch]:
-    # One batch at a time: reading ahead is what would make memory grow with the file.
-    scan = ds.ParquetFragmentScanOptions(pre_buffer=False, use_buffered_stream=True)
-    yield from data.scanner(
-        columns=columns, filter=only, batch_size=BATCH, batch_readahead=0, fragment_readahead=0, use_threads=False,
-        fragment_scan_options=scan, cache_metadata=False,
-    ).to_batches()  # fmt: skip
+def _batches(data: pq.ParquetFile, columns: list[str]) -> Iterator[pa.RecordBatch]:
+    # In this thread and one at a time: a scanner reads ahead in others, as far as the machine lets it.
+    yield from data.iter_batches(batch_size=BATCH, columns=columns, use_threads=False)
 
 
 class Groups:
