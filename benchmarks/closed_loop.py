@@ -16,8 +16,10 @@ from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.metrics import summarize
+from moc_opt.model import load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.trace import Trace
+from moc_opt.travel import travelling
 
 Array = NDArray[Any]
 
@@ -26,6 +28,8 @@ KEPT = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "trocar_force_N",
 PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
 BEAT_S = 0.5
 HUNG = "hung"
+SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
+ERRORS = ("tip_error", "rcm_error")
 AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
 
 
@@ -84,7 +88,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None) -> Iterator[Pa
     except MocOptError as error:
         yield Part({"error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
         return
-    metrics = summarize(trace, None if baseline is None else Trace(baseline))
+    metrics = summarize(trace, None if baseline is None else Trace(baseline)) | _settled(trial, trace)
     if "fault" in trace.columns:
         names, counts = np.unique(trace.fault, return_counts=True)
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
@@ -92,6 +96,17 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None) -> Iterator[Pa
     metrics["ticks"] = float(len(trace))
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
     yield Part({"error": None, "metrics": metrics}, arrays)
+
+
+def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:
+    """Errors apart from what an elbow on its way costs; nothing where it never arrives."""
+    robot = load_robot(trial.robot.name, tool_length=trial.robot.tool_length_m, tool_mass=trial.robot.tool_mass_kg)
+    flags = travelling(robot, trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
+    found = summarize(trace.with_columns(travelling=flags), phase="settled")
+    return {
+        **{f"{error}_settled_mean_mm": found[f"{error}_mean_mm"] for error in ERRORS if f"{error}_mean_mm" in found},
+        "travelling_percent": 100.0 * float(np.mean(flags)),
+    }
 
 
 def run_one(

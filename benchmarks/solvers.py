@@ -103,6 +103,7 @@ def compare(
 
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["parts_of_an_earlier_run"] = study.store.reused
+    environment["seconds"] = study.seconds
     output.write_json(
         out / "summary.json", {**summary, "words": {k: {"text": v} for k, v in study.words.items()}}
     )

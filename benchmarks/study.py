@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ Advance = Callable[[str], None]
 Summary = dict[str, dict[str, dict[str, Any]]]
 
 DUAL_SETS = ("circle", "random")
+GROWING = ("solve_p50_us", "solve_p99_us", "setup_p50_us", "update_p50_us")
 NONLINEAR = "nlp-"
 
 
@@ -58,6 +60,7 @@ class Study:
         self.samples: dict[str, Any] = {}  # of the figures
         self.words: dict[str, str] = {}
         self.runs: list[Run] = []
+        self.seconds: dict[str, float] = {}  # that each part took, of the wall clock
 
     @property
     def steps(self) -> int:
@@ -96,7 +99,7 @@ class Study:
     def run_open_loop(self) -> None:
         """Every solver warm and cold on the recorded sequence, as we recommend it."""
         data, patience = self.recorded, max(2.0, self.config.testsets.patience_s)
-        limits = Limits(patience, rounds=2, seconds=2.0, cold=self.config.open_loop.cold)
+        limits = Limits(patience, rounds=2, seconds=1.0, cold=self.config.open_loop.cold)
         every = max(1, len(data.rows) // self.config.open_loop.cold)
         thin = data.thinned(every)
         warm, cold = {}, {}
@@ -176,10 +179,10 @@ class Study:
                     figures[n] = time_figures(timed(self.store, worker, entry, data, limits, cell.complete))
                     counts = cell.counts()
                     row = {**row, **{k: row[k] + counts[k] for k in ("verified_solved", "solves")}}
-                    for key in ("solve_p50_us", "solve_p99_us", "setup_p50_us"):
+                    for key in GROWING:
                         if key in figures[n]:
                             row[f"{key}_n{n}"] = figures[n][key]
-                for key in ("solve_p50_us", "solve_p99_us", "setup_p50_us"):
+                for key in GROWING:
                     row |= {f"{key}_{name}": v for name, v in study_growth.growth(figures, key).items()}
                 found[entry.solver] = row
                 self.advance(f"joints {entry.solver}")
@@ -332,7 +335,9 @@ class Study:
         }  # fmt: skip
         for part, job in jobs.items():
             if part in self.config.parts:
+                begin = perf_counter()
                 job()
+                self.seconds[part] = round(perf_counter() - begin, 1)
         self.summary.setdefault("not_run", {})
 
 

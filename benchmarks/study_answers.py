@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 # What became of an answer, beside the statuses of solvers.
 HUNG, CRASHED, RAISED, NOT_ASKED, REFUSED = "hung", "crashed", "raised", "not asked", "refused"
 SETTING_UP = ", while setting up"
+WARM_UP = 16  # solves that are not counted
 GIVE_UP = 2  # hangs and crashes in one set, after which the rest of it is not asked
 
 
@@ -39,7 +40,7 @@ class Limits:
 
     patience_s: float = 2.0
     rounds: int = 8
-    seconds: float = 1.0
+    seconds: float = 0.5
     cold: int = 32
     setup_s: float = 40.0  # for setting up: programs are built, kernels compiled
 
@@ -74,8 +75,8 @@ class Data:
 
 
 def _made(entry: Entry, arm: Callable[[], Any] | None) -> Solver:
-    extra = {} if arm is None else {"kinematics": arm()}
-    extra = {key: value for key, value in extra.items() if accepts(entry.solver, key)}
+    wanted = arm is not None and accepts(entry.solver, "kinematics")
+    extra = {"kinematics": arm()} if arm is not None and wanted else {}  # seconds, for many joints
     return make_solver(entry.solver, load_robot(), **{**entry.options, **extra})
 
 
@@ -112,9 +113,10 @@ def warm_times(
     """Yield the times [us] of one session going through all problems, round by round."""
     solver, problems = _made(entry, arm), _problems(rows)
     session = solver.start(problems[0])
-    spent = 1e-6 * each_us(session.solve, problems).sum()  # caches and compilers: not counted
-    for turn in range(rounds):
-        if turn >= 2 and spent > seconds:
+    each_us(session.solve, problems[:WARM_UP])  # caches and compilers: not counted
+    spent = 0.0
+    for _ in range(rounds):
+        if spent > seconds:
             return
         times = each_us(session.solve, problems)
         spent += 1e-6 * times.sum()
@@ -123,27 +125,32 @@ def warm_times(
 
 def cold_times(
     entry: Entry, rows: Array, arm: Callable[[], Any] | None = None
-) -> Iterator[tuple[Array, Array]]:
-    """Yield once: the times [us] of setting sessions up, and of the first solve of each."""
+) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield once: the times [us] of setting sessions up, of the first solve of each, and of updating one of them.
+
+    The last are empty where the session cannot take a problem without solving it.
+    """
     solver, problems = _made(entry, arm), _problems(rows)
     solver.start(problems[0]).solve(problems[0])
     sessions: list[Any] = []
     setup = each_us(solver.start, problems, sessions)
     pairs = list(zip(sessions, problems, strict=True))
-    yield setup, each_us(lambda pair: pair[0].solve(pair[1]), pairs)
+    cold = each_us(lambda pair: pair[0].solve(pair[1]), pairs)
+    update = getattr(sessions[0], "update", None)
+    yield setup, cold, np.empty(0) if update is None else each_us(update, problems)
 
 
 # --- around it ---
 
 
-def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool, give_up: int = GIVE_UP) -> Part:
+def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool) -> Part:
     """All answers of one solver to one set, whatever it takes to get them."""
     count, n = len(data.rows), data.n
     status = np.full(count, NOT_ASKED, dtype="<U12")
     iterations, x, y = np.zeros(count, int), np.full((count, n), np.nan), np.full((count, 6), np.nan)
     events: list[str] = []
     place, broken = 0, 0
-    while place < count and broken < give_up:
+    while place < count and broken < GIVE_UP:
         ready = False
         try:
             stream = worker.stream(
@@ -168,13 +175,16 @@ def ask(worker: Worker, entry: Entry, data: Data, limits: Limits, warm: bool, gi
             status[place] = HUNG if isinstance(error, Hung) else CRASHED
             events.append(f"problem {place}{'' if ready else SETTING_UP}: {error}")
             place += 1
-            broken = broken + 1 if ready else give_up  # no other problem will be set up either
+            broken = broken + 1 if ready else GIVE_UP  # no other problem will be set up either
     return Part({"reason": "", "events": events}, _arrays(status, iterations, x, y))
 
 
 def time(worker: Worker, entry: Entry, data: Data, limits: Limits, answered: bool) -> Part:
     """Times of one solver on one set; empty where an answer of it never came."""
-    arrays = {"solve_us": np.empty((0, len(data.rows))), "setup_us": np.empty(0), "cold_us": np.empty(0)}
+    nothing = np.empty(0)
+    arrays = {
+        "solve_us": np.empty((0, len(data.rows))), "setup_us": nothing, "cold_us": nothing, "update_us": nothing,
+    }  # fmt: skip
     if not answered:
         return Part({"reason": "not timed: not every problem was answered"}, arrays)
     every = max(1, len(data.rows) // limits.cold)
@@ -185,12 +195,12 @@ def time(worker: Worker, entry: Entry, data: Data, limits: Limits, answered: boo
                 warm_times, entry, data.rows, limits.rounds, limits.seconds, data.kinematics, patience_s=wait
             )
         )
-        (setup, cold), *_ = list(
+        (setup, cold, update), *_ = list(
             worker.stream(cold_times, entry, data.rows[::every], data.kinematics, patience_s=wait)
         )
     except WorkerError as error:
         return Part({"reason": str(error)}, arrays)
-    return Part({"reason": ""}, {"solve_us": np.array(rounds), "setup_us": setup, "cold_us": cold})
+    return Part({"reason": ""}, {"solve_us": np.array(rounds), "setup_us": setup, "cold_us": cold, "update_us": update})
 
 
 def _arrays(status: Any, iterations: Any, x: Array, y: Array) -> dict[str, NDArray[Any]]:
@@ -204,14 +214,13 @@ def asked(
     data: Data,
     limits: Limits,
     warm: bool = True,
-    give_up: int = GIVE_UP,
 ) -> Part:
     """`ask`, or what an earlier run was answered."""
     key = store.key(
         part="answers", solver=entry.solver, options=entry.options, rows=data.rows, warm=warm,
-        patience=limits.patience_s, arm=data.kinematics is not None, give_up=give_up,
+        patience=limits.patience_s, arm=data.kinematics is not None,
     )  # fmt: skip
-    return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm, give_up))
+    return store.get(key) or store.put(key, ask(worker, entry, data, limits, warm))
 
 
 def not_asked(data: Data) -> Part:

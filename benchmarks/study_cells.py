@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from benchmarks.study_answers import (
     CRASHED,
-    GIVE_UP,
     HUNG,
     NOT_ASKED,
     RAISED,
@@ -29,6 +28,7 @@ from benchmarks.testsets import TestSet
 from benchmarks.timing import percentiles
 from moc_opt.subproblem import fields, judge
 
+BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
@@ -131,6 +131,7 @@ def time_figures(times: Part) -> dict[str, Any]:
         **percentiles(arrays["solve_us"].ravel(), "solve"),
         **percentiles(arrays["cold_us"], "cold"),
         **percentiles(arrays["setup_us"], "setup"),
+        **percentiles(arrays["update_us"], "update"),
         "timed_solves": int(arrays["solve_us"].size),
     }
     return found
@@ -154,18 +155,17 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
 
 
 def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """All sets, judged. A solver that broke in two of them is given up after its first hang or crash in the others.
+    """All sets, judged. A solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
 
-    One that does not survive being set up is not asked again.
+    Nor is one that does not survive being set up.
     """
     cells: list[Cell] = []
     for data in sets:
-        if any(SETTING_UP in event for cell in cells for event in cell.part.values["events"]):
-            cells.append(Cell(entry, data, not_asked(data)))
-            continue
-        broke = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
-        give_up = GIVE_UP if broke < 2 else 1
-        cells.append(Cell(entry, data, asked(store, worker, entry, data, limits, give_up=give_up)))
+        broken = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
+        unborn = any(SETTING_UP in event for cell in cells for event in cell.part.values["events"])
+        given_up = unborn or broken >= BROKEN_SETS
+        part = not_asked(data) if given_up else asked(store, worker, entry, data, limits)
+        cells.append(Cell(entry, data, part))
     return cells
 
 
@@ -181,6 +181,7 @@ def cold_only(times: Part) -> Part:
         "solve_us": times.arrays["cold_us"],
         "setup_us": times.arrays["setup_us"],
         "cold_us": np.empty(0),
+        "update_us": np.empty(0),
     }
     return Part(times.values, arrays)
 

@@ -37,7 +37,7 @@ COUNTS = [
     _count("failed", "failed", "low", "neither claimed nor rightly called infeasible"),
     _count("hung", "hung", "low", "no answer within the time limit"),
     _count("crashed", "crashed", "low", "the process died"),
-    _count("not_asked", "not asked", text="after two hangs, or not supported"),
+    _count("not_asked", "not asked", text="after two hangs in the set or hangs in three sets, or not supported"),
 ]
 RESIDUALS = [
     Column(
@@ -68,6 +68,10 @@ def _times(suffix: str = "") -> list[Column]:
         Column(f"solve_p50_us{suffix}", "warm p50", unit="us", format=".1f", better="low"),
         Column(f"solve_p99_us{suffix}", "warm p99", unit="us", format=".1f", better="low"),
         Column(f"solve_p99_9_us{suffix}", "warm p99.9", unit="us", format=".1f", better="low"),
+        Column(
+            f"update_p50_us{suffix}", "update p50", unit="us", format=".1f", better="low",
+            help="of a warm solve, the part that hands the new problem to the library",
+        ),
         Column(f"cold_p50_us{suffix}", "cold p50", unit="us", format=".1f", better="low"),
         Column(f"cold_p99_us{suffix}", "cold p99", unit="us", format=".1f", better="low"),
         Column(f"setup_p50_us{suffix}", "set-up p50", unit="us", format=".1f", better="low"),
@@ -89,6 +93,9 @@ CLOSED = [
     Column("tip_error_max_mm", "tip max", unit="mm", digits=3, better="low"),
     Column("rcm_error_mean_mm", "RCM", unit="mm", digits=3, better="low"),
     Column("rcm_error_max_mm", "RCM max", unit="mm", digits=3, better="low"),
+    Column("travelling_percent", "travelling", unit="%", digits=2, help="of the time the elbow is on its way"),
+    Column("tip_error_settled_mean_mm", "tip settled", unit="mm", digits=3, better="low"),
+    Column("rcm_error_settled_mean_mm", "RCM settled", unit="mm", digits=3, better="low"),
     Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low"),
     Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
 ]
@@ -198,6 +205,7 @@ def _growth_columns(summary: Summary) -> list[Column]:
         *columns,
         Column("solve_p50_us_exponent", "grows as n to the", format=".2f", better="low"),
         Column("setup_p50_us_exponent", "set-up: n to the", format=".2f"),
+        Column("update_p50_us_exponent", "update: n to the", format=".2f"),
         Column("reason", "not run because"),
     ]
 

@@ -71,11 +71,12 @@ def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
     assert "not every problem was answered" in times.values["reason"]
 
 
-def test_a_solver_that_hangs_everywhere_is_given_up_sooner(broken):
-    sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid")]
+def test_a_solver_that_hangs_everywhere_is_given_up(broken):
+    sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
     cells = asked_all(Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits)
-    assert [found.counts()["hung"] for found in cells] == [2, 2, 1]
+    assert [found.counts()["hung"] for found in cells] == [2, 2, 2, 0, 0]
+    assert [found.counts()["not_asked"] for found in cells] == [2, 2, 2, 4, 4]
 
 
 def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
@@ -154,7 +155,8 @@ def test_times_are_measured_warm_and_cold(worker):
 
 def test_totals_add_counts_and_quote_the_worst_set(worker):
     cells = [cell(worker, EXACT, load(name, 32)) for name in ("circle", "infeasible")]
-    slow = {"solve_us": np.full((2, 4), 7.0), "setup_us": np.array([1.0]), "cold_us": np.array([2.0])}
+    others = {f"{name}_us": np.array([us]) for name, us in (("setup", 1.0), ("cold", 2.0), ("update", 3.0))}
+    slow = {"solve_us": np.full((2, 4), 7.0), **others}
     fast = {**slow, "solve_us": np.full((2, 4), 3.0)}
     found = totals(cells, {"circle": Part({}, slow), "infeasible": Part({}, fast)})
     assert found["solves"] == 8
