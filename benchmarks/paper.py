@@ -15,9 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import output, paper_figures, paper_procedure, paper_report, paper_swivel, paper_verdict
-from benchmarks.paper_config import STREAM, Config
-from benchmarks.paper_trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
+from benchmarks import output
+from benchmarks.experiment import figures, report, verdict
+from benchmarks.experiment import procedure as paper_procedure
+from benchmarks.experiment import swivel as paper_swivel
+from benchmarks.experiment.config import STREAM, Config
+from benchmarks.experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.parallel import run_parallel
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
@@ -50,15 +53,15 @@ def summarise(
     for group in config.groups:
         summary[group] = {
             controller: {
-                **paper_verdict.intervals(found, group, controller),
+                **verdict.intervals(found, group, controller),
                 "broke_off": sum(e["group"] == group and e["controller"] == controller for e in broken),
             }
             for controller in (*BASELINES, *config.solvers)
         }
     each = [(group, solver) for group in config.groups for solver in config.solvers]
-    summary["verdict"] = [row for pair in each for row in paper_verdict.verdicts(found, *pair)]
-    summary["phases"] = [row for pair in each for row in paper_verdict.travelling(found, *pair)]
-    summary["goals"] = paper_verdict.goals(found, config.best, config.best_solver)
+    summary["verdict"] = [row for pair in each for row in verdict.verdicts(found, *pair)]
+    summary["phases"] = [row for pair in each for row in verdict.travelling(found, *pair)]
+    summary["goals"] = verdict.goals(found, config.best, config.best_solver)
     summary["swivel"] = paper_swivel.summary(swivel)
     return summary, found, broken
 
@@ -67,11 +70,11 @@ def draw(config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any
     """Every figure by its file's name."""
     drawn: dict[str, Any] = {}
     for group in config.groups:
-        drawn |= paper_figures.box_figures(outcomes, group, config.tasks)
+        drawn |= figures.box_figures(outcomes, group, config.tasks)
         kept = [o for o in outcomes if o.traces and any(m.group == group for m in o.measurements)]
         if kept:
-            drawn[f"trial-{group}"] = paper_figures.trial_figure(kept[0].traces)
-    drawn["swivel"] = paper_figures.swivel_figure(swivel)
+            drawn[f"trial-{group}"] = figures.trial_figure(kept[0].traces)
+    drawn["swivel"] = figures.swivel_figure(swivel)
     return drawn
 
 
@@ -96,17 +99,17 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
     drawn = draw(config, outcomes, swivel)
     screen = console()
     try:
-        paper_figures.save(drawn, out / "figures")
+        figures.save(drawn, out / "figures")
     except BrowserError as error:
         # The page has the figures all the same.
         environment["figures"] = f"not saved as files: {error}"
         print(environment["figures"], file=sys.stderr)
     output.write_json(out / "environment.json", environment)
-    paper_report.write_page(out / "report.html", summary, groups, best, drawn, environment)
+    report.write_page(out / "report.html", summary, groups, best, drawn, environment)
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:
-        paper_report.print_tables(screen, summary, groups, best, out)
+        report.print_tables(screen, summary, groups, best, out)
     return summary
 
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.closed_loop import BASELINE
 from benchmarks.output import write_atomically
+from benchmarks.study.closed_loop import BASELINE
 from moc_opt.errors import MocOptError
 
 Summary = Mapping[str, Any]

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks import export, output
-from benchmarks.solvers_report import print_tables, write_report
-from benchmarks.study import Study
-from benchmarks.study_config import PARTS, Config
+from benchmarks.study.config import PARTS, Config
+from benchmarks.study.parts import Study
+from benchmarks.study.report import print_tables, write_report
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.report.console import console, progress

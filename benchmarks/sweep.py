@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks import output
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_dask import DaskPool
-from benchmarks.sweep_engine import Pool, Work, execute, run_all
-from benchmarks.sweep_local import LocalPool, cores
-from benchmarks.sweep_plan import Plan, quick
-from benchmarks.sweep_report import print_tables, write_report
-from benchmarks.sweep_store import Store
-from benchmarks.sweep_summary import errors, summarise
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.dask import DaskPool
+from benchmarks.sweeps.engine import Pool, Work, execute, run_all
+from benchmarks.sweeps.local import LocalPool, cores
+from benchmarks.sweeps.plan import Plan, quick
+from benchmarks.sweeps.report import print_tables, write_report
+from benchmarks.sweeps.store import Store
+from benchmarks.sweeps.summary import errors, summarise
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 
