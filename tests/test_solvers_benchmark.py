@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import export, solvers
+from benchmarks import solvers
 from benchmarks.output import default_config
 from benchmarks.study import closed_loop
 from benchmarks.study import tables as study_tables
