@@ -12,7 +12,8 @@ from benchmarks.study import closed_loop
 from benchmarks.study import tables as study_tables
 from benchmarks.study.answers import ask
 from benchmarks.study.cells import Cell
-from benchmarks.study.config import PARTS, Config, TestSets
+from benchmarks.study.config import PARTS, ClosedLoop, Config, TestSets
+from benchmarks.study.parts import Study
 from benchmarks.study.tables import headline, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from tests import broken_solvers
@@ -209,6 +210,18 @@ def test_the_shipped_configuration_is_that_of_the_program():
     full = config.full()
     assert full.testsets.rounds > config.testsets.rounds
     assert full.growth.joints == list(range(7, 15))
+    assert full.closed_loop.twice
+
+
+def test_a_library_is_in_the_loop_once(tmp_path):
+    names = ["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"]
+
+    def controllers(**table):
+        study = Study(Config(closed_loop=ClosedLoop(**table)), names, tmp_path, print)
+        return [entry.solver for entry in study._in_the_loop()]
+
+    assert controllers() == ["exact", "daqp", "qpsolvers:scs"]
+    assert controllers(twice=True) == names
 
 
 def test_the_nonlinear_solvers_carry_their_footnote(summary):

@@ -35,6 +35,7 @@ class ClosedLoop(Settings):
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     seeds: int = Field(1, ge=1)
     duration_s: float | None = Field(None, gt=0.0)
+    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
 
 
 class TestSets(Settings):
@@ -131,7 +132,7 @@ class Config(Configuration):
             open_loop={"ticks": 4000, "cold": 400},
             testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"seeds": 3},
+            closed_loop={"seeds": 3, "twice": True},
             sweeps={
                 "tasks": self.closed_loop.tasks, "seeds": 2, "values": "many", "late_percent": [0.1, 1.0, 5.0, 20.0],
             },
