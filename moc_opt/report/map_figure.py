@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from moc_opt.report.errors import ReportError
 from moc_opt.report.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
-from moc_opt.report.map import FEASIBLE, UNREACHABLE, Course, SwivelMap
+from moc_opt.report.map import FEASIBLE, OTHER_BRANCH_RAD, UNREACHABLE, Course, SwivelMap
 
 Array = NDArray[np.float64]
 
 # Light to dark, so that lines of any of the house's colours with a white edge stand out; the same on dark pages.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
 EDGE, BEST = "#fffffe", "#17191b"
-OTHER_BRANCH_RAD = 0.5
 HEIGHT_PX = 460
 
 
-def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
+def map_figure(
+    found: SwivelMap, styles: Styles | None = None, *, titles: Mapping[str, str] | None = None
+) -> go.Figure:
     """Time to the right, swivel upwards, mu as colour, grey where no pose is allowed; a line for every run.
 
     A run that folds the arm another way than the map is dotted: the colours under it are not its own.
@@ -27,16 +30,18 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     Args:
         found: of `manipulability_map`.
         styles: how each run looks, as in other figures; None deals colours out anew.
+        titles: the runs that are drawn -> what the legend calls them; None: all, by their names.
 
     Raises:
         ReportError: no pose of the map is allowed.
     """
     styles = styles or Styles(found.courses)
+    titles = {name: name for name in found.courses} if titles is None else titles
     allowed = found.limit == FEASIBLE
     if not allowed.any():
         raise ReportError("no pose on the map is within the joint limits: check trocar and path")
     degrees = np.degrees(found.swivel_rad)
-    drawn = figure(height=HEIGHT_PX + legend_height([*found.courses, "best"]))
+    drawn = figure(height=HEIGHT_PX + legend_height([*titles.values(), "best", "not allowed"]))
     words = [f"joint {j} beyond its limit" for j in range(1, found.q_rad.shape[2] + 1)]
     reasons = np.where(found.limit == UNREACHABLE, "out of reach", np.array(["", *words])[found.limit])
     drawn.add_heatmap(
@@ -53,12 +58,12 @@ def map_figure(found: SwivelMap, styles: Styles | None = None) -> go.Figure:
     )  # fmt: skip
     t_best, y_best = _broken(found.t_s, np.degrees(found.best_swivel_rad))
     _edge(drawn, t_best, y_best, "best")
-    for name, course in found.courses.items():
-        style = styles[name]
+    for name, title in titles.items():
+        course, style = found.courses[name], styles[name]
         if course.gap_rad > OTHER_BRANCH_RAD:
             style = Style(style.color, "dot", style.symbol)
         t, y = _broken(course.t_s, np.degrees(course.swivel_rad))
-        _line(drawn, t, y, style, name, np.interp(t, course.t_s, course.mu))
+        _line(drawn, t, y, style, (name, title), np.interp(t, course.t_s, course.mu))
         _start(drawn, course, style, name)
     # Above the others: a run that has arrived lies on it.
     _best(drawn, t_best, y_best, np.interp(t_best, found.t_s, found.best_mu))
@@ -88,10 +93,11 @@ def _edge(drawn: go.Figure, t: Array, y: Array, group: str) -> None:
     )  # fmt: skip
 
 
-def _line(drawn: go.Figure, t: Array, y: Array, style: Style, name: str, mu: Array) -> None:
+def _line(drawn: go.Figure, t: Array, y: Array, style: Style, names: tuple[str, str], mu: Array) -> None:
+    name, title = names
     _edge(drawn, t, y, name)
     drawn.add_scatter(
-        x=t, y=y, mode="lines", name=label(name), legendgroup=name, customdata=mu, connectgaps=False,
+        x=t, y=y, mode="lines", name=label(title), legendgroup=name, customdata=mu, connectgaps=False,
         line={"color": style.color, "width": 2.4, "dash": style.dash}, hovertemplate=HOVER,
     )  # fmt: skip
 
