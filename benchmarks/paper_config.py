@@ -127,5 +127,7 @@ class Config(Settings):
         jobs = []
         for group in self.groups:
             for i, (task, trial) in enumerate(trials(self.base(group), self.tasks, drawn)):
-                jobs.append(Job(group, task, trial, controllers, self.settings, keep_traces=i == 0))
+                # Which trial of the best group is looked at is known only when all have run.
+                keep = i == 0 or group == self.best
+                jobs.append(Job(group, task, trial, controllers, self.settings, keep_traces=keep))
         return jobs
