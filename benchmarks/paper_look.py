@@ -38,6 +38,10 @@ class Look:
     traces: Mapping[str, Trace]
     found: SwivelMap | str
 
+    def choice(self) -> str:
+        """Which trial it is, in a few words."""
+        return f"{self.trial}: {self.gain_percent:+.1f} %, of {self.of} trials"
+
 
 def chosen(outcomes: Sequence[Outcome], group: str, solver: str) -> dict[str, tuple[Outcome, float, int]]:
     """Task -> the trial with the middle gain, that gain, and of how many; of an even number the lower middle."""
@@ -61,8 +65,22 @@ def looks(config: Config, outcomes: Sequence[Outcome]) -> dict[str, Look]:
     for task, (outcome, gain, of) in chosen(outcomes, config.best, config.best_solver).items():
         names = titles(list(outcome.traces))
         traces = {names[name]: trace for name, trace in outcome.traces.items()}
-        found[task] = Look(outcome.measurements[0].trial, gain, of, traces, trial_map(robot, traces))
+        trial = outcome.measurements[0].trial
+        traces |= elsewhere(config, outcomes, trial)
+        found[task] = Look(trial, gain, of, traces, trial_map(robot, traces))
     return found
+
+
+def elsewhere(config: Config, outcomes: Sequence[Outcome], trial: str) -> dict[str, Trace]:
+    """The best MOC on the same trial with the parameters of the other groups, where they leave the path as it is."""
+    (best,) = titles([config.best_solver]).values()
+    return {
+        f"{best}, group {m.group}": outcome.traces[config.best_solver]
+        for outcome in outcomes
+        for m in outcome.measurements[:1]
+        if m.trial == trial and config.same_path(m.group) and m.group != config.best
+        and config.best_solver in outcome.traces
+    }  # fmt: skip
 
 
 def rows(found: Mapping[str, Look]) -> list[dict[str, Any]]:
@@ -91,19 +109,17 @@ def add_section(page: Page, found: Mapping[str, Look], folder: Path, config: Con
     (best,) = titles([config.best_solver]).values()
     page.section("Where the elbow goes")
     page.text(
-        f"One trial a task, of the group {config.best}. It is the one in which {best} gained the middle of what it "
-        "gained in the trials of that task: "
-        + "; ".join(
-            f"{look.trial}, {look.gain_percent:+.1f} %, of {look.of} trials" for look in found.values()
-        )
-        + ". All controllers start from the same pose, on the same plant."
+        f"One trial of each task, from the group {config.best}: the one in which {best} gained the middle of what it "
+        "gained over DCAC with the same gains in all trials of that task, so that no controller is shown on the trial "
+        f"that suits it ({'; '.join(map(Look.choice, found.values()))}). All controllers start from the same pose, on "
+        f"the same plant; where a group changes parameters alone, {best} is shown with these too."
     )
     for task, look in found.items():
         if isinstance(look.found, str):
             page.text(f"{task}: there is no map: {look.found}")
         else:
-            what = f"{task.capitalize()}, trial {look.trial}"
-            add_map(page, look.found, name=f"map-{task}", what=what, styles=Styles(look.traces))
+            styles = Styles(look.traces)
+            add_map(page, look.found, name=f"map-{task}", what=f"Trial {look.trial}", styles=styles)
     look = next(iter(found.values()))
     pair = {name: look.traces[name] for name in (BASELINES[MATCHED], best) if name in look.traces}
     add_replay(

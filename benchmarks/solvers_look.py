@@ -46,7 +46,7 @@ class Look:
             page.text(
                 f"Trial {self.trial} under every controller"
                 + (f", cut off after {cut:g} s, when the elbow has hardly begun to travel" if cut else "")
-                + ". Controllers whose elbows go the same way are drawn as one line."
+                + ". Of controllers whose elbows go the same way one is drawn; the table names the others."
             )
             add_map(page, self.found, what=f"Trial {self.trial}", styles=styles)
         pair = {name: self.traces[name] for name in baseline_and_best(self.traces)}

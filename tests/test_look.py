@@ -126,6 +126,12 @@ def test_the_trial_with_the_middle_gain_is_looked_at() -> None:
     assert paper_look.chosen(drawn, "tuned", "rnn") == {}
 
 
+def test_the_best_solver_is_shown_with_other_parameters_too() -> None:
+    config: Any = SimpleNamespace(best="tuned", best_solver="exact", same_path=lambda group: group != "later")
+    drawn = [outcome("a", 1.0, group) for group in ("paper", "tuned", "later")] + [outcome("b", 1.0, "paper")]
+    assert paper_look.elsewhere(config, drawn, "a") == {"MOC, exact, group paper": 1}
+
+
 def test_the_papers_section_has_a_map_a_task_and_one_replay(seen: solvers_look.Look, tmp_path: Path) -> None:
     traces = {BASELINES[MATCHED]: seen.traces[BASELINE], "MOC, exact": seen.traces["exact"]}
     robot = look.arm(TRIAL)
@@ -137,7 +143,7 @@ def test_the_papers_section_has_a_map_a_task_and_one_replay(seen: solvers_look.L
     assert list(page.figures) == list(paper_look.map_figures(found)) == ["map-circle"]
     html = page.html()
     for words in (
-        "circle/0, +12.3 %, of 5 trials",
+        "circle/0: +12.3 %, of 5 trials",
         "spiral: there is no map: no such thing",
         'href="replay.html"',
     ):

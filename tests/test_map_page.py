@@ -30,8 +30,8 @@ def test_words_follow_from_the_readings() -> None:
         reading("rnn", 0.2, End.GREY, joint=4),
     ]
     words = in_words(given, {"exact": "exact and 3 more"})
-    assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %; dcac for 0 %." in words
-    assert "dcac stays where it is, though the way up is open." in words
+    assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %. Never there: dcac." in words
+    assert "dcac stays put, though the way up is open." in words
     assert "rnn ends before the grey: the way up leads beyond the limit of joint 4." in words
     two = in_words([reading("a", 1.0, End.RIDGE, from_s=0.0), reading("b", 1.0, End.RIDGE, from_s=0.0)])
     assert "a for 100 %; b for 100 %." in two
@@ -49,22 +49,37 @@ def test_every_end_has_words_for_one_and_for_several(end: End) -> None:
     assert in_words([one, reading("b", 0.5, end)]).count("a and b ") == 1
 
 
-def test_courses_that_look_the_same_are_drawn_as_one() -> None:
+def test_a_few_courses_are_all_drawn_and_spoken_of() -> None:
     found = made(hill(60.0, 0.3), {"a": 0.0, "b": 1.0, "c": ramp(0.0, 60.0), "d": 2.0})
-    assert lines(found) == {"a": "a and 2 more", "c": "c"}
+    assert lines(found) == {name: name for name in "abcd"}
     page = Page("Map")
-    readings = add_map(page, found, what="A trial")
-    assert [r.name for r in readings] == ["a", "b", "c", "d"]
+    assert [r.name for r in add_map(page, found, what="A trial")] == ["a", "b", "c", "d"]
     (figure,) = page.figures.values()
-    shown = [line.name for line in figure.data if line.type == "scatter" and line.showlegend is None]
-    assert shown == ["a and 2 more", "c", "best", "not allowed"]
+    dashes = {line.name: line.line.dash for line in figure.data if line.legendrank}
+    assert dashes == {"a": "solid", "b": "9px,9px", "c": "solid", "d": "5px,13px"}, (
+        "one line in three colours"
+    )
     html = page.html()
-    assert "b, d" in html
+    assert "a, b and d stay put" in html
     assert "21 by 120 poses" in html
-    many = made(hill(60.0, 0.3), {str(k): 10.0 * k for k in range(12)})
-    assert len(lines(many)) == MOST_LINES
+
+
+def test_of_many_courses_one_of_each_kind_is_drawn() -> None:
+    courses = {"s0": 0.0, "c": ramp(0.0, 60.0), **{f"s{k}": 0.1 * k for k in range(1, 9)}}
+    found = made(hill(60.0, 0.3), courses)
+    assert lines(found) == {"s0": "s0 and 8 more", "c": "c"}
+    page = Page("Map")
+    assert len(add_map(page, found)) == 10
+    (figure,) = page.figures.values()
+    assert {line.name: line.line.dash for line in figure.data if line.legendrank} == {
+        "s0 and 8 more": "solid", "c": "solid",
+    }  # fmt: skip
+    assert "s1, s2, s3" in page.html(), "the table names those that are not drawn"
+    assert "s0 and 8 more stay put" in page.html()
+    apart = made(hill(60.0, 0.3), {str(k): 10.0 * k for k in range(12)})
+    assert len(lines(apart)) == MOST_LINES
     page = Page("Many")
-    add_map(page, many)
+    add_map(page, apart)
     assert all(f">{k}<" in page.html() for k in range(12)), "the table has them all"
 
 

@@ -33,7 +33,7 @@ class End(StrEnum):
     RIDGE = "on the ridge"
     LOWER = "on a lower top"
     GREY = "before a forbidden pose"
-    STILL = "stays, the way up is open"
+    STILL = "stays put, the way up is open"
     RISING = "still on its way up"
     FALLING = "goes down"
     ELSEWHERE = "folded another way"

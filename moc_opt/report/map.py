@@ -109,6 +109,8 @@ def manipulability_map(
     turn = _cut(limit == FEASIBLE)
     swivel = np.roll(swivel, -turn)
     swivel[swivels - turn :] += 2.0 * np.pi
+    if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
+        swivel -= 2.0 * np.pi
     q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
     best[0] = _onto(best[0], swivel)
     courses = {

@@ -41,13 +41,13 @@ def add_map(
 ) -> list[Reading]:
     """Words, figure and table of one map.
 
-    Courses that cannot be told apart are drawn as one; of more than eight kinds the first eight.
+    Of more than eight courses those that cannot be told apart are drawn as one.
 
     Args:
         page: they are appended to it.
         found: of `manipulability_map`.
         name: of the figure's file.
-        what: run it is, in a few words; the caption and the table begin with them.
+        what: it is a map of, in a few words, for caption and table.
         styles: how each run looks, as in the page's other figures.
 
     Returns:
@@ -56,7 +56,7 @@ def add_map(
     Raises:
         ReportError: no pose of the map is allowed.
     """
-    kinds, titles = alike(found), lines(found)
+    kinds, titles = kinds_of(found), lines(found)
     readings = {course: read_course(found, course) for course in found.courses}
     figure = map_figure(found, styles, titles=titles)
     page.text(in_words([readings[first] for first in kinds], titles))
@@ -65,9 +65,14 @@ def add_map(
     return list(readings.values())
 
 
+def kinds_of(found: SwivelMap) -> dict[str, list[str]]:
+    """The courses to speak of -> those that go the same way and are not spoken of, where there are many."""
+    return alike(found) if len(found.courses) > MOST_LINES else {name: [] for name in found.courses}
+
+
 def lines(found: SwivelMap) -> dict[str, str]:
-    """The courses to draw -> what to call each in the legend: one for each kind, of the first eight kinds."""
-    kinds = list(alike(found).items())[:MOST_LINES]
+    """The courses to draw, eight at most -> what to call each in the legend."""
+    kinds = list(kinds_of(found).items())[:MOST_LINES]
     return {first: first + (f" and {len(others)} more" if others else "") for first, others in kinds}
 
 
@@ -78,8 +83,8 @@ def caption(found: SwivelMap, what: str = "") -> str:
     return (
         f"{begin} pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of the "
         "elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
-        "reach. A line is the course of a run, from the marker at its start; the dotted one joins the best poses, and "
-        "may leap where no arm can follow."
+        "reach. A line is the course of a run, from the marker at its start, and of several colours where runs go the "
+        "same way; the dotted one joins the best poses, and may leap where no arm can follow."
     )
 
 
@@ -91,6 +96,7 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
         titles: name -> what the figure calls it.
     """
     called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}
+    known = sorted((r for r in readings if np.isfinite(r.near)), key=lambda reading: -reading.near)
     timed = [
         f"{called[reading.name]} for {100.0 * reading.near:.0f} %"
         + (
@@ -98,21 +104,21 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
             if reading.from_s > 0.0 and reading.near < 1.0
             else ""
         )
-        for reading in sorted(readings, key=lambda reading: -np.nan_to_num(reading.near))
-        if np.isfinite(reading.near)
+        for reading in known
+        if reading.near >= 0.005
     ]
-    said = []
-    if timed:
-        said.append(
-            f"Share of the time on the ridge, mu at most {100.0 * NEAR:.0f} % below the best that the self-motion "
-            f"allows at that time: {'; '.join(timed)}."
-        )
+    never = [called[reading.name] for reading in known if reading.near < 0.005]
+    limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
+    said = [f"On the ridge ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
+    if never:
+        said.append(f"Never there: {_listed(never)}.")
     ends: dict[str, list[str]] = {}
     for reading in readings:
         ends.setdefault(end_in_words(reading), []).append(called[reading.name])
     for words, names in ends.items():
         verb, _, rest = words.partition(" ")
-        said.append(f"{_listed(names)} {PLURAL[verb] if len(names) > 1 else verb} {rest}.")
+        several = len(names) > 1 or names[0].endswith(" more")
+        said.append(f"{_listed(names)} {PLURAL[verb] if several else verb} {rest}.")
     return " ".join(said)
 
 
@@ -123,7 +129,7 @@ def end_in_words(reading: Reading) -> str:
         End.RIDGE: "ends on the ridge",
         End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
         End.GREY: f"ends before the grey: the way up leads beyond {limit}",
-        End.STILL: "stays where it is, though the way up is open",
+        End.STILL: "stays put, though the way up is open",
         End.RISING: "is still on its way up when the run ends",
         End.FALLING: "goes down when the run ends",
         End.ELSEWHERE: "folds the arm another way: the map does not hold there",
@@ -148,7 +154,7 @@ def course_table(
         if reading.end is not End.RIDGE:
             rows[-1]["from_s"] = Missing("not there in the end")
     columns = [column for column in COLUMNS if column.key != "alike" or any(kinds.values())]
-    return Table(f"Courses on the map{', ' * bool(what)}{what}", columns, rows)
+    return Table(f"Courses on the map{': ' * bool(what)}{what}", columns, rows)
 
 
 def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
@@ -166,4 +172,8 @@ def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Pag
 
 
 def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    """Names as a text; semicolons between those that have commas of their own."""
+    if len(names) == 1:
+        return names[0]
+    comma = "; " if any("," in name for name in names) else ", "
+    return f"{comma.join(names[:-1])} and {names[-1]}"
