@@ -119,7 +119,7 @@ def add_section(page: Page, found: Mapping[str, Look], folder: Path, config: Con
             page.text(f"{task}: there is no map: {look.found}")
         else:
             styles = Styles(look.traces)
-            add_map(page, look.found, name=f"map-{task}", what=f"Trial {look.trial}", styles=styles)
+            add_map(page, look.found, name=f"map-{task}", what=f"trial {look.trial}", styles=styles)
     look = next(iter(found.values()))
     pair = {name: look.traces[name] for name in (BASELINES[MATCHED], best) if name in look.traces}
     add_replay(

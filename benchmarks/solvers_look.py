@@ -48,7 +48,7 @@ class Look:
                 + (f", cut off after {cut:g} s, when the elbow has hardly begun to travel" if cut else "")
                 + ". Of controllers whose elbows go the same way one is drawn; the table names the others."
             )
-            add_map(page, self.found, what=f"Trial {self.trial}", styles=styles)
+            add_map(page, self.found, what=f"trial {self.trial}", styles=styles)
         pair = {name: self.traces[name] for name in baseline_and_best(self.traces)}
         add_replay(
             page, folder, arm(self.scenario), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles

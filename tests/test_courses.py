@@ -89,6 +89,14 @@ def test_a_limit_on_the_way_up_holds_a_course(place: float, end: End) -> None:
     assert (found.end, found.joint) == (end, 4 if end is End.GREY else 0)
 
 
+def test_time_at_the_grey_is_counted_with_its_joint() -> None:
+    found = read(hill(60.0, 0.3), {"run": ramp(-50.0, 50.0)}, (-4.0, 20.0, 4))
+    assert found.at_grey == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
+    assert found.limits == (4,)
+    away = read(hill(60.0, 0.3), {"run": -40.0}, (-4.0, 20.0, 4))
+    assert (away.at_grey, away.limits) == (0.0, ())
+
+
 def test_the_reach_holds_a_course_too() -> None:
     found = read(hill(60.0, 0.3), {"run": -4.0}, (0.0, 20.0, UNREACHABLE))
     # mu is not known where there is no pose, so that nobody can say that the way up leads there.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,8 @@ from tests.test_courses import hill, made, ramp
 NAN = float("nan")
 
 
-def reading(name: str, near: float, end: End, *, joint: int = 0, from_s: float = NAN) -> Reading:
-    return Reading(name, near, 0.9, 0.1, from_s, end, joint)
+def reading(name: str, near: float, end: End, *, joint: int = 0, from_s: float = NAN, **more: Any) -> Reading:
+    return Reading(name, near, 0.9, 0.1, from_s, end, joint, **{"at_grey": 0.0, "limits": (), **more})
 
 
 def test_words_follow_from_the_readings() -> None:
@@ -40,6 +41,15 @@ def test_words_follow_from_the_readings() -> None:
         in_words([reading("a", NAN, End.ELSEWHERE)])
         == "a folds the arm another way: the map does not hold there."
     )
+
+
+def test_what_touches_the_grey_is_said_to() -> None:
+    touching = {"at_grey": 0.1, "limits": (2, 6)}
+    words = in_words([reading("a", 0.5, End.STILL, **touching), reading("b", 0.5, End.STILL, **touching)])
+    assert "a and b touch the grey on its way" not in words
+    assert "a and b touch the grey on the way (joint 2 and joint 6)." in words
+    alone = in_words([reading("a", 0.5, End.GREY, joint=2, **touching)])
+    assert "touch" not in alone, "its end says it already"
 
 
 @pytest.mark.parametrize("end", list(End))

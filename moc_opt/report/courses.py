@@ -34,7 +34,7 @@ class End(StrEnum):
     LOWER = "on a lower top"
     GREY = "before a forbidden pose"
     STILL = "stays put, the way up is open"
-    RISING = "still on its way up"
+    RISING = "still going up"
     FALLING = "goes down"
     ELSEWHERE = "folded another way"
     UNKNOWN = "nothing to compare with"
@@ -56,6 +56,10 @@ class Reading:
     end: End
     joint: int
     """The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing."""
+    at_grey: float
+    """Share of the time in which it is in the grey, or no farther from it than a row of the map."""
+    limits: tuple[int, ...]
+    """Whose limits these are, joints from 1."""
 
 
 def read_course(found: SwivelMap, name: str) -> Reading:
@@ -69,9 +73,10 @@ def read_course(found: SwivelMap, name: str) -> Reading:
     travel = float(np.unwrap(course.swivel_rad)[-1] - course.swivel_rad[0])
     nan = float("nan")
     if not known.any():
-        return Reading(name, nan, nan, travel, nan, End.UNKNOWN, 0)
+        return Reading(name, nan, nan, travel, nan, End.UNKNOWN, 0, nan, ())
     if course.gap_rad > OTHER_BRANCH_RAD:
-        return Reading(name, nan, nan, travel, nan, End.ELSEWHERE, 0)
+        return Reading(name, nan, nan, travel, nan, End.ELSEWHERE, 0, nan, ())
+    grey = _at_grey(found, course)
     best = np.interp(course.t_s, found.t_s[known], found.best_mu[known])
     near = course.mu >= (1.0 - NEAR) * best
     late = course.t_s >= course.t_s[-1] - END * (course.t_s[-1] - course.t_s[0])
@@ -79,9 +84,9 @@ def read_course(found: SwivelMap, name: str) -> Reading:
     if np.median(course.mu[late] / best[late]) >= 1.0 - NEAR:
         off = np.flatnonzero(~near)
         since = course.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else course.t_s[0]
-        return Reading(name, float(near.mean()), share, travel, float(since), End.RIDGE, 0)
+        return Reading(name, float(near.mean()), share, travel, float(since), End.RIDGE, 0, *grey)
     end, joint = _what_holds(found, course, late)
-    return Reading(name, float(near.mean()), share, travel, nan, end, joint)
+    return Reading(name, float(near.mean()), share, travel, nan, end, joint, *grey)
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
@@ -110,6 +115,15 @@ def _apart(one: Course, two: Course) -> float:
         return float("inf")
     there = np.interp(one.t_s, two.t_s, np.unwrap(two.swivel_rad))
     return float(np.abs(_turned(there - one.swivel_rad)).max())
+
+
+def _at_grey(found: SwivelMap, course: Course) -> tuple[float, tuple[int, ...]]:
+    """Share of the time beside or among forbidden poses, and the joints whose limits forbid them."""
+    columns = np.abs(found.t_s[None] - course.t_s[:, None]).argmin(axis=1)
+    rows = np.abs(_turned(found.swivel_rad[None] - course.swivel_rad[:, None])).argmin(axis=1)
+    beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
+    joints = np.unique(beside[beside > FEASIBLE])
+    return float((beside != FEASIBLE).any(axis=1).mean()), tuple(int(joint) for joint in joints)
 
 
 def _what_holds(found: SwivelMap, course: Course, late: NDArray[np.bool_]) -> tuple[End, int]:

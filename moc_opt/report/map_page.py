@@ -19,7 +19,6 @@ from moc_opt.report.tables import Column, Table
 MOST_LINES = 8
 COLUMNS = (
     Column("name", "course"),
-    Column("alike", "alike", help=f"never farther from it than {np.degrees(ALIKE_RAD):.0f} deg, and not drawn"),
     Column(
         "near", "on the ridge", unit="%", format=".0f", better="high",
         help=f"of the time: mu at most {100 * NEAR:.0f} % below the best at that time",
@@ -28,12 +27,17 @@ COLUMNS = (
     Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean over mean"),
     Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
     Column(
+        "at_grey", "at the grey", unit="%", format=".0f", better="low",
+        help="of the time: no farther than a row of the map from a pose that is not allowed",
+    ),
+    Column(
         "end", "in the end",
         help=f"over the last {100 * END:.0f} % of the time; held by a lower top or a forbidden pose: less than "
         f"{np.degrees(CLOSE_RAD):.0f} deg before it, climbing",
     ),
+    Column("alike", "alike", help=f"never farther from it than {np.degrees(ALIKE_RAD):.0f} deg, and not drawn"),
 )  # fmt: skip
-PLURAL = {"is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
+PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
 
 
 def add_map(
@@ -79,7 +83,7 @@ def lines(found: SwivelMap) -> dict[str, str]:
 def caption(found: SwivelMap, what: str = "") -> str:
     """What the figure shows, and how finely."""
     times, swivels = found.mu.shape
-    begin = f"{what}: every" if what else "Every"
+    begin = f"{what[:1].upper()}{what[1:]}: every" if what else "Every"
     return (
         f"{begin} pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of the "
         "elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
@@ -114,7 +118,9 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
         said.append(f"Never there: {_listed(never)}.")
     ends: dict[str, list[str]] = {}
     for reading in readings:
-        ends.setdefault(end_in_words(reading), []).append(called[reading.name])
+        for words in (grey_in_words(reading), end_in_words(reading)):
+            ends.setdefault(words, []).append(called[reading.name])
+    ends.pop("", None)
     for words, names in ends.items():
         verb, _, rest = words.partition(" ")
         several = len(names) > 1 or names[0].endswith(" more")
@@ -130,11 +136,19 @@ def end_in_words(reading: Reading) -> str:
         End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
         End.GREY: f"ends before the grey: the way up leads beyond {limit}",
         End.STILL: "stays put, though the way up is open",
-        End.RISING: "is still on its way up when the run ends",
+        End.RISING: "is still going up when the run ends",
         End.FALLING: "goes down when the run ends",
         End.ELSEWHERE: "folds the arm another way: the map does not hold there",
         End.UNKNOWN: "is nowhere on the map, where no pose is allowed",
     }[reading.end]
+
+
+def grey_in_words(reading: Reading) -> str:
+    """A verb in the singular and what follows it; nothing for a course that keeps away from the grey."""
+    if not reading.at_grey > 0.0 or reading.end is End.GREY:
+        return ""
+    joints = [f"joint {joint}" for joint in reading.limits]
+    return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
 
 
 def course_table(
@@ -148,6 +162,7 @@ def course_table(
             {
                 "name": first, "alike": ", ".join(others), "near": 100.0 * reading.near, "from_s": reading.from_s,
                 "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
+                "at_grey": 100.0 * reading.at_grey,
                 "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
             }
         )  # fmt: skip
