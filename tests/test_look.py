@@ -197,7 +197,19 @@ def test_the_map_is_drawn_in_every_light(visit: Visit) -> None:
     assert page.evaluate("document.documentElement.scrollWidth") <= 360
     page.set_viewport_size({"width": 900, "height": 800})
     page.emulate_media(color_scheme="light")
-    page.wait_for_function("document.querySelector('#map .main-svg').getBoundingClientRect().width > 500")
+    # Not the page alone: the plot in it gets the width back that the scale of colours had on the phone.
+    page.wait_for_function("document.querySelector('#map .nsewdrag').getBoundingClientRect().width > 500")
+
+
+def test_pointing_at_the_map_tells_mu_or_the_limit(visit: Visit) -> None:
+    page = visit.page
+    plot = page.locator("#map .nsewdrag")
+    box = plot.bounding_box()
+    for height, words in ((0.02, "beyond its limit"), (0.2, "µ = 0.")):
+        plot.hover(position={"x": 0.6 * box["width"], "y": height * box["height"]})
+        page.wait_for_function(
+            f"document.querySelector('#map .hoverlayer').textContent.includes('{words}')", timeout=5000
+        )
 
 
 def test_the_legend_switches_a_course_off(visit: Visit) -> None:

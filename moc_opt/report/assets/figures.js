@@ -64,8 +64,11 @@
     toImageButtonOptions: { format: "svg", filename: chart.dataset.name },
   });
   const draw = (chart) => {
-    const figure = spec(chart);
+    const figure = spec(chart), size = figure.layout.width < phone ? "phone" : "screen";
     chart.style.minHeight = "";
+    // Left to itself, plotly keeps the room of a scale of colours that has moved.
+    if (chart.dataset.size && chart.dataset.size !== size) Plotly.purge(chart);
+    chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
   };
   const all = () => Promise.all(charts.map(draw));
