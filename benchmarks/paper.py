@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.experiment import figures, report, verdict
+from benchmarks.experiment import figures, look, report, verdict
 from benchmarks.experiment import procedure as paper_procedure
 from benchmarks.experiment import swivel as paper_swivel
 from benchmarks.experiment.config import STREAM, Config
@@ -82,21 +82,24 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
     """Everything, all files; returns the summary."""
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
-    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 1) as bar:
+    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 2) as bar:
         step = partial(bar.advance, 1.0)
         outcomes = run_parallel(run_job, jobs, config.processes, step)
         swivel = run_swivel(config, step)
         procedure, accuracy = run_procedure(config, out, step)
+        looks = look.looks(config, outcomes)
+        step()
     summary, found, broken = summarise(config, outcomes, swivel)
     summary["procedure"] = paper_procedure.summary(procedure)
     summary["board_pictures"] = accuracy
+    summary["courses"] = look.rows(looks)
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["timing"] = f"none: {config.processes} processes at a time shared the machine"
     output.write_json(out / "summary.json", summary)
     output.write_rows(out / "rows.parquet", [*(m.row() for m in found), *broken, *swivel, *procedure])
     groups = {name: group.about or name for name, group in config.groups.items()}
     best = (config.best, config.best_solver)
-    drawn = draw(config, outcomes, swivel)
+    drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     screen = console()
     try:
         figures.save(drawn, out / "figures")
@@ -105,7 +108,10 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
         environment["figures"] = f"not saved as files: {error}"
         print(environment["figures"], file=sys.stderr)
     output.write_json(out / "environment.json", environment)
-    report.write_page(out / "report.html", summary, groups, best, drawn, environment)
+    report.write_page(
+        out / "report.html", summary, groups, best, drawn, environment,
+        lambda page: look.add_section(page, looks, out, config),
+    )  # fmt: skip
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:

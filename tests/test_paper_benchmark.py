@@ -377,6 +377,7 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
         assert {
             "swivel",
             "trial-tuned",
+            "map-circle",
             *(f"figure7-tuned-{short}" for short in ("mu", "tip", "rcm", "force")),
         } == set(drawn)
         raise BrowserError("no browser here")
@@ -399,7 +400,14 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
     environment = json.loads((tmp_path / "a" / "environment.json").read_text())
     assert environment["config"]["groups"]["tuned"]["about"] == "few and short trials"
     assert "shared" in environment["timing"]
+    rows = [(row["task"], row["name"]) for row in summary["courses"]]
+    assert rows == [
+        ("circle", BASELINES.get(name, f"MOC, {name}")) for name in (*BASELINES, "exact", "rnn-printed")
+    ]
     html = (tmp_path / "a" / "report.html").read_text()
+    assert 'id="map-circle"' in html
+    assert 'href="replay.html"' in html
+    assert (tmp_path / "a" / "replay.html").stat().st_size > 10_000
     assert "few and short trials" in html or "Few and short trials" in html
 
     assert paper.main([str(file), "--out", str(tmp_path / "b"), "--json"]) == 0

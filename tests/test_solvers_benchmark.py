@@ -70,11 +70,12 @@ def summary(folder):
 def test_every_part_is_there(summary):
     expected = {
         "open_loop_warm", "open_loop_cold", "testsets", "testset circle", "testset infeasible", "growth",
-        "closed_loop", "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction",
+        "closed_loop", "courses", "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction",
         "disagreements", "cost_begins", "duals on six rows", "duals on five rows", "settings", "not_run", "clock",
     }  # fmt: skip
     assert expected <= set(summary)
     assert set(summary["closed_loop"]) == {"dcac", *NAMES} - set(summary["not_run"])
+    assert set(summary["courses"]) == set(summary["closed_loop"])
     assert {"osqp@default", "osqp@tight", "osqp@recommended", "rnn@semi-implicit-10"} <= set(
         summary["testsets"]
     )
@@ -166,8 +167,12 @@ def test_all_files_are_written(folder, summary):
         "Where inaccuracy begins to cost",
         "Deadlines",
         "nlp-*",
+        'id="map"',
+        'href="replay.html"',
+        "cut off after 0.2 s",
     ):
         assert words in page
+    assert (out / "replay.html").stat().st_size > 10_000
     assert np.load(out / "solve_us_osqp.npy").shape == (100,)
 
 

@@ -109,6 +109,10 @@ class Config(Settings):
         table = self.groups[group]
         return self.scenario.change(control=table.control, task=table.task)
 
+    def same_path(self, group: str) -> bool:
+        """Whether a group's trials follow the paths of the best group, at the same time."""
+        return self.groups[group].task == self.groups[self.best].task
+
     def procedures(self, out: Path) -> list[ProcedureJob]:
         """The whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
         base = self.base(self.best).change(solver={"name": self.best_solver})
@@ -127,5 +131,7 @@ class Config(Settings):
         jobs = []
         for group in self.groups:
             for i, (task, trial) in enumerate(trials(self.base(group), self.tasks, drawn)):
-                jobs.append(Job(group, task, trial, controllers, self.settings, keep_traces=i == 0))
+                # Which trial is looked at is known only when all have run.
+                keep = i == 0 or self.same_path(group)
+                jobs.append(Job(group, task, trial, controllers, self.settings, keep_traces=keep))
         return jobs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -201,7 +201,9 @@ def print_tables(
     screen.print(procedure_table(summary).to_rich())
     for sentence in headline(summary, list(groups), best[1]):
         screen.print(sentence)
-    screen.print(f"written: {out}/summary.json rows.parquet environment.json report.html figures/")
+    screen.print(
+        f"written: {out}/summary.json rows.parquet environment.json report.html replay.html figures/"
+    )
 
 
 def write_page(
@@ -211,8 +213,9 @@ def write_page(
     best: tuple[str, str],
     drawn: Mapping[str, go.Figure],
     environment: Mapping[str, Any],
+    look: Callable[[Page], None],
 ) -> None:
-    """One page that opens by itself."""
+    """One page that opens by itself; ``look`` adds the section on single trials."""
     page = Page("The paper's experiment in simulation", "DCAC and MOC on three virtual tasks")
     for sentence in headline(summary, list(groups), best[1]):
         page.headline(sentence)
@@ -229,6 +232,7 @@ def write_page(
                 page.figure(figure, "Distribution over the ticks of all trials, by task.", name=name)
         if f"trial-{group}" in drawn:
             page.figure(drawn[f"trial-{group}"], "The first trial over time.", name=f"trial-{group}")
+    look(page)
     page.section("The starting swivel")
     page.text(
         "The same trial from every place of the feasible self-motion. The gain in mu is a statement about the start "

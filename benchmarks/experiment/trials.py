@@ -39,6 +39,7 @@ BASELINES = {
 }
 SAMPLED = ("mu", "tip_error_m", "rcm_error_m", "trocar_force_N")
 CLOCKS = ("solve_", "tick_", "deadline_")
+POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")
 EVERY = 10
 
 
@@ -204,4 +205,5 @@ def _thin(trace: Trace) -> dict[str, Floats]:
 
 
 def _slim(trace: Trace) -> Trace:
-    return Trace({name: trace.columns[name][::EVERY] for name in ("t_s", *SAMPLED)}, trace.meta)
+    kept = {name: trace.columns[name][::EVERY] for name in ("t_s", *SAMPLED, *POSES)}
+    return Trace(kept, {"ended": trace.meta.get("ended", "completed")})

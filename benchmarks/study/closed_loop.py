@@ -25,6 +25,14 @@ Array = NDArray[Any]
 
 BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
 KEPT = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us")
+POSES = (
+    "q_rad",
+    "tip_m",
+    "tip_ref_m",
+    "trocar_m",
+    "trocar_registered_m",
+)  # where arm and trocar were, to be drawn
+POSES_EVERY = 5
 PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
 BEAT_S = 0.5
 HUNG = "hung"
@@ -46,13 +54,26 @@ class Run:
     @property
     def trace(self) -> Trace | None:
         """What is left of the run: a few columns."""
-        return Trace(self.columns) if self.columns else None
+        return Trace(each_tick(self.columns)) if self.columns else None
+
+    @property
+    def seen(self) -> Trace | None:
+        """What can be drawn of the run: poses too, at every ``POSES_EVERY``-th tick; None where none were kept."""
+        if not self.columns or POSES[0] not in self.columns:
+            return None
+        thin = {name: column[::POSES_EVERY] for name, column in each_tick(self.columns).items()}
+        return Trace({**thin, **{name: self.columns[name] for name in POSES}})
 
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
         return {
             "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error, **self.metrics
         }  # fmt: skip
+
+
+def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns with a row for each tick."""
+    return {name: column for name, column in columns.items() if name not in POSES}
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
@@ -73,7 +94,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
 
 
-def finish(trial: Scenario, baseline: Mapping[str, Array] | None) -> Iterator[Part]:
+def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -> Iterator[Part]:
     """Run and summarise, in a worker; a run that breaks off is a result, with its reason."""
     last = perf_counter()
 
@@ -95,6 +116,8 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None) -> Iterator[Pa
         metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
     metrics["ticks"] = float(len(trace))
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
+    if poses:
+        arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
     yield Part({"error": None, "metrics": metrics}, arrays)
 
 
@@ -122,14 +145,16 @@ def run_one(
         baseline: the run that mu is compared with.
         timed: whether its times mean anything: nothing else ran meanwhile.
     """
-    reference = dict(baseline.columns) if baseline is not None and baseline.columns else None
+    reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
     shape = trial.model_dump(mode="json")
     mu = None if reference is None else reference["mu"]
     key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed)
     part = store.get(key)
     if part is None:
         try:
-            (part,) = list(worker.stream(finish, trial, reference, patience_s=PATIENCE_S, first_s=PATIENCE_S))
+            # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
+            asked = (finish, trial, reference, timed)
+            (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
             part = Part({"error": f"{word}: {error}", "metrics": {}}, {})

@@ -13,6 +13,7 @@ from benchmarks.output import save_page
 from benchmarks.study import compare
 from benchmarks.study import figures as study_figures
 from benchmarks.study.closed_loop import BASELINE
+from benchmarks.study.look import Look
 from benchmarks.study.tables import FOOTNOTE, headline, tables
 from moc_opt.report import figures
 from moc_opt.report.page import Page
@@ -37,11 +38,13 @@ def print_tables(console: Console, study: Study, out: Path) -> None:
     console.print(headline(study.summary, study.words))
     if study.store.reused:
         console.print(f"{study.store.reused} parts are those of an earlier run in {out}/parts")
-    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html (all tables)")
+    console.print(
+        f"written: {out}/summary.json rows.parquet environment.json report.html (all tables) replay.html"
+    )
 
 
-def write_report(path: Path, study: Study, environment: Mapping[str, Any]) -> None:
-    """One page that opens by itself."""
+def write_report(path: Path, study: Study, environment: Mapping[str, Any], look: Look | None) -> None:
+    """One page that opens by itself, and the replay beside it."""
     summary, made = study.summary, tables(study.summary)
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
     page.headline(headline(summary, study.words))
@@ -61,6 +64,8 @@ def write_report(path: Path, study: Study, environment: Mapping[str, Any]) -> No
     _testsets(page, study, made)
     _open_loop(page, study, made)
     _closed_loop(page, study, made)
+    if look is not None:
+        look.add_section(page, path.parent)
     _sweeps(page, study, made)
     if "qpbenchmark" in made:
         page.section("What qpbenchmark says")
