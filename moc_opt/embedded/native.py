@@ -17,7 +17,7 @@ from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver, Status
-from moc_opt.solvers.exact import EMPTY, OK, STUCK
+from moc_opt.solvers.elimination import EMPTY, OK, STUCK
 from moc_opt.subproblem import NullSpaceQP, row_length
 
 Array = NDArray[np.float64]
