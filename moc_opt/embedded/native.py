@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import pickle
 from collections.abc import Mapping
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from moc_opt.control import ControlSettings
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.export import c_files
-from moc_opt.embedded.layout import Field
+from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model import RobotModel
@@ -48,16 +50,17 @@ class NativeController:
         period: float = 0.002,
     ) -> None:
         self.robot, self.settings, self.solver = robot, settings, solver
-        tick, texts = c_files(robot, settings, solver, period)
+        plan, texts = _generated(pickle.dumps((robot.data, settings, solver, period)))
         self.library = compile_library(texts)
-        found = ctypes.CDLL(str(self.library))
-        self._start, self._tick = found.moc_tick_start, found.moc_tick
+        found = ctypes.PyDLL(str(self.library))  # for a microsecond, letting other threads in costs more than it gives
         self._q, self._v, self._tau = np.zeros(robot.n), np.zeros(robot.n), np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
-        state, self._state = _memory(tick.layout.state)
-        report, self._report = _memory(tick.layout.report)
+        state, self._state = _memory(plan.state)
+        report, self._report = _memory(plan.report)
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
-        self._pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
+        pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
+        self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
+        self._tick = partial(found.moc_tick, *pointers)
         self._buffers = buffers  # the pointers do not keep them alive
         self._status, self._started = OK, False
 
@@ -70,7 +73,7 @@ class NativeController:
         self._q[:], self._v[:] = q, v
         if not (np.isfinite(self._q).all() and np.isfinite(self._v).all()):
             raise self._refusal()
-        self._start(self._pointers[0], self._pointers[1], self._pointers[4])
+        self._start()
         self._started = True
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
@@ -97,7 +100,7 @@ class NativeController:
         self._v[:] = v
         self._tip_ref[:] = tip_ref
         self._trocar[:] = trocar
-        status = self._tick(*self._pointers)
+        status = self._tick()
         if status == BAD_INPUT:
             raise self._refusal()
         self._status = status
@@ -177,6 +180,14 @@ class NativeController:
         return ControlError(
             f"the torque at q = {self._q.tolist()} is not finite: the tip is in a singular pose, or a value is huge"
         )
+
+
+@lru_cache(maxsize=8)
+def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
+    """Layout and C files of (robot data, settings, solver, period): the second run of a law need not write it again."""
+    data, settings, solver, period = pickle.loads(pickled)
+    tick, texts = c_files(RobotModel(data), settings, solver, period)
+    return tick.layout, texts
 
 
 _LABELS = {code: status.label for code, status in _STATUS.items()}
