@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from numba import float64, int64
+from numba import bool_, float64, int64
 
-VECTOR, MATRIX = float64[::1], float64[:, ::1]
-"""Argument kinds beside ``float64``, ``int64`` and ``bool_``: contiguous float64 arrays of one and two dimensions."""
-INDICES = int64[::1]
+VECTOR, MATRIX, COLUMNS = float64[::1], float64[:, ::1], float64[::1, :]
+"""Contiguous arrays of one and two dimensions; the last one column by column."""
+INDICES, FLAGS = int64[::1], bool_[:, ::1]
+"""The same of integers and of truth values."""
 
 
 def entry(kernel: Any, *kinds: Any) -> Callable[..., Any]:
