@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt import model_kernels as kernels
+from moc_opt.compiled import FLAGS, MATRIX, VECTOR, entry
 from moc_opt.errors import RobotError
 from moc_opt.kinematics import Chain, Kinematics, build_kinematics
 from moc_opt.robots import RobotData, load_data
@@ -22,6 +23,10 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
+FILL_STATE = entry(
+    kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
+)
+TIP_MANIPULABILITY = entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -75,7 +80,7 @@ class RobotModel:
         pin.computeJointJacobians(model, data, position)
         pin.nonLinearEffects(model, data, position, velocity)
         pin.crba(model, data, position)
-        code = kernels.fill_state(
+        code = FILL_STATE(
             record,
             self._axes,
             self._last_rotation_t,
@@ -97,7 +102,7 @@ class RobotModel:
         mu = np.empty(len(poses))
         for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
             pin.computeJointJacobians(self._pin, self._pin_data, q)
-            mu[k] = kernels.tip_manipulability(
+            mu[k] = TIP_MANIPULABILITY(
                 self._axes, self._last_rotation_t, self._last_origin, self._offsets, self._moves
             )
         return mu

@@ -155,6 +155,8 @@ class NullSpaceQP:
         return self
 
     def _adopt(self, row: Array, n: int) -> None:
+        if row.strides != (8,):  # compiled code takes it for granted
+            row = np.array(row, dtype=np.float64)
         row.flags.writeable = False
         self.__dict__.update(row=row, n=n)
 

@@ -110,8 +110,8 @@ def test_loads_add_up_and_old_ones_go():
     origin, trocar, pushes = rng.normal(size=3), rng.normal(size=(2, 3)), rng.normal(size=(2, 6))
     wrenches, force = np.full((4, 6), 9.0), np.empty(3)
     load_bodies(
-        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar, 1e-3, 800.0, 10.0,
-        np.array([1, 3]), pushes, force, np.empty(3),
+        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar, force, np.empty(3),
+        1e-3, 800.0, 10.0, np.array([1, 3]), pushes,
     )  # fmt: skip
     want = np.zeros((4, 6))
     trocar_force, c = numpy_shaft_force(xpos[2], xpos[3], cvel[1], origin, trocar, 1e-3, 800.0, 10.0)
@@ -122,8 +122,8 @@ def test_loads_add_up_and_old_ones_go():
     np.testing.assert_allclose(wrenches, want, atol=1e-9)
     np.testing.assert_allclose(force, trocar_force, atol=1e-9)
     load_bodies(
-        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar * np.nan, 0.0, 0.0, 0.0,
-        np.zeros(0, np.int64), np.zeros((0, 6)), force, np.empty(3),
+        wrenches, xpos, xmat, xipos, cvel, origin, 1, 2, 3, trocar * np.nan, force, np.empty(3),
+        0.0, 0.0, 0.0, np.zeros(0, np.int64), np.zeros((0, 6)),
     )  # fmt: skip
     assert not wrenches.any()
     assert not force.any()

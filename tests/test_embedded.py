@@ -31,7 +31,8 @@ from moc_opt.model import RobotModel
 from moc_opt.scenario import Driver, Scenario, Setup
 from moc_opt.sim.loop import Brain, simulate
 from moc_opt.solvers.base import Solver, Status
-from moc_opt.solvers.exact import EMPTY, OK, STUCK, Exact
+from moc_opt.solvers.elimination import EMPTY, OK, STUCK
+from moc_opt.solvers.exact import Exact
 from moc_opt.subproblem import judge
 from moc_opt.trace import Trace
 

@@ -17,6 +17,7 @@ ROOMS = {
     "command line": ["moc_opt.__main__"],
     "errors": ["moc_opt.errors"],
     "settings": ["moc_opt.settings"],
+    "compiled": ["moc_opt.compiled"],
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality"],
     "robots": ["moc_opt.robots"],
     "model": [
@@ -45,17 +46,18 @@ ROOMS = {
 ALLOWED = {
     "errors": set(),
     "settings": {"errors"},
+    "compiled": set(),
     "subproblem": {"errors"},
     "tasks": {"errors"},
     "trace": {"errors"},
     "robots": {"errors"},
     "metrics": {"errors", "trace"},
     "protocol": {"errors", "subproblem"},
-    "solvers": {"errors", "subproblem", "protocol"},
-    "model": {"errors", "robots"},
-    "sim": {"errors", "settings", "robots", "tasks", "trace"},
+    "solvers": {"errors", "compiled", "subproblem", "protocol"},
+    "model": {"errors", "compiled", "robots"},
+    "sim": {"errors", "settings", "compiled", "robots", "tasks", "trace"},
     "report": {"errors", "metrics", "trace"},
-    "control": {"errors", "settings", "tasks", "subproblem", "robots", "model", "protocol"},
+    "control": {"errors", "settings", "compiled", "tasks", "subproblem", "robots", "model", "protocol"},
     "assemblies": {"errors", "settings", "tasks", "trace", "robots", "model", "sim", "control"},
     "pictures": {"errors", "trace", "model", "report"},
     "embedded": {"errors", "subproblem", "model", "protocol", "solvers", "control"},
@@ -70,7 +72,7 @@ ALLOWED = {
 
 # From the ground up; a room imports from floors below its own, and from its own floor's errors and settings.
 FLOORS = [
-    {"errors", "settings", "tasks", "trace"},
+    {"errors", "settings", "compiled", "tasks", "trace"},
     {"subproblem", "robots", "metrics"},
     {"protocol", "solvers", "model", "sim", "report"},
     {"control"},
@@ -79,13 +81,14 @@ FLOORS = [
     {"live"},
     {"command line", "public"},
 ]
-GROUND = {"errors", "settings"}
+GROUND = {"errors", "settings", "compiled"}
 SAME_FLOOR = {("solvers", "protocol")}
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
 ONLY = {
     "errors": set(),
     "settings": {"pydantic"},
+    "compiled": {"numba"},
     "subproblem": {"numpy"},
     "tasks": {"numpy"},
     "metrics": {"numpy"},

@@ -37,11 +37,11 @@ def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSp
 
 
 @njit(cache=True)
-def _solve_many(rows: Array, n: int, tolerance: float, x: Array, y: Array, times: int) -> int:
+def _solve_many(rows: Array, tolerance: float, x: Array, y: Array, times: int) -> int:
     failed = 0
     for _ in range(times):
         for i in range(rows.shape[0]):
-            failed += solve_row(rows[i], n, tolerance, x, y) != 0
+            failed += solve_row(rows[i], tolerance, x, y) != 0
     return failed
 
 
@@ -52,10 +52,10 @@ def kernel_us(rows: Array, seconds: float = 0.2) -> float:
     rows = np.array(rows)
     rows.flags.writeable = False
     x, y = np.empty(n), np.empty(6)
-    _solve_many(rows[:1], n, 1e-9, x, y, 1)
-    once = _wall(lambda: _solve_many(rows, n, 1e-9, x, y, 1))
+    _solve_many(rows[:1], 1e-9, x, y, 1)
+    once = _wall(lambda: _solve_many(rows, 1e-9, x, y, 1))
     times = max(1, int(seconds / 5 / max(once, 1e-6)))
-    best = min(_wall(lambda: _solve_many(rows, n, 1e-9, x, y, times)) for _ in range(5))
+    best = min(_wall(lambda: _solve_many(rows, 1e-9, x, y, times)) for _ in range(5))
     return 1e6 * best / (times * len(rows))
 
 

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from typing import Protocol, cast
 
 import numpy as np
+from numba import bool_, float64, int64
 from numpy.typing import NDArray
 
+from moc_opt.compiled import MATRIX, VECTOR, entry
 from moc_opt.control import manipulability, tick
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
@@ -20,6 +22,16 @@ from moc_opt.solvers.base import Session, Solution, Solver
 from moc_opt.subproblem import NullSpaceQP, row_length
 
 Array = NDArray[np.float64]
+
+
+BEFORE_SOLVER = entry(
+    tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, MATRIX, VECTOR, float64, MATRIX, VECTOR,
+    VECTOR,
+)  # fmt: skip
+TRACKING_TORQUE = entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_)
+AFTER_SOLVER = entry(
+    tick.after_solver, VECTOR, int64, MATRIX, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR
+)
 
 
 class ObservesVelocity(Protocol):
@@ -70,7 +82,7 @@ class Controller:
         self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
         self._pull, self._damping = found["K_N2"], found["D_N2"]
         self._dcac_damping = settings.dcac_damping
-        self._tau_max = robot.tau_max if settings.limit_torque else np.full(robot.n, np.inf)
+        self._tau_max = np.array(robot.tau_max) if settings.limit_torque else np.full(robot.n, np.inf)
         self._row_length = row_length(robot.n)
         self._observer = (
             MomentumObserver(robot, settings.observer_gain_per_s, period)
@@ -82,6 +94,7 @@ class Controller:
         self._session: Session | None = None
         self._listener: ObservesVelocity | None = None
         self._rest = np.zeros(robot.n)
+        self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         self._supervisor = Supervisor(settings.supervisor, settings.fallback, robot.n, times_us)
         self._forget()
 
@@ -157,10 +170,12 @@ class Controller:
             raise ControlError(
                 f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
             )
-        robot, record, gains = self.robot, state.record, self._gains
+        # Copies of our own: what is compiled takes their kind of memory for granted.
+        self._tip_ref[:], self._trocar[:] = tip_ref, trocar
+        robot, record, gains, tip_ref, trocar = self.robot, state.record, self._gains, self._tip_ref, self._trocar
         if self._session is not None:
             tau, row = np.empty(robot.n), np.empty(self._row_length)
-            if not tick.before_solver(
+            if not BEFORE_SOLVER(
                 record,
                 robot.n,
                 tip_ref,
@@ -180,20 +195,20 @@ class Controller:
             self._share = min(1.0, self._share + self._fade)
             pull, damping = self._share * self._pull, self._share * self._damping
         else:
-            tau = tick.tracking_torque(
+            tau = TRACKING_TORQUE(
                 record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
             )
             if self._uses_null_space:
                 self._follow_null_space(state)
             x, pull, damping = self._rest, self._dcac_damping, 0.0
         disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
-        tick.after_solver(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
+        AFTER_SOLVER(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
         self._tau = _read_only(tau)
         return tau
 
     def sent(self, tau: Array) -> None:
         """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
-        self._tau = _read_only(np.array(tau))
+        self._tau = _read_only(np.array(tau, dtype=np.float64))
 
     def _build(self, state: RobotState, tip_ref: Array, trocar: Array) -> NullSpaceQP:
         row = np.empty(self._row_length)

@@ -9,9 +9,10 @@ contact: force at the trocar is to be reported beside it.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit
 from numpy.typing import NDArray
 
+from moc_opt.compiled import COLUMNS, VECTOR, entry
 from moc_opt.control.dense import times, transpose_times
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
@@ -52,6 +53,9 @@ def observe(
     momentum_residual(s.M, C, s.h, s.v, tau, gain, period, integral, r)
 
 
+OBSERVE = entry(observe, VECTOR, int64, COLUMNS, VECTOR, float64, float64, VECTOR, VECTOR)
+
+
 class MomentumObserver:
     """Estimates the external joint torque, friction included.
 
@@ -77,5 +81,5 @@ class MomentumObserver:
     def update(self, state: RobotState, tau: Array) -> Array:
         """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
         C = self._robot.coriolis_view(state)
-        observe(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
+        OBSERVE(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

@@ -228,7 +228,7 @@ class Supervisor:
             return self._least_violation(qp)
         if self.fault is Fault.LATE and self.settings.late != "hold":
             # the truncated iterate: a late answer is still an answer, only the tick is lost
-            return solution.x if self.settings.late == "iterate" else self._rest
+            return np.array(solution.x) if self.settings.late == "iterate" else self._rest
         return self._good if self._age <= self.settings.hold_ticks else self._rest
 
     def _least_violation(self, qp: NullSpaceQP) -> Array:

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 
 from moc_opt.errors import MocOptError
@@ -57,7 +58,7 @@ def compile_library(files: Mapping[str, str]) -> Path:
     """
     compiler = find_compiler()
     command = [*compiler, *FLAGS, "-shared", "-fPIC"]
-    version = _run([*compiler, "--version"])
+    version = _version(*compiler)
     digest = hashlib.sha256()
     for part in (
         *command,
@@ -83,6 +84,11 @@ def compile_library(files: Mapping[str, str]) -> Path:
             f"cache {str(folder)!r} cannot be written: {error}; set XDG_CACHE_HOME to a folder of yours"
         ) from error
     return library
+
+
+@cache
+def _version(*compiler: str) -> str:
+    return _run([*compiler, "--version"])
 
 
 def _run(command: list[str], folder: str | None = None) -> str:

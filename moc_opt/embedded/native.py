@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import pickle
 from collections.abc import Mapping
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -12,13 +14,13 @@ from numpy.typing import NDArray
 from moc_opt.control import ControlSettings
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.export import c_files
-from moc_opt.embedded.layout import Field
+from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver, Status
-from moc_opt.solvers.exact import EMPTY, OK, STUCK
-from moc_opt.subproblem import NullSpaceQP, row_length
+from moc_opt.solvers.elimination import EMPTY, OK, STUCK
+from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 
@@ -48,16 +50,18 @@ class NativeController:
         period: float = 0.002,
     ) -> None:
         self.robot, self.settings, self.solver = robot, settings, solver
-        tick, texts = c_files(robot, settings, solver, period)
+        plan, texts = _generated(pickle.dumps((robot.data, settings, solver, period)))
         self.library = compile_library(texts)
-        found = ctypes.CDLL(str(self.library))
-        self._start, self._tick = found.moc_tick_start, found.moc_tick
+        found = ctypes.PyDLL(str(self.library))  # for a microsecond, letting other threads in costs more than it gives
         self._q, self._v, self._tau = np.zeros(robot.n), np.zeros(robot.n), np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
-        state, self._state = _memory(tick.layout.state)
-        report, self._report = _memory(tick.layout.report)
+        state, self._state = _memory(plan.state)
+        report, self._report = _memory(plan.report)
+        self._whole_report, self._fields = report, plan.report
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
-        self._pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
+        pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
+        self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
+        self._tick = partial(found.moc_tick, *pointers)
         self._buffers = buffers  # the pointers do not keep them alive
         self._status, self._started = OK, False
 
@@ -70,7 +74,7 @@ class NativeController:
         self._q[:], self._v[:] = q, v
         if not (np.isfinite(self._q).all() and np.isfinite(self._v).all()):
             raise self._refusal()
-        self._start(self._pointers[0], self._pointers[1], self._pointers[4])
+        self._start()
         self._started = True
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
@@ -97,7 +101,7 @@ class NativeController:
         self._v[:] = v
         self._tip_ref[:] = tip_ref
         self._trocar[:] = trocar
-        status = self._tick(*self._pointers)
+        status = self._tick()
         if status == BAD_INPUT:
             raise self._refusal()
         self._status = status
@@ -144,25 +148,26 @@ class NativeController:
             "solve_us": np.full(ticks, np.nan),
         }
         if self.solver is not None:
+            # Whole reports, a row a tick: one copy a tick instead of one for each of these columns.
+            self._reports = np.full((ticks, self._whole_report.size), np.nan)
+            views = _views(self._reports, self._fields)
             found |= {
-                "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
-                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
+                "x_rad_per_s": np.full((ticks, n), np.nan), "dual": views["dual"],
+                "applied_x_rad_per_s": views["x"], "subproblem": views["subproblem"],
                 "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
             }  # fmt: skip
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's columns."""
+        """Write the last tick's columns; these are those that ``columns`` gave last."""
         if self.solver is None:
             return
-        report = self._report
+        self._reports[row] = self._whole_report
         columns["status"][row] = _LABELS[self._status]
-        columns["applied_x_rad_per_s"][row] = report["x"]
-        columns["subproblem"][row] = report["subproblem"]
         if self._status == OK:
-            columns["x_rad_per_s"][row] = report["x"]
-            columns["dual"][row] = report["dual"]
+            columns["x_rad_per_s"][row] = self._report["x"]
         else:
+            columns["dual"][row] = np.nan
             columns["fault"][row] = "infeasible" if self._status == EMPTY else "failed"
 
     def _refusal(self) -> RobotError | ControlError:
@@ -179,14 +184,27 @@ class NativeController:
         )
 
 
+@lru_cache(maxsize=8)
+def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
+    """Layout and C files of (robot data, settings, solver, period): the second run of a law need not write it again."""
+    data, settings, solver, period = pickle.loads(pickled)
+    tick, texts = c_files(RobotModel(data), settings, solver, period)
+    return tick.layout, texts
+
+
 _LABELS = {code: status.label for code, status in _STATUS.items()}
 
 
 def _memory(fields: tuple[Field, ...]) -> tuple[Array, dict[str, NDArray[Any]]]:
     """The doubles of one of the header's structs, and a view of each member."""
     whole = np.zeros(sum(field.length for field in fields))
+    return whole, {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
+
+
+def _views(rows: Array, fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
+    """A view (k, ...) of each member of the structs that are the k rows."""
     views, begin = {}, 0
     for field in fields:
-        views[field.name] = whole[begin : begin + field.length].reshape(field.shape)
+        views[field.name] = rows[:, begin : begin + field.length].reshape(len(rows), *field.shape)
         begin += field.length
-    return whole, views
+    return views

@@ -3,7 +3,7 @@
 Householder reflections turn the five independent rows A x = b of the k = 6 joints that move the tool into a
 triangle: x = particular + w z, with z the unit null vector and `particular` the shortest solution. They need
 no pivoting and no square of A, so that the same fixed sequence of operations is accurate at every pose where
-A has its five ranks. What remains is the ratio test of `moc_opt.solvers.exact.swivel`.
+A has its five ranks. What remains is the ratio test of `moc_opt.solvers.elimination.swivel`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from moc_opt.solvers.exact import EMPTY, IDLE_COLUMN, OK, PIVOT_TOLERANCE, STUCK
+from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, PIVOT_TOLERANCE, STUCK
 
 SX = Any
 
@@ -51,7 +51,7 @@ class Answer(NamedTuple):
     dual: SX
     """(r,) multipliers of the rows; no meaning where there is no x"""
     status: SX
-    """OK, EMPTY or STUCK of `moc_opt.solvers.exact`"""
+    """OK, EMPTY or STUCK of `moc_opt.solvers.elimination`"""
 
 
 def triangulate(A: SX) -> Triangle:

@@ -20,7 +20,8 @@ from moc_opt.embedded.layout import Layout, layout
 from moc_opt.embedded.support import check_supported
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver
-from moc_opt.solvers.exact import OK, Exact
+from moc_opt.solvers.elimination import OK
+from moc_opt.solvers.exact import Exact
 
 Array = NDArray[np.float64]
 SX = Any

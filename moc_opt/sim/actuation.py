@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.compiled import MATRIX, VECTOR, entry
 from moc_opt.errors import PlantError
 
 Array = NDArray[np.float64]
@@ -25,6 +26,9 @@ def _admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) ->
     return True
 
 
+_ADMIT = entry(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
+
+
 class Drives:
     """Torque drives without dynamics: saturation, and a delay of whole control periods as a ring buffer."""
 
@@ -37,7 +41,7 @@ class Drives:
             applied: (n,) written at each command: the plant's own torque vector [Nm].
         """
         self._limit, self._applied = tau_max.copy(), applied
-        self._queue = np.zeros((delay_ticks, tau_max.size))
+        self._delay, self._queue = delay_ticks, np.zeros((delay_ticks, tau_max.size))
         self._tau, self._slot = np.zeros(tau_max.size), 0
 
     def start(self, tau: Array) -> None:
@@ -52,15 +56,15 @@ class Drives:
         Raises:
             PlantError: wrong shape or not finite; nothing has changed then.
         """
-        if np.shape(tau) != self._tau.shape:
+        if (tau.shape if isinstance(tau, np.ndarray) else np.shape(tau)) != self._tau.shape:
             raise PlantError(
                 f"tau has shape {np.shape(tau)}: give {self._tau.shape}, one torque a joint [Nm]"
             )
         self._tau[:] = tau
-        if not _admit(self._tau, self._limit, self._queue, self._slot, self._applied):
+        if not _ADMIT(self._tau, self._limit, self._queue, self._slot, self._applied):
             raise PlantError(
                 f"tau = {self._tau.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
                 "or stop it when its solver fails"
             )
-        if len(self._queue):
-            self._slot = (self._slot + 1) % len(self._queue)
+        if self._delay:
+            self._slot = (self._slot + 1) % self._delay

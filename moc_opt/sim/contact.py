@@ -107,13 +107,13 @@ def load_bodies(
     tip: int,
     wrist: int,
     trocar: Array,
+    force: Array,
+    point: Array,
     elapsed: float,
     stiffness: float,
     damping: float,
     pushed: NDArray[np.int64],
     pushes: Array,
-    force: Array,
-    point: Array,
 ) -> None:
     """Write the outside wrenches of one plant substep: trocar on the tool, held forces on the pushed bodies.
 
@@ -128,13 +128,13 @@ def load_bodies(
         tip: body number of the tip.
         wrist: body number of the wrist.
         trocar: (2, 3) as in `shaft_force`; not used when stiffness and damping are both 0.
+        force: (3,) written: the trocar's force on the shaft [N].
+        point: (3,) scratch.
         elapsed: time since the start of the period [s].
         stiffness: [N/m].
         damping: [N s/m].
         pushed: (k,) body numbers under a held force.
         pushes: (k, 6) rows: force, world axes [N]; point of attack in the body's own axes [m].
-        force: (3,) written: the trocar's force on the shaft [N].
-        point: (3,) scratch.
     """
     wrenches[:, :] = 0.0
     if stiffness > 0.0 or damping > 0.0:

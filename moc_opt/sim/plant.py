@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import mujoco
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.compiled import INDICES, MATRIX, VECTOR, entry
 from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
@@ -27,10 +30,11 @@ if mujoco.get_mju_user_warning() is None:
 
 
 @njit(cache=True)
-def _all_finite(array: Array) -> bool:
-    for x in array.flat:  # numba compiles no generators
-        if not np.isfinite(x):
-            return False
+def _finite(trocar: Array) -> bool:
+    for i in range(2):  # numba compiles no generators
+        for j in range(3):
+            if not np.isfinite(trocar[i, j]):
+                return False
     return True
 
 
@@ -53,10 +57,10 @@ def _write_truth(
     tip: int,
     wrist: int,
     trocar: Array,
+    point: Array,
     elapsed: float,
     stiffness: float,
     damping: float,
-    point: Array,
     row: Array,
 ) -> None:
     n = q.size
@@ -68,6 +72,19 @@ def _write_truth(
         shaft_force(
             xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, stiffness, damping, force, point
         )
+
+
+# The kernels of one period, without a look at the types of their arguments: all are made in this file.
+_FINITE = entry(_finite, MATRIX)
+_SOUND = entry(_sound, VECTOR, VECTOR, float64)
+_WRITE = entry(
+    _write_truth, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, int64, int64, int64, MATRIX, VECTOR,
+    float64, float64, float64, VECTOR,
+)  # fmt: skip
+_LOAD = entry(
+    load_bodies, *[MATRIX] * 5, VECTOR, int64, int64, int64, MATRIX, VECTOR, VECTOR,
+    float64, float64, float64, INDICES, MATRIX,
+)  # fmt: skip
 
 
 class Plant:
@@ -109,13 +126,16 @@ class Plant:
         self.mj_model = compile_model(data.name, spec)
         self.mj_data = mujoco.MjData(self.mj_model)
         self._drive_damping = np.array(self.mj_model.dof_damping)
+        self._substeps = tuple(i * settings.substep_s for i in range(settings.substeps))
+        self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._bind()
-        self._told, self._trocar = np.zeros((2, 3)), np.zeros((2, 3))
-        self._force, self._point = np.zeros(3), np.zeros(3)
         self.reset(data.q_home)
 
     def _bind(self) -> None:
-        """Views on MuJoCo's memory, taken once: an attribute of MjData costs more than arithmetic on it."""
+        """Views on MuJoCo's memory, taken once: an attribute of MjData costs more than arithmetic on it.
+
+        The kernels are bound to them here too: all of it is contiguous float64.
+        """
         model, state = self.mj_model, self.mj_data
         bodies = {model.body(i).name: i for i in range(1, model.nbody)}
         frames = (TOOL_BODY, self.data.tip_frame, self.data.wrist_frame)
@@ -125,11 +145,21 @@ class Plant:
                 f"robot {self.data.name!r}: its URDF has no links {missing}: load it with "
                 "moc_opt.robots.load_data, which adds them"
             )
-        self._numbers = self._tool, self._tip, self._wrist = tuple(bodies[name] for name in frames)
+        numbers = self._tool, self._tip, self._wrist = tuple(bodies[name] for name in frames)
         self._q, self._v, self._bias = state.qpos, state.qvel, state.qfrc_bias
-        self._origin = state.subtree_com[model.body_rootid[self._tool]]
-        self._poses = (state.xfrc_applied, state.xpos, state.xmat, state.xipos, state.cvel)
+        self._xpos, self._told, self._trocar = state.xpos, np.zeros((2, 3)), np.zeros((2, 3))
+        origin, point = state.subtree_com[model.body_rootid[self._tool]], np.zeros(3)
+        self._load = partial(
+            _LOAD, state.xfrc_applied, state.xpos, state.xmat, state.xipos, state.cvel, origin, *numbers, self._trocar,
+            np.zeros(3), point,
+        )  # fmt: skip
+        self._write = partial(
+            _WRITE, self._q, self._v, state.xpos, state.cvel, origin, *numbers, self._trocar, point
+        )
+        self._is_sound = partial(_SOUND, self._q, self._v, _RUNAWAY_RAD_PER_S)
         self._mount = state.site_xmat[model.site(MOUNT_SITE).id].reshape(3, 3)
+        self._first_half = partial(mujoco.mj_step1, model, state)
+        self._second_half = partial(mujoco.mj_step2, model, state)
         # MuJoCo's sensor shows what the mount exerts on the tool; ours, as real ones do, the reaction.
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._wrench = state.sensordata[first : first + 6]
@@ -167,9 +197,8 @@ class Plant:
         self._drives.start(self._bias)
         self._v[:] = speed
         mujoco.mj_forward(self.mj_model, self.mj_data)
-        self._measurement = Measurement(
-            *self._encoders.start(self._q, self._v), self._wrench_sensor.read(-self._wrench)
-        )
+        q, v = self._encoders.start(self._q, self._v)
+        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
         """Advance one control period.
@@ -182,77 +211,44 @@ class Plant:
         Raises:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
-        if trocar is not None and not self._take(trocar):
+        if trocar is not None and not self._listen(trocar):
             raise PlantError(
                 f"trocar = {np.asarray(trocar).tolist()!r:.200}: give (2, 3) finite numbers, point [m] over "
                 "velocity [m/s], or None for no trocar; the arm has not moved"
             )
-        if not _sound(self._q, self._v, _RUNAWAY_RAD_PER_S):
+        if not self._is_sound():
             raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")
         self._drives.command(tau)
-        if trocar is None:
-            self._stiffness = self._damping = 0.0
-        else:
+        self._stiffness, self._damping = (0.0, 0.0) if trocar is None else self._tissue
+        if trocar is not None:
             self._trocar[:] = self._told
-            self._stiffness = self.settings.trocar_stiffness_N_per_m
-            self._damping = self.settings.trocar_damping_Ns_per_m
-        self._advance()
+        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
+        # state, so that measurements and truths need no further call.
+        pushes = self._pushes
+        for elapsed in self._substeps:
+            self._load(elapsed, self._stiffness, self._damping, pushes.bodies, pushes.rows)
+            self._second_half()
+            self._first_half()
         self._ticks += 1
-        if not _sound(self._q, self._v, _RUNAWAY_RAD_PER_S):
+        if not self._is_sound():
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {self._v.tolist()} rad/s): lower the "
                 "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
                 "rotor inertia"
             )
-        self._measurement = Measurement(
-            *self._encoders.read(self._q, self._v), self._wrench_sensor.read(-self._wrench)
-        )
+        q, v = self._encoders.read(self._q, self._v)
+        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
 
-    def _take(self, trocar: ArrayLike) -> bool:
+    def _listen(self, trocar: ArrayLike) -> bool:
         """Take in what the caller says of the trocar; False where that is nonsense."""
-        if np.shape(trocar) != (2, 3):
+        if (trocar.shape if isinstance(trocar, np.ndarray) else np.shape(trocar)) != (2, 3):
             return False
         self._told[:] = trocar
-        return bool(_all_finite(self._told))
-
-    def _advance(self) -> None:
-        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
-        # state, so that measurements and truths need no further call.
-        model, state, substep = self.mj_model, self.mj_data, self.settings.substep_s
-        for i in range(self.settings.substeps):
-            load_bodies(
-                *self._poses,
-                self._origin,
-                *self._numbers,
-                self._trocar,
-                i * substep,
-                self._stiffness,
-                self._damping,
-                self._pushes.bodies,
-                self._pushes.rows,
-                self._force,
-                self._point,
-            )
-            mujoco.mj_step2(model, state)
-            mujoco.mj_step1(model, state)
+        return bool(_FINITE(self._told))
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
-        _, xpos, _, _, cvel = self._poses
-        _write_truth(
-            self._q,
-            self._v,
-            xpos,
-            cvel,
-            self._origin,
-            *self._numbers,
-            self._trocar,
-            self.settings.period_s,
-            self._stiffness,
-            self._damping,
-            self._point,
-            row,
-        )
+        self._write(self.settings.period_s, self._stiffness, self._damping, row)
 
     def measure(self) -> Measurement:
         """What the sensors showed at the end of the last period; asking twice gives the same."""
@@ -311,12 +307,12 @@ class Plant:
     @property
     def tip(self) -> Array:
         """(3,) true tip [m]."""
-        return _readonly(self._poses[1][self._tip])
+        return _readonly(self._xpos[self._tip])
 
     @property
     def wrist(self) -> Array:
         """(3,) true wrist centre [m]."""
-        return _readonly(self._poses[1][self._wrist])
+        return _readonly(self._xpos[self._wrist])
 
     @property
     def mount_rotation(self) -> Array:

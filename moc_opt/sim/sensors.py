@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import float64, njit
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.compiled import MATRIX, VECTOR, entry
 from moc_opt.errors import PlantError
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
@@ -38,17 +39,18 @@ class _Noise:
         """Build it with the standard deviation of each entry (m,)."""
         self._rng, self._deviation = rng, deviation
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
+        self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
         self._quiet = not deviation.any()
 
     def row(self) -> Array:
         """The next (m,), valid until the one after it is asked for."""
         if self._quiet:
-            return self._block[0]
+            return self._rows[0]
         if self._next == _NOISE_ROWS:
             self._rng.standard_normal(out=self._block)
             self._block *= self._deviation
             self._next = 0
-        row = self._block[self._next]
+        row = self._rows[self._next]
         self._next += 1
         return row
 
@@ -71,6 +73,9 @@ def _read(
             position[i] = resolution * np.rint(position[i] / resolution)
         estimate[i] += gain * ((position[i] - last[i]) / period - estimate[i])
         velocity[i], last[i] = estimate[i], position[i]
+
+
+_READ = entry(_read, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
 
 
 class Encoders:
@@ -126,8 +131,8 @@ class Encoders:
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
         noise = self._noise.row()
-        _read(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
-        _sealed(reading)
+        _READ(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
+        reading.setflags(write=False)
         return reading[0], reading[1]
 
 
@@ -145,9 +150,14 @@ class WrenchSensor:
         """The sensor that the plant's settings describe."""
         return cls(rng, force_noise_N=settings.force_noise_N, torque_noise_Nm=settings.torque_noise_Nm)
 
-    def read(self, wrench: Array) -> Array:
-        """(6,) force [N] and torque [Nm] as measured, read-only, for the true `wrench` (6,)."""
-        return _sealed(self._noise.row() + wrench)
+    def read(self, held: Array) -> Array:
+        """(6,) force [N] and torque [Nm] as measured, read-only, where the mount truly holds the tool with ``held``.
+
+        The sensor shows the reaction to that: its negative.
+        """
+        wrench: Array = self._noise.row() - held
+        wrench.setflags(write=False)
+        return wrench
 
 
 @dataclass(frozen=True, eq=False)

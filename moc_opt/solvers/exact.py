@@ -15,204 +15,94 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
+from numba import float64, njit
 from numpy.typing import NDArray
 
+from moc_opt.compiled import VECTOR, entry
 from moc_opt.errors import SolverError
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, STUCK, eliminate, swivel
 from moc_opt.solvers.polytope import maximise_over_box
 from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 
-PIVOT_TOLERANCE = 1e-12  # relative to the largest pivot: below it a row repeats the others
-IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
-
 ROUNDING = 1e-9  # of the largest entry of grad_mu
 
-OK, EMPTY, STUCK = 0, 1, 2
 
-
-@njit(cache=True, nogil=True)
-def eliminate(W: Array, n: int, pivots: NDArray[np.int64]) -> int:
-    """Gauss-Jordan with complete pivoting on W = [A | b | I], (6, n + 7), in place.
-
-    Row k of the result reads x[pivots[k]] + sum_free W[k, j] x[j] = W[k, n]; the last six
-    columns hold the row operations. Returns the rank.
-    """
-    columns = W.shape[1]
-    taken = np.zeros(n, dtype=np.bool_)
-    first = 0.0
-    for k in range(6):
-        size, row, column = 0.0, k, 0
-        for i in range(k, 6):
-            for j in range(n):
-                if not taken[j] and abs(W[i, j]) > size:
-                    size, row, column = abs(W[i, j]), i, j
-        if k == 0:
-            first = size
-        if size <= PIVOT_TOLERANCE * first:
-            return k
-        taken[column] = True
-        pivots[k] = column
-        if row != k:
-            for j in range(columns):
-                W[k, j], W[row, j] = W[row, j], W[k, j]
-        inverse = 1.0 / W[k, column]
-        for j in range(columns):
-            W[k, j] *= inverse
-        for i in range(6):
-            factor = W[i, column]
-            if i != k and factor != 0.0:
-                for j in range(columns):
-                    W[i, j] -= factor * W[k, j]
-                W[i, column] = 0.0
-    return 6
-
-
-@njit(cache=True, nogil=True)
-def solve_row(row: Array, n: int, tolerance: float, x: Array, y: Array) -> int:
-    """Solve one flat record into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK."""
-    o = 6 * n
-    b, grad_mu = row[o : o + 6], row[o + 6 : o + 6 + n]
-    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
-    c2, rho = row[o + 8 + 3 * n], row[o + 9 + 3 * n]
-
-    W = np.zeros((6, n + 7))
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_row(row: Array, tolerance: float, x: Array, y: Array) -> int:
+    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK."""
+    n = x.shape[0]
+    b, g, lo, up = 6 * n, 6 * n + 6, 7 * n + 6, 8 * n + 6
+    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    # One block each for numbers and indices: at this size, asking for memory costs as much as the elimination, and
+    # so do views. W is A and b by columns, then scratch, then w = P x + p + A^T y.
+    W, order, w, rows = np.empty(7 * n + 12), np.empty(n + 6, dtype=np.int64), 6 * n + 12, n
     for i in range(6):
         for j in range(n):
-            W[i, j] = row[i * n + j]
-        W[i, n] = b[i]
-        W[i, n + 1 + i] = 1.0
-    pivots = np.empty(6, dtype=np.int64)
-    rank = eliminate(W, n, pivots)
+            W[6 * j + i] = row[i * n + j]
+        W[6 * n + i] = row[b + i]
+    rank = eliminate(W, n, order)
     for i in range(rank, 6):
-        if abs(W[i, n]) > tolerance:
+        if abs(W[6 * n + i]) > tolerance:
             return EMPTY  # a repeated row asks for another velocity than its twin
 
     # Particular solution, and the free columns that move the tip or the wrist.
-    basic = np.zeros(n, dtype=np.bool_)
-    x[:] = 0.0
-    for k in range(rank):
-        basic[pivots[k]] = True
-        x[pivots[k]] = W[k, n]
-    moving = np.empty(n, dtype=np.int64)
-    count = 0
-    largest_grad = np.max(np.abs(grad_mu))
-    bound_dual = np.zeros(n)  # w = P x + p + A^T y: >= 0 at a lower bound, <= 0 at an upper one
+    largest_grad = 0.0
     for j in range(n):
-        if basic[j]:
-            continue
+        x[j] = W[w + j] = 0.0  # w is >= 0 at a lower bound, <= 0 at an upper one
+        largest_grad = max(largest_grad, abs(row[g + j]))
+    for k in range(rank):
+        x[order[k]] = W[6 * n + k]
+    count = 0
+    for p in range(rank, n):
+        j = order[p]
         largest = 0.0
         for k in range(rank):
-            largest = max(largest, abs(W[k, j]))
+            largest = max(largest, abs(W[6 * j + k]))
         if largest > IDLE_COLUMN:
-            moving[count] = j
+            order[rank + count] = j
             count += 1
         else:
             # a gradient at rounding level must not throw an idle joint to its bound
-            pull = c2 * grad_mu[j] if abs(grad_mu[j]) > ROUNDING * largest_grad else 0.0
+            pull = c2 * row[g + j] if abs(row[g + j]) > ROUNDING * largest_grad else 0.0
             wish = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
-            x[j] = min(max(wish, lower[j]), upper[j])
-            bound_dual[j] = rho * x[j] - pull
+            x[j] = min(max(wish, row[lo + j]), row[up + j])
+            W[w + j] = rho * x[j] - pull
 
     status = OK
     if count == 1:
-        status = swivel(
-            W, n, rank, pivots, moving[0], grad_mu, lower, upper, c2, rho, tolerance, x, bound_dual
-        )
+        status = swivel(W, n, rank, order, row, tolerance, x, w)
     elif count > 1:
-        Z = np.zeros((count, n))
-        for c in range(count):
-            Z[c, moving[c]] = 1.0
-            for k in range(rank):
-                Z[c, pivots[k]] = -W[k, moving[c]]
-        status = maximise_over_box(Z, grad_mu, lower, upper, c2, rho, tolerance, x, bound_dual)
+        status = maximise_over_box(W, n, rank, order, count, row, x, w)
     for j in range(n):
-        if x[j] < lower[j] - tolerance or x[j] > upper[j] + tolerance:
+        if x[j] < row[lo + j] - tolerance or x[j] > row[up + j] + tolerance:
             return EMPTY if status == OK else status
-        x[j] = min(max(x[j], lower[j]), upper[j])
+        x[j] = min(max(x[j], row[lo + j]), row[up + j])
 
     # A^T y = w - (rho x - c2 grad_mu): row operations turn A^T into the identity on the pivots.
-    y[:] = 0.0
     for k in range(rank):
-        j = pivots[k]
-        right = bound_dual[j] - rho * x[j] + c2 * grad_mu[j]
-        for i in range(6):
-            y[i] += W[k, n + 1 + i] * right
+        j = order[k]
+        W[w + j] = W[w + j] - rho * x[j] + c2 * row[g + j]
+    for i in range(6):
+        total = 0.0
+        if i < rank:
+            for k in range(rank):
+                total += W[6 * order[i] + k] * W[w + order[k]]
+        y[order[rows + i]] = total
     return status
 
 
 @njit(cache=True, nogil=True)
-def swivel(
-    W: Array,
-    n: int,
-    rank: int,
-    pivots: NDArray[np.int64],
-    free: int,
-    grad_mu: Array,
-    lower: Array,
-    upper: Array,
-    c2: float,
-    rho: float,
-    tolerance: float,
-    x: Array,
-    bound_dual: Array,
-) -> int:
-    """One freedom: x + w z with z[free] = 1; the ratio test gives the interval of w, then its best point."""
-    low, high = lower[free], upper[free]
-    low_joint, high_joint = free, free
-    zz, zx, zg = 1.0, 0.0, grad_mu[free]
-    for k in range(rank):
-        j = pivots[k]
-        z = -W[k, free]
-        zz += z * z
-        zx += z * x[j]
-        zg += z * grad_mu[j]
-        if abs(z) <= IDLE_COLUMN:
-            continue
-        at_lower, at_upper = (lower[j] - x[j]) / z, (upper[j] - x[j]) / z
-        if z < 0.0:
-            at_lower, at_upper = at_upper, at_lower
-        if at_lower > low:
-            low, low_joint = at_lower, j
-        if at_upper < high:
-            high, high_joint = at_upper, j
-    if low > high + tolerance:
-        return EMPTY
-    if rho > 0.0:
-        best = (c2 * zg - rho * zx) / (rho * zz)
-    elif c2 * zg != 0.0:
-        best = np.inf if zg > 0.0 else -np.inf
-    else:
-        best = -zx / zz  # every point is optimal: take the slowest
-    joint = -1
-    if best > high:
-        best, joint = high, high_joint
-    elif best < low:
-        best, joint = low, low_joint
-    x[free] = best
-    slope = rho * best - c2 * grad_mu[free]
-    lever = 1.0
-    for k in range(rank):
-        j = pivots[k]
-        z = -W[k, free]
-        x[j] += best * z
-        slope += z * (rho * x[j] - c2 * grad_mu[j])
-        if j == joint:
-            lever = z
-    if joint >= 0:
-        bound_dual[joint] = slope / lever
-    return OK
-
-
-@njit(cache=True, nogil=True)
-def solve_rows(rows: Array, n: int, tolerance: float, X: Array, Y: Array, status: NDArray[np.int64]) -> None:
+def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArray[np.int64]) -> None:
     """``solve_row`` over a batch."""
     for i in range(rows.shape[0]):
-        status[i] = solve_row(rows[i], n, tolerance, X[i], Y[i])
+        status[i] = solve_row(rows[i], tolerance, X[i], Y[i])
 
 
+_SOLVED = Status.SOLVED
+_solution = tuple.__new__  # a NamedTuple's own constructor is written in Python and costs twice as much
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
@@ -257,7 +147,6 @@ class Exact:
                 pool.submit(
                     solve_rows,
                     rows[p[0] : p[-1] + 1],
-                    n,
                     self.tolerance,
                     X[p[0] : p[-1] + 1],
                     Y[p[0] : p[-1] + 1],
@@ -276,15 +165,16 @@ class Exact:
 class ExactSession:
     """Keeps nothing between ticks: warm equals cold."""
 
-    __slots__ = ("tolerance",)
+    __slots__ = ("_kernel", "tolerance")
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
+        self._kernel = entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
-        n = qp.n
-        out = np.empty(n + 6)
-        x, y = out[:n], out[n:]
-        code = solve_row(qp.row, n, self.tolerance, x, y)
-        return Solution(x, y, Status.SOLVED) if code == OK else no_answer(n, _STATUS[code])
+        x, y = np.empty(qp.n), np.empty(6)
+        code = self._kernel(qp.row, self.tolerance, x, y)
+        if code == OK:
+            return _solution(Solution, (x, y, _SOLVED, 0))
+        return no_answer(qp.n, _STATUS[code])
