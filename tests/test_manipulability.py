@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 
 from moc_opt.control import manipulability as level3
 from moc_opt.control import tick
+from moc_opt.errors import ControlError, ScenarioError
 from moc_opt.scenario import Scenario, run
 from moc_opt.subproblem import NullSpaceQP, row_length
 
@@ -77,22 +78,50 @@ def test_no_velocity_of_the_box_leaves_the_limits(seed, k0):
         assert (q <= q_max + 1e-12).all()
 
 
-@pytest.mark.parametrize("preset", ["nominal", "realistic"])
-@pytest.mark.parametrize("number", [13, 25])
-def test_closed_loop_stays_inside_the_limits(number, preset, robot, regular_poses):
-    """From these two poses the manipulability grows right up to a joint limit: the damper must stop the arm."""
-    q = regular_poses(30)[number]
-    trace = run(
+def test_box_limits(robot):
+    found = level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=0.1, speed_fraction=0.25)
+    np.testing.assert_array_equal(found, [robot.q_min + 0.1, robot.q_max - 0.1, 0.25 * robot.v_max])
+    with pytest.raises(ControlError, match=r"limit_margin_rad = 3.0: nothing is left of joint 2 .* less than 2.09"):
+        level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=3.0)
+
+
+def towards_a_limit(q, preset="nominal", **control):
+    """Four seconds of self-motion at rest."""
+    return run(
         Scenario(
-            start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=2.0,
-            task={"wait_s": 5.0}, judge=False, bound_samples=0,
-            guard={"position_margin_rad": 0.0},  # the damper alone: the guard's wall stands before the limit
+            start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0,
+            task={"wait_s": 5.0}, control=control, judge=False, bound_samples=0,
         )
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("preset", ["nominal", "realistic"])
+@pytest.mark.parametrize("number", [13, 25])
+def test_closed_loop_stops_before_the_wall(number, preset, robot, regular_poses):
+    """From these two poses mu grows right up to a joint limit: the box must stop the arm before the guard does."""
+    trace = towards_a_limit(regular_poses(30)[number], preset)
     room = np.minimum(robot.q_max - trace.q_rad, trace.q_rad - robot.q_min)
     assert trace.mu[-1] > 1.2 * trace.mu[0]
-    assert 0.0 < room.min() < 0.05
+    assert 0.045 < room.min() < 0.05
     assert (trace.status == "solved").all()
+    assert not trace.limited.any()
+    assert trace.meta["ended"] == "completed"
+    assert trace.tip_error_m.max() < 2e-3
+
+
+def test_a_box_up_to_the_limit_presses_into_the_wall(robot, regular_poses):
+    """Why the margin is there: box and guard disagree, and the tip pays for it."""
+    trace = towards_a_limit(regular_poses(30)[13], limit_margin_rad=0.0)
+    assert trace.limited.any()
+    assert trace.tip_error_m.max() > 0.01
+
+
+def test_a_wall_inside_the_box_is_refused():
+    with pytest.raises(ScenarioError, match=r"guard.position_margin_rad = 0.1: .*limit_margin_rad = 0.045; set"):
+        Scenario(guard={"position_margin_rad": 0.1})
+    Scenario(guard={"position_margin_rad": 0.1}, control={"limit_margin_rad": 0.1})
+    Scenario(guard={"position_margin_rad": 0.1}, control={"law": "dcac"})  # no box
+    Scenario(guard={"position_margin_rad": 0.1}, control={"preset": "paper"})  # the paper's box, on purpose
 
 
 # --- references that a rigid tool can follow ---

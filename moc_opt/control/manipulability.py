@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
 from moc_opt.control.feedforward import independent_rows
+from moc_opt.errors import ControlError
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,31 @@ def velocity_damper(
     for i in range(q.shape[0]):
         lower[i] = min(max(-v_max[i], -k0 * (q[i] - q_min[i])), v_max[i])
         upper[i] = max(min(v_max[i], -k0 * (q[i] - q_max[i])), -v_max[i])
+
+
+def box_limits(
+    q_min: Array, q_max: Array, v_max: Array, *, margin: float = 0.0, speed_fraction: float = 1.0
+) -> Array:
+    """What the box on x is made from: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
+
+    The box has to close before a joint is where something else stops it (the guard's wall).
+
+    Args:
+        q_min, q_max: (n,) joint limits [rad].
+        v_max: (n,) [rad/s].
+        margin: what stays free of a joint's range at either end [rad].
+        speed_fraction: of v_max.
+
+    Raises:
+        ControlError: the margins of a joint meet.
+    """
+    room = 0.5 * float(np.min(q_max - q_min))
+    if not margin < room:
+        raise ControlError(
+            f"[control] limit_margin_rad = {margin}: nothing is left of joint {int(np.argmin(q_max - q_min)) + 1} "
+            f"between its limits; give less than {room:.3g}"
+        )
+    return np.ascontiguousarray([q_min + margin, q_max - margin, speed_fraction * v_max])
 
 
 @njit(cache=True, nogil=True)

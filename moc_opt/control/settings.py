@@ -17,6 +17,14 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
 PRESETS = ("paper", "tuned")
 
+# No observer, no ramp, and a box that goes up to the limits of the joints themselves.
+PAPER: dict[str, Any] = {
+    "k0_per_s": 0.1,
+    "damping": 0.0,
+    "observer_gain_per_s": 0.0,
+    "limit_margin_rad": 0.0,
+}
+
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
 TUNED: dict[str, Any] = {
     "gains": "moc",
@@ -72,6 +80,9 @@ class ControlSettings(Settings):
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
         default=1.0, description="of v_max in the box on x: limits how fast the elbow travels"
     )
+    limit_margin_rad: NotNegative = Field(
+        default=0.045, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
+    )
     ramp_s: NotNegative = Field(default=0.0, description="the third level fades in over this time [s]")
     supervisor: SupervisorSettings = SupervisorSettings()
     backend: Literal["python", "c"] = Field(
@@ -80,8 +91,8 @@ class ControlSettings(Settings):
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
-        """The paper's parameters where it prints them: no observer, k0 = 0.1, rho = 0."""
-        return cls(**{"k0_per_s": 0.1, "damping": 0.0, "observer_gain_per_s": 0.0, **changes})
+        """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
+        return cls(**{**PAPER, **changes})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
