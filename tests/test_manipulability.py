@@ -375,3 +375,46 @@ def test_least_violation_gets_no_worse_with_more_sweeps(seed):
         residuals.append(np.linalg.norm(A @ x - b))
     assert (np.diff(residuals) <= 1e-12).all()
     assert residuals[-1] < residuals[0]
+
+
+def boxed(rng, robot, q, tight):
+    """A and b of a pose, with a box around a point of A x = b that leaves the shortest one out as often as not."""
+    s = robot.state(q)
+    v_tip = 0.05 * rng.normal(size=3)
+    v_wrist = level3.consistent_wrist_velocity(v_tip, 0.05 * rng.normal(size=3), s.tool_direction)
+    A, b, Z = np.array(s.A), np.concatenate([v_tip, v_wrist]), level3.null_space(s.A)
+    inside = np.linalg.lstsq(A, b, rcond=1e-9)[0] + 0.2 * rng.normal(size=len(Z)) @ Z
+    return A, b, Z, inside - tight * rng.uniform(size=7), inside + tight * rng.uniform(size=7)
+
+
+@BOTH
+def test_the_smallest_self_motion_into_the_box(form, robot, odd_robot, regular_poses):
+    """Against a bounded least-squares solver, on arms with one swivel and with two freedoms."""
+    rng, moved = np.random.default_rng(10), 0
+    for number, q in enumerate(regular_poses(40 if form == "compiled" else 4)):
+        arm = robot if number % 2 else odd_robot
+        pose = q if arm is robot else arm.random_regular_pose(rng)
+        A, b, Z, lower, upper = boxed(rng, arm, pose, 0.2)
+        found = of(level3.into_the_box, form)(A, b, Z, lower, upper, 500)
+        shortest = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        np.testing.assert_allclose(A @ found, 0.0, atol=1e-12)
+        x = shortest + found
+        assert (x >= lower - 1e-6).all()
+        assert (x <= upper + 1e-6).all()
+        # min |x|^2 on A x = b in the box: the equations weigh so much that they hold
+        heavy = np.vstack([1e4 * A, np.eye(7)])
+        best = lsq_linear(heavy, np.concatenate([1e4 * b, np.zeros(7)]), (lower, upper), tol=1e-14).x
+        assert np.linalg.norm(x) <= np.linalg.norm(best) * (1 + 1e-4)
+        np.testing.assert_allclose(x, best, atol=2e-4)
+        moved += np.abs(found).max() > 1e-3
+    assert moved > 1
+
+
+def test_no_self_motion_where_none_is_needed_or_none_helps(robot, regular_poses):
+    rng = np.random.default_rng(11)
+    A, b, Z, *_ = boxed(rng, robot, regular_poses(1)[0], 0.1)
+    wide = np.full(7, 10.0)
+    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, -wide, wide, 50), np.zeros(7))
+    lower, upper = wide - 1.0, wide  # out of reach
+    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
+    np.testing.assert_array_equal(level3.into_the_box(np.full((6, 7), np.nan), b, Z, -wide, wide, 50), np.zeros(7))

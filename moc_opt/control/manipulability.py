@@ -117,6 +117,47 @@ def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
+def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweeps: int) -> Array:
+    """The smallest self-motion (n,) [rad/s] that brings the arm's other motion into the box; zero where none can.
+
+    An arm whose self-motion is damped follows its references with the shortest x of A x = b, which may run a
+    joint into its limit. Of all self-motions Z^T w added to it the shortest is wanted that leaves the box nowhere:
+    Hildreth's dual coordinate ascent, one constraint a joint. Zero where that x is inside already.
+
+    Args:
+        A: (6, n); b: (6,).
+        Z: (r, n) orthonormal rows of ker A.
+        lower, upper: (n,) [rad/s].
+        sweeps: over the joints; one freedom needs two.
+    """
+    r, n = Z.shape
+    S = np.zeros((n, n))  # A^T A + Z^T Z: regular, and the shortest solution of A x = b is S^-1 A^T b
+    for i in range(n):
+        for j in range(n):
+            S[i, j] = dot(A[:, i], A[:, j]) + dot(Z[:, i], Z[:, j])
+    shortest = solve_factored(cholesky(S), transpose_times(A, b))
+    w, push = np.zeros(r), np.zeros(n)
+    for _ in range(sweeps):
+        change = 0.0
+        for j in range(n):
+            size = dot(Z[:, j], Z[:, j])
+            if size > 1e-12:
+                free = shortest[j] + dot(Z[:, j], w) - size * push[j]
+                new = (min(max(free, lower[j]), upper[j]) - free) / size
+                w += (new - push[j]) * Z[:, j]
+                change = max(change, abs(new - push[j]))
+                push[j] = new
+        if change < 1e-12:
+            break
+    motion = transpose_times(Z, w)
+    for j in range(n):
+        x = shortest[j] + motion[j]
+        if not lower[j] - 1e-6 <= x <= upper[j] + 1e-6:  # the box is empty, or A has lost more than a rank
+            return np.zeros(n)
+    return motion
+
+
+@njit(cache=True, nogil=True)
 def least_violation(A: Array, b: Array, lower: Array, upper: Array, sweeps: int) -> Array:
     """min |A x - b|^2 over the box by coordinate descent: the fallback of the same name."""
     n = A.shape[1]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control.dense import dot
-from moc_opt.control.manipulability import least_violation
+from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.model_kernels import all_finite
 from moc_opt.settings import Settings
@@ -70,6 +70,9 @@ class SupervisorSettings(Settings):
     )  # fmt: skip
     hold_ticks: int = Field(
         10, ge=0, description="how long the last good answer is held, before damping alone"
+    )
+    keep_off_limits: bool = Field(
+        True, description="from then on, move the elbow as far as the box asks for; False: damping alone"
     )
     budget_us: float | None = Field(None, gt=0.0, description="time a solve may take; None: no limit")
     late: Literal["hold", "zero", "iterate"] = Field("hold", description="what stands for a late answer")
@@ -174,6 +177,7 @@ class Supervisor:
         answer_residuals(qp.row, qp.n, Z, self._rest)
         if self._fallback == "least-violation":
             self._least_violation(qp)
+        self._retreat(qp, Z)
 
     def solve(self, session: Session, qp: NullSpaceQP, Z: Array) -> tuple[Solution, Array]:
         """Ask, check, and answer in any case.
@@ -197,7 +201,7 @@ class Supervisor:
             self._good, self._age = np.array(solution.x), 0
             return solution, self._good
         self.counts[self.fault.label] += 1
-        return solution, self._replace(solution, qp)
+        return solution, self._replace(solution, qp, Z)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         settings, status = self.settings, solution.status
@@ -220,7 +224,7 @@ class Supervisor:
             return Fault.LATE
         return Fault.NONE
 
-    def _replace(self, solution: Solution, qp: NullSpaceQP) -> Array:
+    def _replace(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Array:
         self._age += 1
         if self.fault is Fault.INFEASIBLE and self._fallback != "hold":
             if self._fallback == "damping":
@@ -229,7 +233,14 @@ class Supervisor:
         if self.fault is Fault.LATE and self.settings.late != "hold":
             # the truncated iterate: a late answer is still an answer, only the tick is lost
             return solution.x if self.settings.late == "iterate" else self._rest
-        return self._good if self._age <= self.settings.hold_ticks else self._rest
+        if self._age <= self.settings.hold_ticks:
+            return self._good
+        return self._retreat(qp, Z) if self.settings.keep_off_limits else self._rest
+
+    def _retreat(self, qp: NullSpaceQP, Z: Array) -> Array:
+        part = qp.fields
+        x: Array = into_the_box(part.A, part.b, Z, part.lower, part.upper, 50)
+        return x
 
     def _least_violation(self, qp: NullSpaceQP) -> Array:
         part = qp.fields
