@@ -13,7 +13,7 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
 
 EXACT = solvers.create("exact")
-QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False}
+QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0}
 
 
 def reference(state, speed=0.01):
@@ -109,7 +109,7 @@ def test_third_level_fades_in(robot):
     """With a ramp of ten periods the first tick gives a tenth of it; a restart begins anew."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
-    faded, *_ = started(robot, state=state, ramp_s=0.02, **QUIET)
+    faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
     dcac, *_ = started(robot, None, state, gains="moc", **QUIET)
     low = dcac.tick(state, tip_ref, trocar)
     top = whole.tick(state, tip_ref, trocar) - low
