@@ -107,7 +107,10 @@ def parts(
     """The parts of our tick, each on the same states: what the controller calls, called by itself."""
     n, gains = robot.n, settings.resolve_gains(robot.data.gains)
     numbers = np.array([gains[name] for name in ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")])
-    limits = np.ascontiguousarray([robot.q_min, robot.q_max, settings.speed_fraction * robot.v_max])
+    limits = manipulability.box_limits(
+        robot.q_min, robot.q_max, robot.v_max,
+        margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+    )  # fmt: skip
     weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
     states = [robot.state(q, v) for q, v, _, _ in inputs]
     given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]

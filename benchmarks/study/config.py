@@ -88,7 +88,7 @@ class Sweeps(Settings):
     seeds: int = Field(1, ge=1)
     duration_s: float | None = Field(None, gt=0.0)
     values: Literal["few", "usual", "many"] = "usual"
-    deadline_solvers: list[str] = Field(["osqp", "proxqp", "clarabel"])
+    deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
     late_percent: list[float] = Field([1.0, 5.0, 20.0], description="of the recorded times, above the budget")
 
 

@@ -17,6 +17,16 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
 PRESETS = ("paper", "tuned")
 
+# No observer, no ramp, and a box that goes up to the limits of the joints themselves.
+PAPER: dict[str, Any] = {
+    "k0_per_s": 0.1,
+    "damping": 0.0,
+    "observer_gain_per_s": 0.0,
+    "speed_fraction": 1.0,
+    "limit_margin_rad": 0.0,
+    "ramp_s": 0.0,
+}
+
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
 TUNED: dict[str, Any] = {
     "gains": "moc",
@@ -70,9 +80,14 @@ class ControlSettings(Settings):
         default="damping", description="the answer to an infeasible subproblem"
     )
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
-        default=1.0, description="of v_max in the box on x: limits how fast the elbow travels"
+        default=0.5, description="of v_max in the box on x: limits how fast the elbow travels; the paper has 1"
     )
-    ramp_s: NotNegative = Field(default=0.0, description="the third level fades in over this time [s]")
+    limit_margin_rad: NotNegative = Field(
+        default=0.045, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
+    )
+    ramp_s: NotNegative = Field(
+        default=0.3, description="the third level fades in over this time [s]; the paper has 0"
+    )
     supervisor: SupervisorSettings = SupervisorSettings()
     backend: Literal["python", "c"] = Field(
         default="python", description="'c' compiles the whole tick; solver 'exact' only"
@@ -80,8 +95,8 @@ class ControlSettings(Settings):
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
-        """The paper's parameters where it prints them: no observer, k0 = 0.1, rho = 0."""
-        return cls(**{"k0_per_s": 0.1, "damping": 0.0, "observer_gain_per_s": 0.0, **changes})
+        """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
+        return cls(**{**PAPER, **changes})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
