@@ -186,8 +186,8 @@ def _sweeps(page: Page, study: Study, made: Mapping[str, Table]) -> None:
             page.section("Deadlines")
             page.text(
                 "A solve that takes longer than its budget is answered by the last good answer (hold), by rest (zero), "
-                "or by what the solver has when its budget ends (iterate): it is asked again, from where that solve began, "
-                "for as many iterations as fit. Times are replayed from a recording: "
+                "or by what the solver has when its budget ends (iterate): it is asked again, from where that solve "
+                "began, for as many iterations as fit. Times are replayed from a recording: "
                 "`[solver] replay_us` in a scenario repeats a run exactly."
             )
             break
