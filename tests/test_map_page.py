@@ -31,8 +31,8 @@ def test_words_follow_from_the_readings() -> None:
         reading("rnn", 0.2, End.GREY, joint=4),
     ]
     words = in_words(given, {"exact": "exact and 3 more"})
-    assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %. Never there: dcac." in words
-    assert "dcac stays put, though the way up is open." in words
+    assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %." in words
+    assert "dcac never gets there: it stays put, though the way up is open." in words
     assert "rnn ends before the grey: the way up leads beyond the limit of joint 4." in words
     two = in_words([reading("a", 1.0, End.RIDGE, from_s=0.0), reading("b", 1.0, End.RIDGE, from_s=0.0)])
     assert "a for 100 %; b for 100 %." in two
@@ -70,7 +70,7 @@ def test_a_few_courses_are_all_drawn_and_spoken_of() -> None:
         "one line in three colours"
     )
     html = page.html()
-    assert "a, b and d stay put" in html
+    assert "a, b and d never get there: they stay put" in html
     assert "21 by 120 poses" in html
 
 
@@ -85,7 +85,7 @@ def test_of_many_courses_one_of_each_kind_is_drawn() -> None:
         "s0 and 8 more": "solid", "c": "solid",
     }  # fmt: skip
     assert "s1, s2, s3" in page.html(), "the table names those that are not drawn"
-    assert "s0 and 8 more stay put" in page.html()
+    assert "s0 and 8 more never get there: they stay put" in page.html()
     apart = made(hill(60.0, 0.3), {str(k): 10.0 * k for k in range(12)})
     assert len(lines(apart)) == MOST_LINES
     page = Page("Many")
