@@ -35,7 +35,6 @@ COLUMNS = (
         help=f"over the last {100 * END:.0f} % of the time; held by a lower top or a forbidden pose: less than "
         f"{np.degrees(CLOSE_RAD):.0f} deg before it, climbing",
     ),
-    Column("alike", "alike", help=f"never farther from it than {np.degrees(ALIKE_RAD):.0f} deg, and not drawn"),
 )  # fmt: skip
 PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
 
@@ -166,11 +165,11 @@ def course_table(
 ) -> Table:
     """One row for each kind of course, in their order."""
     rows = []
-    for first, others in kinds.items():
+    for first in kinds:
         reading = readings[first]
         rows.append(
             {
-                "name": first, "alike": ", ".join(others), "near": 100.0 * reading.near, "from_s": reading.from_s,
+                "name": first, "near": 100.0 * reading.near, "from_s": reading.from_s,
                 "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
                 "at_grey": 100.0 * reading.at_grey,
                 "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
@@ -178,8 +177,10 @@ def course_table(
         )  # fmt: skip
         if reading.end is not End.RIDGE:
             rows[-1]["from_s"] = Missing("not there in the end")
-    columns = [column for column in COLUMNS if column.key != "alike" or any(kinds.values())]
-    return Table(f"Courses on the map{': ' * bool(what)}{what}", columns, rows)
+    stand_for = [f"{first} stands for {', '.join(others)} too" for first, others in kinds.items() if others]
+    apart = f"within {np.degrees(ALIKE_RAD):.0f} deg of its elbow at all times"
+    note = f"{'; '.join(stand_for)}: {apart}." if stand_for else ""
+    return Table(f"Courses on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
 
 
 def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
