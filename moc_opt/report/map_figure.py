@@ -88,14 +88,12 @@ HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.nam
 
 def _colors(drawn: go.Figure, found: SwivelMap, degrees: Array, allowed: NDArray[np.bool_]) -> None:
     """mu as colour, of forbidden poses too, so that it can be smoothed up to their edge; and grey that covers them."""
-    # Columns lie on ticks of the run, off even steps by half a tick; smoothing wants them even.
-    t = np.linspace(found.t_s[0], found.t_s[-1], len(found.t_s), dtype=np.float32)
     mu = np.where(found.limit == UNREACHABLE, np.nan, found.mu)
     words = [f"joint {j} beyond its limit" for j in range(1, found.q_rad.shape[2] + 1)]
     reasons = np.where(found.limit == UNREACHABLE, "out of reach", np.array(["", *words])[found.limit])
     drawn.add_heatmap(
-        x=t, y=degrees.astype(np.float32), z=mu.astype(np.float32).T, colorscale=SCALE,
-        zmin=float(mu[allowed].min()), zmax=float(mu[allowed].max()), zsmooth="fast", hoverongaps=False,
+        x=found.t_s.astype(np.float32), y=degrees.astype(np.float32), z=mu.astype(np.float32).T, colorscale=SCALE,
+        zmin=float(mu[allowed].min()), zmax=float(mu[allowed].max()), zsmooth="best", hoverongaps=False,
         hovertemplate="%{x:.2f} s, %{y:.0f}°: µ = %{z:.3f} m³<extra></extra>",
         colorbar={
             "title": {"text": "µ [m³]", "side": "top"}, "thickness": 12, "outlinewidth": 0, "len": 0.9, "y": 0.45,
@@ -103,7 +101,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, degrees: Array, allowed: NDArray
         },
     )  # fmt: skip
     drawn.add_heatmap(
-        x=t, y=degrees, z=np.where(allowed, np.nan, 0.0).T, customdata=reasons.T, showscale=False,
+        x=found.t_s, y=degrees, z=np.where(allowed, np.nan, 0.0).T, customdata=reasons.T, showscale=False,
         colorscale=[[0.0, BAD], [1.0, BAD]], hoverongaps=False,
         hovertemplate="%{x:.2f} s, %{y:.0f}°: %{customdata}<extra></extra>",
     )  # fmt: skip

@@ -35,7 +35,6 @@ COLUMNS = (
         help=f"over the last {100 * END:.0f} % of the time; held by a lower top or a forbidden pose: less than "
         f"{np.degrees(CLOSE_RAD):.0f} deg before it, climbing",
     ),
-    Column("alike", "alike", help=f"never farther from it than {np.degrees(ALIKE_RAD):.0f} deg, and not drawn"),
 )  # fmt: skip
 PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
 
@@ -101,31 +100,41 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     """
     called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}
     known = sorted((r for r in readings if np.isfinite(r.near)), key=lambda reading: -reading.near)
-    timed = [
-        f"{called[reading.name]} for {100.0 * reading.near:.0f} %"
-        + (
-            f" (from {reading.from_s:.1f} s on for good)"
-            if reading.from_s > 0.0 and reading.near < 1.0
-            else ""
-        )
-        for reading in known
-        if reading.near >= 0.005
-    ]
-    never = [called[reading.name] for reading in known if reading.near < 0.005]
+    timed = []
+    for reading in known:
+        if not _never(reading):
+            since = (
+                f" (from {reading.from_s:.1f} s on for good)"
+                if reading.from_s > 0.0 and reading.near < 1.0
+                else ""
+            )
+            timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
     limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
     said = [f"On the ridge ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
-    if never:
-        said.append(f"Never there: {_listed(never)}.")
-    ends: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = {}
     for reading in readings:
-        for words in (grey_in_words(reading), end_in_words(reading)):
-            ends.setdefault(words, []).append(called[reading.name])
-    ends.pop("", None)
-    for words, names in ends.items():
-        verb, _, rest = words.partition(" ")
+        never = "never gets there: it " if _never(reading) else ""
+        for words in (grey_in_words(reading), never + end_in_words(reading)):
+            groups.setdefault(words, []).append(called[reading.name])
+    groups.pop("", None)
+    for words, names in groups.items():
         several = len(names) > 1 or names[0].endswith(" more")
-        said.append(f"{_listed(names)} {PLURAL[verb] if several else verb} {rest}.")
+        said.append(f"{_listed(names)} {_plural(words) if several else words}.")
     return " ".join(said)
+
+
+def _never(reading: Reading) -> bool:
+    """It would read as 0 %."""
+    return reading.near < 0.005
+
+
+def _plural(words: str) -> str:
+    """The same said of several: the verb that begins it, and one that follows a colon."""
+    begin, colon, rest = words.partition("never gets there: it ")
+    if colon:
+        return f"never get there: they {_plural(rest)}"
+    verb, space, rest = begin.partition(" ")
+    return f"{PLURAL[verb]}{space}{rest}"
 
 
 def end_in_words(reading: Reading) -> str:
@@ -156,11 +165,11 @@ def course_table(
 ) -> Table:
     """One row for each kind of course, in their order."""
     rows = []
-    for first, others in kinds.items():
+    for first in kinds:
         reading = readings[first]
         rows.append(
             {
-                "name": first, "alike": ", ".join(others), "near": 100.0 * reading.near, "from_s": reading.from_s,
+                "name": first, "near": 100.0 * reading.near, "from_s": reading.from_s,
                 "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
                 "at_grey": 100.0 * reading.at_grey,
                 "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
@@ -168,8 +177,10 @@ def course_table(
         )  # fmt: skip
         if reading.end is not End.RIDGE:
             rows[-1]["from_s"] = Missing("not there in the end")
-    columns = [column for column in COLUMNS if column.key != "alike" or any(kinds.values())]
-    return Table(f"Courses on the map{': ' * bool(what)}{what}", columns, rows)
+    stand_for = [f"{first} stands for {', '.join(others)} too" for first, others in kinds.items() if others]
+    apart = f"within {np.degrees(ALIKE_RAD):.0f} deg of its elbow at all times"
+    note = f"{'; '.join(stand_for)}: {apart}." if stand_for else ""
+    return Table(f"Courses on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
 
 
 def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
