@@ -23,9 +23,7 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-FILL_STATE = entry(
-    kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
-)
+FILL_STATE = entry(kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR)
 TIP_MANIPULABILITY = entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 

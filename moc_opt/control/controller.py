@@ -172,7 +172,13 @@ class Controller:
             )
         # Copies of our own: what is compiled takes their kind of memory for granted.
         self._tip_ref[:], self._trocar[:] = tip_ref, trocar
-        robot, record, gains, tip_ref, trocar = self.robot, state.record, self._gains, self._tip_ref, self._trocar
+        robot, record, gains, tip_ref, trocar = (
+            self.robot,
+            state.record,
+            self._gains,
+            self._tip_ref,
+            self._trocar,
+        )
         if self._session is not None:
             tau, row = np.empty(robot.n), np.empty(self._row_length)
             if not BEFORE_SOLVER(
@@ -195,9 +201,7 @@ class Controller:
             self._share = min(1.0, self._share + self._fade)
             pull, damping = self._share * self._pull, self._share * self._damping
         else:
-            tau = TRACKING_TORQUE(
-                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
-            )
+            tau = TRACKING_TORQUE(record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward)
             if self._uses_null_space:
                 self._follow_null_space(state)
             x, pull, damping = self._rest, self._dcac_damping, 0.0
