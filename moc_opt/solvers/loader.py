@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, int64, njit, typeof
 from numpy.typing import NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.solvers.rows import assemble, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -64,7 +64,7 @@ def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
         six[j] = factor * total
 
 
-LIFT_DUALS = entry(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+_LIFT_DUALS = Entry(lift_duals, MATRIX, VECTOR, float64, VECTOR)
 
 
 class Loader:
@@ -106,8 +106,9 @@ class Loader:
         self._five = rows == 5 and self._m == 5
         targets = (self._signs, P, self._packed, p, A, low, high, lower, upper, self._lift)
         # Each library has its own order of memory: the kernel is compiled for that of these very arrays.
-        self._kernel = entry(load_record, VECTOR, int64, float64, *map(typeof, targets))
+        self._kernel = Entry(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
         self._targets = (self._n, scale, *targets)
+        self._lift_duals = _LIFT_DUALS.code
 
     def __call__(self, qp: NullSpaceQP) -> bool:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
@@ -129,7 +130,7 @@ class Loader:
         """Multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
         six = np.empty(6)  # made here: an array that compiled code makes costs more to hand over
         if y.strides == (8,):
-            LIFT_DUALS(self._lift, y, factor, six)
+            self._lift_duals(self._lift, y, factor, six)
         else:
             lift_duals(self._lift, y, factor, six)
         return six
