@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 from numba import bool_, float64, int64
@@ -13,17 +14,24 @@ INDICES, FLAGS = int64[::1], bool_[:, ::1]
 """The same of integers and of truth values."""
 
 
-def entry(kernel: Any, *kinds: Any) -> Callable[..., Any]:
-    """A kernel's machine code for arguments of these kinds, without numba's look at their types at every call.
+class Entry:
+    """A kernel's machine code for arguments of fixed kinds, without numba's look at their types at every call.
 
-    That look costs some 30 ns an argument, and three times as much where an array is read-only. What is returned
-    still refuses objects of the wrong size or dimension, but takes contiguous memory and the dtype for granted:
-    hand it only arrays that this package has made or checked itself.
+    That look costs some 30 ns an argument, and three times as much where an array is read-only. The code still
+    refuses objects of the wrong size or dimension, but takes contiguous memory and the dtype for granted: hand it only
+    arrays that this package has made or checked itself.
 
     Args:
         kernel: an ``njit`` function.
         kinds: numba types of its arguments, in order.
     """
-    kernel.compile(kinds)
-    code: Callable[..., Any] = kernel.get_overload(kinds)
-    return code
+
+    def __init__(self, kernel: Any, *kinds: Any) -> None:
+        self._kernel, self._kinds = kernel, kinds
+
+    @cached_property
+    def code(self) -> Callable[..., Any]:
+        """The machine code; compiled, or read from the cache, when it is first asked for, not when imported."""
+        self._kernel.compile(self._kinds)
+        code: Callable[..., Any] = self._kernel.get_overload(self._kinds)
+        return code

@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt import model_kernels as kernels
-from moc_opt.compiled import FLAGS, MATRIX, VECTOR, entry
+from moc_opt.compiled import FLAGS, MATRIX, VECTOR, Entry
 from moc_opt.errors import RobotError
 from moc_opt.kinematics import Chain, Kinematics, build_kinematics
 from moc_opt.robots import RobotData, load_data
@@ -23,10 +23,8 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-FILL_STATE = entry(
-    kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
-)
-TIP_MANIPULABILITY = entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
+_FILL_STATE = Entry(kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR)
+_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -43,6 +41,7 @@ class RobotModel:
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
         self._pin = _build(data)
+        self._fill_state, self._tip_manipulability = _FILL_STATE.code, _TIP_MANIPULABILITY.code
         self._pin_data = self._pin.createData()
         self._side_data = self._pin.createData()
         frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
@@ -80,7 +79,7 @@ class RobotModel:
         pin.computeJointJacobians(model, data, position)
         pin.nonLinearEffects(model, data, position, velocity)
         pin.crba(model, data, position)
-        code = FILL_STATE(
+        code = self._fill_state(
             record,
             self._axes,
             self._last_rotation_t,
@@ -102,7 +101,7 @@ class RobotModel:
         mu = np.empty(len(poses))
         for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
             pin.computeJointJacobians(self._pin, self._pin_data, q)
-            mu[k] = TIP_MANIPULABILITY(
+            mu[k] = self._tip_manipulability(
                 self._axes, self._last_rotation_t, self._last_origin, self._offsets, self._moves
             )
         return mu

@@ -9,7 +9,7 @@ import numpy as np
 from numba import bool_, float64, int64
 from numpy.typing import NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.control import manipulability, tick
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
@@ -24,12 +24,12 @@ from moc_opt.subproblem import NullSpaceQP, row_length
 Array = NDArray[np.float64]
 
 
-BEFORE_SOLVER = entry(
+_BEFORE_SOLVER = Entry(
     tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, MATRIX, VECTOR, float64, MATRIX, VECTOR,
     VECTOR,
 )  # fmt: skip
-TRACKING_TORQUE = entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_)
-AFTER_SOLVER = entry(
+_TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_)
+_AFTER_SOLVER = Entry(
     tick.after_solver, VECTOR, int64, MATRIX, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR
 )
 
@@ -97,6 +97,8 @@ class Controller:
         self._session: Session | None = None
         self._listener: ObservesVelocity | None = None
         self._rest = np.zeros(robot.n)
+        self._before_solver, self._after_solver = _BEFORE_SOLVER.code, _AFTER_SOLVER.code
+        self._tracking_torque = _TRACKING_TORQUE.code
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         self._supervisor = Supervisor(settings.supervisor, settings.fallback, robot.n, times_us)
         self._forget()
@@ -175,10 +177,16 @@ class Controller:
             )
         # Copies of our own: what is compiled takes their kind of memory for granted.
         self._tip_ref[:], self._trocar[:] = tip_ref, trocar
-        robot, record, gains, tip_ref, trocar = self.robot, state.record, self._gains, self._tip_ref, self._trocar
+        robot, record, gains, tip_ref, trocar = (
+            self.robot,
+            state.record,
+            self._gains,
+            self._tip_ref,
+            self._trocar,
+        )
         if self._session is not None:
             tau, row = np.empty(robot.n), np.empty(self._row_length)
-            if not BEFORE_SOLVER(
+            if not self._before_solver(
                 record,
                 robot.n,
                 tip_ref,
@@ -198,14 +206,12 @@ class Controller:
             self._share = min(1.0, self._share + self._fade)
             pull, damping = self._share * self._pull, self._share * self._damping
         else:
-            tau = TRACKING_TORQUE(
-                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
-            )
+            tau = self._tracking_torque(record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward)
             if self._uses_null_space:
                 self._follow_null_space(state)
             x, pull, damping = self._rest, self._dcac_damping, 0.0
         disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
-        AFTER_SOLVER(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
+        self._after_solver(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
         self._tau = _read_only(tau)
         return tau
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import COLUMNS, VECTOR, entry
+from moc_opt.compiled import COLUMNS, VECTOR, Entry
 from moc_opt.control.dense import times, transpose_times
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
@@ -53,7 +53,7 @@ def observe(
     momentum_residual(s.M, C, s.h, s.v, tau, gain, period, integral, r)
 
 
-OBSERVE = entry(observe, VECTOR, int64, COLUMNS, VECTOR, float64, float64, VECTOR, VECTOR)
+_OBSERVE = Entry(observe, VECTOR, int64, COLUMNS, VECTOR, float64, float64, VECTOR, VECTOR)
 
 
 class MomentumObserver:
@@ -70,6 +70,7 @@ class MomentumObserver:
             raise ControlError(
                 f"observer_gain_per_s = {gain} at a period of {period} s: keep it below {1.0 / period:g}"
             )
+        self._observe = _OBSERVE.code
         self._robot, self._gain, self._period = robot, gain, period
         self._integral, self.external_torque = np.zeros(robot.n), np.zeros(robot.n)
 
@@ -81,5 +82,5 @@ class MomentumObserver:
     def update(self, state: RobotState, tau: Array) -> Array:
         """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
         C = self._robot.coriolis_view(state)
-        OBSERVE(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
+        self._observe(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

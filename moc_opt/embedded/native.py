@@ -52,7 +52,9 @@ class NativeController:
         self.robot, self.settings, self.solver = robot, settings, solver
         plan, texts = _generated(pickle.dumps((robot.data, settings, solver, period)))
         self.library = compile_library(texts)
-        found = ctypes.PyDLL(str(self.library))  # for a microsecond, letting other threads in costs more than it gives
+        found = ctypes.PyDLL(
+            str(self.library)
+        )  # for a microsecond, letting other threads in costs more than it gives
         self._q, self._v, self._tau = np.zeros(robot.n), np.zeros(robot.n), np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         state, self._state = _memory(plan.state)

@@ -6,7 +6,7 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ def _admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) ->
     return True
 
 
-_ADMIT = entry(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
+_ADMIT = Entry(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
 
 
 class Drives:
@@ -40,6 +40,7 @@ class Drives:
             delay_ticks: periods from command to torque, 0 or more.
             applied: (n,) written at each command: the plant's own torque vector [Nm].
         """
+        self._admit = _ADMIT.code
         self._limit, self._applied = tau_max.copy(), applied
         self._delay, self._queue = delay_ticks, np.zeros((delay_ticks, tau_max.size))
         self._tau, self._slot = np.zeros(tau_max.size), 0
@@ -61,7 +62,7 @@ class Drives:
                 f"tau has shape {np.shape(tau)}: give {self._tau.shape}, one torque a joint [Nm]"
             )
         self._tau[:] = tau
-        if not _ADMIT(self._tau, self._limit, self._queue, self._slot, self._applied):
+        if not self._admit(self._tau, self._limit, self._queue, self._slot, self._applied):
             raise PlantError(
                 f"tau = {self._tau.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
                 "or stop it when its solver fails"

@@ -9,7 +9,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import INDICES, MATRIX, VECTOR, entry
+from moc_opt.compiled import INDICES, MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
@@ -75,13 +75,13 @@ def _write_truth(
 
 
 # The kernels of one period, without a look at the types of their arguments: all are made in this file.
-_FINITE = entry(_finite, MATRIX)
-_SOUND = entry(_sound, VECTOR, VECTOR, float64)
-_WRITE = entry(
+_FINITE = Entry(_finite, MATRIX)
+_SOUND = Entry(_sound, VECTOR, VECTOR, float64)
+_WRITE = Entry(
     _write_truth, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, int64, int64, int64, MATRIX, VECTOR,
     float64, float64, float64, VECTOR,
 )  # fmt: skip
-_LOAD = entry(
+_LOAD = Entry(
     load_bodies, *[MATRIX] * 5, VECTOR, int64, int64, int64, MATRIX, VECTOR, VECTOR,
     float64, float64, float64, INDICES, MATRIX,
 )  # fmt: skip
@@ -150,13 +150,14 @@ class Plant:
         self._xpos, self._told, self._trocar = state.xpos, np.zeros((2, 3)), np.zeros((2, 3))
         origin, point = state.subtree_com[model.body_rootid[self._tool]], np.zeros(3)
         self._load = partial(
-            _LOAD, state.xfrc_applied, state.xpos, state.xmat, state.xipos, state.cvel, origin, *numbers, self._trocar,
-            np.zeros(3), point,
+            _LOAD.code, state.xfrc_applied, state.xpos, state.xmat, state.xipos, state.cvel, origin, *numbers,
+            self._trocar, np.zeros(3), point,
         )  # fmt: skip
+        self._is_finite = partial(_FINITE.code, self._told)
         self._write = partial(
-            _WRITE, self._q, self._v, state.xpos, state.cvel, origin, *numbers, self._trocar, point
+            _WRITE.code, self._q, self._v, state.xpos, state.cvel, origin, *numbers, self._trocar, point
         )
-        self._is_sound = partial(_SOUND, self._q, self._v, _RUNAWAY_RAD_PER_S)
+        self._is_sound = partial(_SOUND.code, self._q, self._v, _RUNAWAY_RAD_PER_S)
         self._mount = state.site_xmat[model.site(MOUNT_SITE).id].reshape(3, 3)
         self._first_half = partial(mujoco.mj_step1, model, state)
         self._second_half = partial(mujoco.mj_step2, model, state)
@@ -244,7 +245,7 @@ class Plant:
         if (trocar.shape if isinstance(trocar, np.ndarray) else np.shape(trocar)) != (2, 3):
             return False
         self._told[:] = trocar
-        return bool(_FINITE(self._told))
+        return bool(self._is_finite())
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""

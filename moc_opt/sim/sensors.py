@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
@@ -75,7 +75,7 @@ def _read(
         velocity[i], last[i] = estimate[i], position[i]
 
 
-_READ = entry(_read, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
+_READ = Entry(_read, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
 
 
 class Encoders:
@@ -97,6 +97,7 @@ class Encoders:
         cutoff_Hz: float = 0.0,
     ) -> None:
         """Build n encoders that are read every `period_s`; noise is a standard deviation."""
+        self._read = _READ.code
         self._period, self._resolution = period_s, resolution_rad
         self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
@@ -131,7 +132,7 @@ class Encoders:
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
         noise = self._noise.row()
-        _READ(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
+        self._read(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
         reading.setflags(write=False)
         return reading[0], reading[1]
 

@@ -81,9 +81,7 @@ class CasadiConic:
     warm: bool = False
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, rows=ROWS)
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled

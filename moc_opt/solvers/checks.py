@@ -3,9 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NoReturn
+from dataclasses import fields
+from typing import Any, NoReturn
 
 from moc_opt.errors import SolverError
+
+
+def like_defaults(settings: Any, **choices: Sequence[object]) -> None:
+    """Check every field of a solver's settings that has a plain default, which also says what is usual.
+
+    A field named in ``choices`` must be one of them; else a flag's default asks for a flag, a whole number's for one of
+    1 or larger, a number's for a positive one, and 0.0 for one that is not negative.
+
+    Args:
+        settings: a dataclass with a ``name``.
+
+    Raises:
+        SolverError: a field is out of range.
+    """
+    for field in fields(settings):
+        name, usual, value = field.name, field.default, getattr(settings, field.name)
+        if name in choices:
+            one_of(settings.name, name, value, choices[name])
+        elif isinstance(usual, bool):
+            flag(settings.name, name, value)
+        elif isinstance(usual, int):
+            whole(settings.name, name, value, usual)
+        elif isinstance(usual, float):
+            (positive if usual > 0.0 else not_negative)(settings.name, name, value, usual)
 
 
 def positive(solver: str, field: str, value: object, usual: float) -> None:

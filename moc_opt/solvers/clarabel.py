@@ -55,10 +55,7 @@ class Clarabel:
     name: ClassVar[str] = "clarabel"
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
-        checks.positive(self.name, "eps", self.eps, 1e-9)
-        checks.whole(self.name, "max_iter", self.max_iter, 100)
+        checks.like_defaults(self, rows=ROWS)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Every subproblem is supported."""

@@ -57,12 +57,7 @@ class DAQP:
     name: ClassVar[str] = "daqp"
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
-        checks.positive(self.name, "primal_tol", self.primal_tol, 1e-9)
-        checks.positive(self.name, "dual_tol", self.dual_tol, 1e-12)
-        checks.whole(self.name, "max_iter", self.max_iter, 1000)
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, rows=ROWS)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Every subproblem is supported."""

@@ -18,7 +18,7 @@ import numpy as np
 from numba import float64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import VECTOR, entry
+from moc_opt.compiled import VECTOR, Entry
 from moc_opt.errors import SolverError
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, STUCK, eliminate, swivel
@@ -101,6 +101,7 @@ def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArra
         status[i] = solve_row(rows[i], tolerance, X[i], Y[i])
 
 
+_SOLVE = Entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
 _SOLVED = Status.SOLVED
 _solution = tuple.__new__  # a NamedTuple's own constructor is written in Python and costs twice as much
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
@@ -169,7 +170,7 @@ class ExactSession:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        self._kernel = entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
+        self._kernel = _SOLVE.code
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""

@@ -7,9 +7,10 @@ call costs a microsecond; the same steps in numpy, one by one, cost as much as t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import float64, int64, njit, typeof
 from numpy.typing import NDArray
 
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.solvers.rows import assemble, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -63,6 +64,9 @@ def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
         six[j] = factor * total
 
 
+_LIFT_DUALS = Entry(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+
+
 class Loader:
     """Writes subproblems of one shape into given buffers; each is an array of the library's, or a view into one.
 
@@ -100,12 +104,16 @@ class Loader:
         self._P, self._p, self._A = P, p, A
         self._low, self._high, self._lower, self._upper = low, high, lower, upper
         self._five = rows == 5 and self._m == 5
-        self._targets = (self._signs, P, self._packed, p, A, low, high, lower, upper, self._lift)
+        targets = (self._signs, P, self._packed, p, A, low, high, lower, upper, self._lift)
+        # Each library has its own order of memory: the kernel is compiled for that of these very arrays.
+        self._kernel = Entry(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
+        self._targets = (self._n, scale, *targets)
+        self._lift_duals = _LIFT_DUALS.code
 
     def __call__(self, qp: NullSpaceQP) -> bool:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
         if self._five:
-            return qp.n == self._n and load_record(qp.row, self._n, self._scale, *self._targets)
+            return qp.n == self._n and self._kernel(qp.row, *self._targets)
         A, b, lift = equalities(qp, self._rows)
         if A.shape != (self._m, self._n):
             return False
@@ -121,5 +129,8 @@ class Loader:
     def lifted(self, y: Array, factor: float) -> Array:
         """Multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
         six = np.empty(6)  # made here: an array that compiled code makes costs more to hand over
-        lift_duals(self._lift, y, factor, six)
+        if y.strides == (8,):
+            self._lift_duals(self._lift, y, factor, six)
+        else:
+            lift_duals(self._lift, y, factor, six)
         return six

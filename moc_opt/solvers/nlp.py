@@ -113,12 +113,7 @@ class NLP(ABC):
                 f"{self.name}: kinematics = {self.kinematics!r} has no n, tip, wrist and mu; "
                 "pass kinematics=robot.kinematics()"
             )
-        checks.positive(self.name, "period", self.period, 0.002)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e4)
-        checks.positive(self.name, "eps", self.eps, 1e-7)
-        checks.whole(self.name, "max_iter", self.max_iter, 50)
-        checks.one_of(self.name, "hessian", self.hessian, ("limited-memory", "exact"))
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, hessian=("limited-memory", "exact"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """It needs to know where the problem was linearized, and a rigid tool."""

@@ -69,14 +69,7 @@ class OSQP:
     name: ClassVar[str] = "osqp"
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e2)
-        checks.positive(self.name, "eps", self.eps, 1e-8)
-        checks.not_negative(self.name, "eps_rel", self.eps_rel, 0.0)
-        checks.whole(self.name, "max_iter", self.max_iter, 4000)
-        checks.whole(self.name, "check_termination", self.check_termination, 25)
-        checks.flag(self.name, "polishing", self.polishing)
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, rows=ROWS)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Every subproblem is supported."""

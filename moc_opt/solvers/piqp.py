@@ -50,10 +50,7 @@ class PIQP:
     name: ClassVar[str] = "piqp"
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
-        checks.positive(self.name, "eps", self.eps, 1e-9)
-        checks.whole(self.name, "max_iter", self.max_iter, 250)
+        checks.like_defaults(self, rows=ROWS)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Every subproblem is supported."""

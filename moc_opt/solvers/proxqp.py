@@ -68,14 +68,7 @@ class ProxQP:
     name: ClassVar[str] = "proxqp"
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
-        checks.one_of(self.name, "box", self.box, ("bounds", "rows"))
-        checks.positive(self.name, "cost_scale", self.cost_scale, 10.0)
-        checks.positive(self.name, "eps", self.eps, 1e-9)
-        checks.positive(self.name, "eps_primal_inf", self.eps_primal_inf, 1e-9)
-        checks.whole(self.name, "max_iter", self.max_iter, 100)
-        checks.whole(self.name, "max_iter_in", self.max_iter_in, 50)
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, rows=ROWS, box=("bounds", "rows"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Every subproblem is supported."""

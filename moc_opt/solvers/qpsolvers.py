@@ -109,13 +109,11 @@ class QPSolver:
     warm: bool = False
 
     def __post_init__(self) -> None:
-        checks.one_of(self.name, "rows", self.rows, ROWS)
+        checks.like_defaults(self, rows=ROWS)
         if self.cost_scale is not None:
             checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
         if not isinstance(self.options, Mapping):
             raise SolverError(f"{self.name}: options = {self.options!r} is not a table of keyword arguments")
-        checks.flag(self.name, "advised", self.advised)
-        checks.flag(self.name, "warm", self.warm)
         object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled

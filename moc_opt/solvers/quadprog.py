@@ -35,7 +35,7 @@ class Quadprog:
     name: ClassVar[str] = "quadprog"
 
     def __post_init__(self) -> None:
-        checks.positive(self.name, "cost_scale", self.cost_scale, 1.0)
+        checks.like_defaults(self)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """It factorises P, which is singular without damping."""

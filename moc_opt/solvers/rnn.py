@@ -132,12 +132,8 @@ class RNN:
     name: ClassVar[str] = "rnn"
 
     def __post_init__(self) -> None:
-        checks.whole(self.name, "steps", self.steps, 10)
         _check_step(self.name, self.h, self.k, 0.5)
-        checks.positive(self.name, "scale", self.scale, 100.0)
-        checks.one_of(self.name, "method", self.method, ("explicit", "semi-implicit"))
-        checks.positive(self.name, "eps", self.eps, 1e-7)
-        checks.flag(self.name, "warm", self.warm)
+        checks.like_defaults(self, method=("explicit", "semi-implicit"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Stable steps only."""
