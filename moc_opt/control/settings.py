@@ -28,7 +28,7 @@ PAPER: dict[str, Any] = {
 }
 
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Then D_X came down from 80 (the
-# table's), K_N2 from 22.9 and the observer from 33.3: every goal is still reached, and the loop bears four ticks of delay.
+# table's), K_N2 from 22.9, the observer from 33.3: every goal is still reached, and the loop bears four ticks of delay.
 TUNED: dict[str, Any] = {
     "gains": "moc",
     "D_X": 50.0,
