@@ -320,6 +320,21 @@ def test_an_unstable_loop_is_stopped():
     assert trace.tip_error_m.max() < 0.05
 
 
+@pytest.mark.parametrize("law", ["moc", "dcac"])
+@pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
+def test_the_tuned_gains_bear_four_ticks_of_delay(law, plant):
+    """Also without friction to help, and against a stiff trocar: no joint begins to shake."""
+    for seed in (0, 3):
+        control = {"preset": "tuned", "law": law}
+        base = Scenario(control=control, start={"swivel": "random"}, seed=seed, duration_s=3.0, **QUICK)
+        one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
+        assert four.meta["ended"] == "completed"
+        assert not four.limited.any()
+        assert four.tip_error_m.mean() < 3e-4
+        rates = [np.diff(trace.tau_Nm[500:], axis=0).std() for trace in (one, four)]
+        assert rates[1] < 1.5 * rates[0]
+
+
 def test_a_run_away_keeps_its_trace(robot):
     """Without a guard, a torque that is no number ends the run in the plant; the rows so far are kept."""
     setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))

@@ -28,9 +28,11 @@ PROMISES = (
     (
         "An answer that raised, is missing, is not finite, leaves the box, misses the references, is claimed to be "
         "optimal and is not, or comes too late is refused, counted, and named in the trace column `fault`. The last "
-        "good answer is held for `hold_ticks` ticks, then the self-motion is damped.",
-        "Every kind is injected at a seeded share of the ticks, and every tick of the trace is compared with the draw.",
-        "`tests/test_supervisor.py`, `tests/test_faulty.py`, this benchmark",
+        "good answer is held for `hold_ticks` ticks, then the self-motion is damped; where damping would lead a joint "
+        "out of the box, the elbow moves just as far as the box asks for (`keep_off_limits`).",
+        "Every kind is injected at a seeded share of the ticks, and every tick of the trace is compared with the draw; "
+        "a start from which damping alone ends at a joint limit; the fallback against a bounded least-squares solver.",
+        "`tests/test_supervisor.py`, `tests/test_faulty.py`, `tests/test_manipulability.py`, this benchmark",
     ),
     (
         "An honest answer is taken, also a loose one.",
@@ -71,7 +73,11 @@ LIMITS = """\
   self-motion, is not refused: it does no harm. Such answers are counted as harmless, by the judge that also verifies
   honest ones, not by the supervisor.
 - With a solver that is faulty at every tick no third level is left: the arm then does what tip and RCM control with a
-  damped self-motion do, which may lead a joint to its limit.
+  damped self-motion do, manipulability is not raised, and the RCM error is that of the poses it passes, some percent
+  more or less than on the way that the third level would have taken. Joints are kept off their limits only where some
+  self-motion does it; where none does, the guard's wall acts.
+- Delay: the `tuned` gains bear four ticks from command to torque (8 ms); with five the loop is unstable and the guard
+  stops it. K_X = 2000, D_X = 60 and an observer of 20 /s bear five, at a third more tip error.
 - Speed limits are kept by braking what is too fast, not by foresight: full torque in the wrong direction exceeds them
   for some ticks.
 """

@@ -132,19 +132,27 @@ def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweep
     """
     r, n = Z.shape
     S = np.zeros((n, n))  # A^T A + Z^T Z: regular, and the shortest solution of A x = b is S^-1 A^T b
+    size = np.zeros(n)
     for i in range(n):
+        for k in range(r):
+            size[i] += Z[k, i] * Z[k, i]
         for j in range(n):
-            S[i, j] = dot(A[:, i], A[:, j]) + dot(Z[:, i], Z[:, j])
+            for k in range(A.shape[0]):
+                S[i, j] += A[k, i] * A[k, j]
+            for k in range(r):
+                S[i, j] += Z[k, i] * Z[k, j]
     shortest = solve_factored(cholesky(S), transpose_times(A, b))
     w, push = np.zeros(r), np.zeros(n)
     for _ in range(sweeps):
         change = 0.0
         for j in range(n):
-            size = dot(Z[:, j], Z[:, j])
-            if size > 1e-12:
-                free = shortest[j] + dot(Z[:, j], w) - size * push[j]
-                new = (min(max(free, lower[j]), upper[j]) - free) / size
-                w += (new - push[j]) * Z[:, j]
+            if size[j] > 1e-12:
+                free = shortest[j] - size[j] * push[j]
+                for k in range(r):
+                    free += Z[k, j] * w[k]
+                new = (min(max(free, lower[j]), upper[j]) - free) / size[j]
+                for k in range(r):
+                    w[k] += (new - push[j]) * Z[k, j]
                 change = max(change, abs(new - push[j]))
                 push[j] = new
         if change < 1e-12:

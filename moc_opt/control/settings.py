@@ -27,14 +27,16 @@ PAPER: dict[str, Any] = {
     "ramp_s": 0.0,
 }
 
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
+# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Then D_X came down from 80 (the
+# table's), K_N2 from 22.9, the observer from 33.3: every goal is still reached, and the loop bears four ticks of delay.
 TUNED: dict[str, Any] = {
     "gains": "moc",
+    "D_X": 50.0,
     "K_N": 1670.0,
     "D_N": 74.2,
-    "K_N2": 22.9,
+    "K_N2": 15.0,
     "D_N2": 2.0,
-    "observer_gain_per_s": 33.3,
+    "observer_gain_per_s": 22.0,
     "feedforward": True,
     "k0_per_s": 1.58,
     "damping": 3.24e-5,
