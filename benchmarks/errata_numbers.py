@@ -125,7 +125,9 @@ def gains_in_mu() -> dict[str, float]:
     """Change of mu in one second at rest in a plant that equals the model, from a poor swivel [percent]."""
     base = Scenario(
         duration_s=1.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, judge=False, bound_samples=0,
-        task={"wait_s": 2.0}, control={"damping": 0.0, "observer_gain_per_s": 0.0},
+        task={"wait_s": 2.0}, control={
+            "damping": 0.0, "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0
+        },
     )  # fmt: skip
     found = {}
     for name in ("exact", "rnn-printed"):
