@@ -322,10 +322,10 @@ def test_an_unstable_loop_is_stopped():
 
 @pytest.mark.parametrize("law", ["moc", "dcac"])
 @pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
-def test_the_tuned_gains_bear_four_ticks_of_delay(law, plant):
+def test_the_robust_gains_bear_four_ticks_of_delay(law, plant):
     """Also without friction to help, and against a stiff trocar: no joint begins to shake."""
     for seed in (0, 3):
-        control = {"preset": "tuned", "law": law}
+        control = {"preset": "robust", "law": law}
         base = Scenario(control=control, start={"swivel": "random"}, seed=seed, duration_s=3.0, **QUICK)
         one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
         assert four.meta["ended"] == "completed"

@@ -15,7 +15,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
-PRESETS = ("paper", "tuned")
+PRESETS = ("paper", "tuned", "robust")
 
 # No observer, no ramp, and a box that goes up to the limits of the joints themselves.
 PAPER: dict[str, Any] = {
@@ -27,22 +27,24 @@ PAPER: dict[str, Any] = {
     "ramp_s": 0.0,
 }
 
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Then D_X came down from 80 (the
-# table's), K_N2 from 22.9, the observer from 33.3: every goal is still reached, and the loop bears four ticks of delay.
+# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
 TUNED: dict[str, Any] = {
     "gains": "moc",
-    "D_X": 50.0,
     "K_N": 1670.0,
     "D_N": 74.2,
-    "K_N2": 15.0,
+    "K_N2": 22.9,
     "D_N2": 2.0,
-    "observer_gain_per_s": 22.0,
+    "observer_gain_per_s": 33.3,
     "feedforward": True,
     "k0_per_s": 1.58,
     "damping": 3.24e-5,
     "speed_fraction": 0.49,
     "ramp_s": 0.653,
 }
+
+# Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
+# trocar; half as much tip error again.
+ROBUST: dict[str, Any] = {**TUNED, "D_X": 50.0, "K_N2": 15.0, "observer_gain_per_s": 22.0}
 
 
 class ControlSettings(Settings):
@@ -104,6 +106,11 @@ class ControlSettings(Settings):
     def tuned(cls, **changes: Any) -> ControlSettings:
         """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
         return cls(**{**TUNED, **changes})
+
+    @classmethod
+    def robust(cls, **changes: Any) -> ControlSettings:
+        """Softer than ``tuned``, for loops with more delay; see ``ROBUST``."""
+        return cls(**{**ROBUST, **changes})
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
