@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.faults_config import Config
-from benchmarks.faults_page import PAGE, write_page
-from benchmarks.faults_report import print_tables, write_report
-from benchmarks.faults_runs import jobs, run_job
-from benchmarks.faults_summary import goals, summarise
 from benchmarks.parallel import run_parallel
+from benchmarks.reliability.config import Config
+from benchmarks.reliability.page import PAGE, write_page
+from benchmarks.reliability.report import print_tables, write_report
+from benchmarks.reliability.runs import jobs, run_job
+from benchmarks.reliability.summary import goals, summarise
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.report.console import console, progress
 from moc_opt.solvers import available

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.faults_page import PAGE, write_page
+from benchmarks.reliability.page import PAGE, write_page
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
@@ -37,7 +37,7 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks import fuzz_checks, fuzz_inputs
+    from benchmarks.reliability import fuzz_checks, fuzz_inputs
 
     check: fuzz_checks.Check = getattr(fuzz_checks, kind)
     strategy = fuzz_inputs.STRATEGIES[kind]

@@ -102,13 +102,21 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """One Parquet row per mapping; a column that a row lacks is null there."""
+    """One Parquet row per mapping; a column that a row lacks is null there, and so is what is not finite."""
     import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
+
+    def column(values: list[Any]) -> pa.Array:
+        try:
+            array = pa.array(values)
+        except pa.ArrowException:  # of several types
+            return pa.array([plain(value) for value in values])
+        return pc.if_else(pc.is_finite(array), array, None) if pa.types.is_floating(array.type) else array
 
     kept = [dict(row) for row in rows]
     names = list(dict.fromkeys(name for row in kept for name in row))
-    table = pa.table({name: [plain(row.get(name)) for row in kept] for name in names})
+    table = pa.table({name: column([row.get(name) for row in kept]) for name in names})
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     write_atomically(path, sink.getvalue().to_pybytes())

@@ -15,9 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import output, paper_figures, paper_procedure, paper_report, paper_swivel, paper_verdict
-from benchmarks.paper_config import STREAM, Config
-from benchmarks.paper_trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
+from benchmarks import output
+from benchmarks.experiment import figures, look, report, verdict
+from benchmarks.experiment import procedure as paper_procedure
+from benchmarks.experiment import swivel as paper_swivel
+from benchmarks.experiment.config import STREAM, Config
+from benchmarks.experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.parallel import run_parallel
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
@@ -50,15 +53,15 @@ def summarise(
     for group in config.groups:
         summary[group] = {
             controller: {
-                **paper_verdict.intervals(found, group, controller),
+                **verdict.intervals(found, group, controller),
                 "broke_off": sum(e["group"] == group and e["controller"] == controller for e in broken),
             }
             for controller in (*BASELINES, *config.solvers)
         }
     each = [(group, solver) for group in config.groups for solver in config.solvers]
-    summary["verdict"] = [row for pair in each for row in paper_verdict.verdicts(found, *pair)]
-    summary["phases"] = [row for pair in each for row in paper_verdict.travelling(found, *pair)]
-    summary["goals"] = paper_verdict.goals(found, config.best, config.best_solver)
+    summary["verdict"] = [row for pair in each for row in verdict.verdicts(found, *pair)]
+    summary["phases"] = [row for pair in each for row in verdict.travelling(found, *pair)]
+    summary["goals"] = verdict.goals(found, config.best, config.best_solver)
     summary["swivel"] = paper_swivel.summary(swivel)
     return summary, found, broken
 
@@ -67,11 +70,11 @@ def draw(config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any
     """Every figure by its file's name."""
     drawn: dict[str, Any] = {}
     for group in config.groups:
-        drawn |= paper_figures.box_figures(outcomes, group, config.tasks)
+        drawn |= figures.box_figures(outcomes, group, config.tasks)
         kept = [o for o in outcomes if o.traces and any(m.group == group for m in o.measurements)]
         if kept:
-            drawn[f"trial-{group}"] = paper_figures.trial_figure(kept[0].traces)
-    drawn["swivel"] = paper_figures.swivel_figure(swivel)
+            drawn[f"trial-{group}"] = figures.trial_figure(kept[0].traces)
+    drawn["swivel"] = figures.swivel_figure(swivel)
     return drawn
 
 
@@ -79,34 +82,40 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
     """Everything, all files; returns the summary."""
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
-    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 1) as bar:
+    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 2) as bar:
         step = partial(bar.advance, 1.0)
         outcomes = run_parallel(run_job, jobs, config.processes, step)
         swivel = run_swivel(config, step)
         procedure, accuracy = run_procedure(config, out, step)
+        looks = look.looks(config, outcomes)
+        step()
     summary, found, broken = summarise(config, outcomes, swivel)
     summary["procedure"] = paper_procedure.summary(procedure)
     summary["board_pictures"] = accuracy
+    summary["courses"] = look.rows(looks)
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["timing"] = f"none: {config.processes} processes at a time shared the machine"
     output.write_json(out / "summary.json", summary)
     output.write_rows(out / "rows.parquet", [*(m.row() for m in found), *broken, *swivel, *procedure])
     groups = {name: group.about or name for name, group in config.groups.items()}
     best = (config.best, config.best_solver)
-    drawn = draw(config, outcomes, swivel)
+    drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     screen = console()
     try:
-        paper_figures.save(drawn, out / "figures")
+        figures.save(drawn, out / "figures")
     except BrowserError as error:
         # The page has the figures all the same.
         environment["figures"] = f"not saved as files: {error}"
         print(environment["figures"], file=sys.stderr)
     output.write_json(out / "environment.json", environment)
-    paper_report.write_page(out / "report.html", summary, groups, best, drawn, environment)
+    report.write_page(
+        out / "report.html", summary, groups, best, drawn, environment,
+        lambda page: look.add_section(page, looks, out, config),
+    )  # fmt: skip
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:
-        paper_report.print_tables(screen, summary, groups, best, out)
+        report.print_tables(screen, summary, groups, best, out)
     return summary
 
 

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks import export, output
-from benchmarks.solvers_report import print_tables, write_report
-from benchmarks.study import Study
-from benchmarks.study_config import PARTS, Config
+from benchmarks.study.config import PARTS, Config
+from benchmarks.study.look import look
+from benchmarks.study.parts import Study
+from benchmarks.study.report import print_tables, write_report
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.report.console import console, progress
@@ -101,14 +102,18 @@ def compare(
         "assembly": {"p50_us": assembly_us(study.sequence)},
     }
 
+    seen = look(config.scenario.change(duration_s=config.closed_loop.duration_s), study.runs)
+    if seen is not None:
+        summary["courses"] = seen.rows()
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["parts_of_an_earlier_run"] = study.store.reused
+    environment["seconds"] = study.seconds
     output.write_json(
         out / "summary.json", {**summary, "words": {k: {"text": v} for k, v in study.words.items()}}
     )
     output.write_rows(out / "rows.parquet", study.rows + [run.row() for run in study.runs])
     output.write_json(out / "environment.json", environment)
-    write_report(out / "report.html", study, environment)
+    write_report(out / "report.html", study, environment, seen)
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:

@@ -14,8 +14,8 @@ from pydantic import Field, field_validator
 
 from benchmarks import output
 from benchmarks.config import Configuration
-from benchmarks.speed_report import print_tables, write_report
-from benchmarks.speed_run import Run
+from benchmarks.speeds.report import print_tables, write_report
+from benchmarks.speeds.run import Run
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.scenario import Scenario

@@ -11,17 +11,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.dataset as ds
 
 from benchmarks import output
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_dask import DaskPool
-from benchmarks.sweep_engine import Pool, Work, execute, run_all
-from benchmarks.sweep_local import LocalPool, cores
-from benchmarks.sweep_plan import Plan, quick
-from benchmarks.sweep_report import print_tables, write_report
-from benchmarks.sweep_store import Store
-from benchmarks.sweep_summary import errors, summarise
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.dask import DaskPool
+from benchmarks.sweeps.engine import Pool, Work, execute, run_all
+from benchmarks.sweeps.local import LocalPool, cores
+from benchmarks.sweeps.plan import Plan, quick
+from benchmarks.sweeps.report import print_tables, write_report
+from benchmarks.sweeps.store import Store
+from benchmarks.sweeps.summary import errors, summarise
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 
@@ -111,7 +110,7 @@ def report(config: Config, out: Path, lost: dict[int, str], argv: list[str]) -> 
     """summary.json, environment.json and report.html, from the finished tables."""
     plan = Plan(config)
     fields = {path: values for path, values in plan.grid.items() if len(values) > 1}
-    alone = summarise(out, ["solver"], "clock", ds.field("timing_shared") == False)  # noqa: E712 - an expression
+    alone = summarise(out, ["solver"], "clock", alone=True)
     solvers = summarise(out)
     counted = {
         "all": sum(group["runs"] for group in solvers.values()),

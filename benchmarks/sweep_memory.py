@@ -19,10 +19,10 @@ import numpy as np
 import pyarrow as pa
 
 from benchmarks import output
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_errors import SweepError
-from benchmarks.sweep_plan import Plan
-from benchmarks.sweep_table import BLOCK, rows_schema, whole_parquet
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.errors import SweepError
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.table import BLOCK, rows_schema, whole_parquet
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
@@ -89,7 +89,7 @@ def peak_MB() -> float:
 
 def measure(folder: Path) -> dict[str, float]:
     """Summarise a folder in this process, which should be a fresh one."""
-    from benchmarks.sweep_summary import summarise
+    from benchmarks.sweeps.summary import summarise
 
     before, begin = peak_MB(), perf_counter()
     summarise(folder, ["solver", "control.damping"])

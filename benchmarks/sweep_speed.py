@@ -25,14 +25,14 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 from benchmarks import output
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_dask import DaskPool
-from benchmarks.sweep_engine import Pool, Table, Work, execute, run_all
-from benchmarks.sweep_errors import WorkerError
-from benchmarks.sweep_local import THREADS, LocalPool
-from benchmarks.sweep_plan import Plan
-from benchmarks.sweep_store import Store
-from benchmarks.sweep_version import code_version
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.dask import DaskPool
+from benchmarks.sweeps.engine import Pool, Table, Work, execute, run_all
+from benchmarks.sweeps.errors import WorkerError
+from benchmarks.sweeps.local import THREADS, LocalPool
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.store import Store
+from benchmarks.sweeps.version import code_version
 from moc_opt.errors import MocOptError
 from moc_opt.report import tables as report
 from moc_opt.report.console import console, progress

@@ -102,12 +102,16 @@ def at_pose(
     )
 
 
+# Of the control law that was recorded, whatever the defaults become: the elbow travels as fast as its joints can.
+RECORDED = {"speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0}
+
+
 def sequence(task: str, damping: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
     """500 Hz, from the middle of the elbow's travel in a closed-loop run."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         scenario = Scenario(
-            task={"path": task}, control={"damping": damping}, start={"swivel": "random"},
+            task={"path": task}, control={**RECORDED, "damping": damping}, start={"swivel": "random"},
             seed=int(rng.integers(1000)), duration_s=1.5, judge=False, bound_samples=0,
         )  # fmt: skip
         for row in run(scenario).subproblem[400 : 400 + SIZE]:

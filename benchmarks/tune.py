@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks import output
-from benchmarks.paper_trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.paper_verdict import effect
+from benchmarks.experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
+from benchmarks.experiment.verdict import effect
 from benchmarks.parallel import run_parallel
 from benchmarks.tune_space import Candidate, Config, Range, Values, draw
 from moc_opt.errors import MocOptError, ScenarioError

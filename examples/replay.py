@@ -9,7 +9,7 @@ from pathlib import Path
 import moc_opt as mo
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map import manipulability_map
-from moc_opt.report.map_figure import map_figure
+from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
 
@@ -29,10 +29,5 @@ print(
 )
 
 page = Page("Where there was manipulability to gain", "one circle, three controllers")
-found = manipulability_map(robot, runs)
-page.figure(
-    map_figure(found, styles),
-    "Every pose that keeps tip and trocar, over time, and who went where.",
-    name="map",
-)
+add_map(page, manipulability_map(robot, runs), what="one circle", styles=styles)
 print(page.save(folder / "map.html"))

@@ -1,4 +1,4 @@
-"""python -m moc_opt run | replay | live | export-c: scenarios from the command line."""
+"""python -m moc_opt run | replay | map | live | export-c: scenarios from the command line."""
 
 from __future__ import annotations
 
@@ -27,6 +27,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
     replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     replay.add_argument("--out", type=Path, default=Path("replay.html"))
+    chart = commands.add_parser(
+        "map", help="saved traces of one path on the manipulability map, as one HTML file"
+    )
+    chart.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
+    chart.add_argument("--out", type=Path, default=Path("map.html"))
+    chart.add_argument("--figures", action="store_true", help="also as SVG and PDF, in a folder beside it")
     live = commands.add_parser("live", help="a scenario in real time, on a page of this machine")
     live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     live.add_argument("--host", default="127.0.0.1", help="a loopback address")
@@ -43,6 +49,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             print(Replay.load(given.traces).save(given.out))
             return 0
+        if given.command == "map":
+            return draw_map(given.traces, given.out, given.figures)
         if given.command == "live":
             from moc_opt.live.page import serve
             from moc_opt.scenario import Scenario
@@ -93,6 +101,18 @@ def run_scenario(
         rows = [{"metric": name, "value": value} for name, value in metrics.items()]
         table = Table(scenario.name, [Column("metric", "metric"), Column("value", "value")], rows)
         console().print(table.to_rich())
+    return 0
+
+
+def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
+    """The page first: it is there even where no browser can draw the files."""
+    from moc_opt.report.export import save_figures
+    from moc_opt.report.map_page import load_map
+
+    page = load_map(traces)
+    print(page.save(out))
+    for file in save_figures(page.figures, out.parent / "figures") if figures else ():
+        print(file)
     return 0
 
 

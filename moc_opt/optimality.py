@@ -96,8 +96,8 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
             continue
         part = Problem(*(f[rows] for f in flat))
         reduced = np.einsum("kni,kn->ki", Z, cost[rows])
-        best[rows] = _best_natural(part, x[rows], Z, reduced)
-        relative[rows] = _best_natural(part, x[rows], Z, reduced / scale[rows, None])
+        both = np.stack([reduced, reduced / scale[rows, None]])
+        best[rows], relative[rows] = _best_natural(part, x[rows], Z, both)
         loss[rows] = _self_motion_loss(part, x[rows], Z, slack[rows])
 
     natural = best.copy()
@@ -130,7 +130,7 @@ def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
 
 
 def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array:
-    """Smallest natural residual over all y, in closed form, (k,).
+    """Smallest natural residual over all y, in closed form, for several costs ``reduced`` (c, k, r): (c, k).
 
     y moves w = P x + p + A^T y freely but for Z^T w = reduced. A residual of t allows
     w_i in [-t, t], without the upper end where x_i is within t of its lower bound and without
@@ -140,11 +140,11 @@ def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array
     """
     k, n, r = Z.shape
     below, above = np.maximum(x - problem.lower, 0.0), np.maximum(problem.upper - x, 0.0)
-    worst = np.zeros(k)
+    worst = np.zeros(reduced.shape[:2])
     for subset in itertools.combinations(range(n), r - 1):
         d = np.linalg.svd(Z[:, list(subset), :])[2][:, -1, :] if subset else np.ones((k, 1))
         for side in (d, -d):
-            push = np.einsum("ki,ki->k", side, reduced)
+            push = np.einsum("ki,cki->ck", side, reduced)
             s = np.einsum("kni,ki->kn", Z, side)
             free_at = np.where(s > 1e-9, below, np.where(s < -1e-9, above, np.inf)).min(-1)
             worst = np.maximum(worst, np.minimum(push / np.abs(s).sum(-1), free_at))

@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, field_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
@@ -153,6 +153,17 @@ class Scenario(Settings):
                 raise UnknownNameError("plant preset", str(name), presets)
             return presets[name](**table)
         return value
+
+    @model_validator(mode="after")
+    def _box_before_the_wall(self) -> Self:
+        """The third level must not press where the guard pushes back: the arm would stand between the two."""
+        box, wall = self.control.limit_margin_rad, self.guard.position_margin_rad
+        if 0.0 < box < wall and self.control.law == "moc":
+            raise ValueError(
+                f"guard.position_margin_rad = {wall}: the wall would stand inside the box of the third level, which "
+                f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
+            )
+        return self
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import sweep_engine
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_plan import Plan
-from benchmarks.sweep_store import Store
-from benchmarks.sweep_version import code_version
+from benchmarks.sweeps import engine
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.store import Store
+from benchmarks.sweeps.version import code_version
 
 TINY = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
 GRID = {"control.damping": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 0.1]}
@@ -68,6 +68,6 @@ def do(
     with Store(folder, plan) as store:
         left = np.flatnonzero(~store.done).tolist()
         tables = [plan.scenario(i).model_dump(mode="json") for i in range(len(plan))]
-        lost = sweep_engine.run_all(Here(), todo(left), tables.__getitem__, store.add, 10.0, work)
+        lost = engine.run_all(Here(), todo(left), tables.__getitem__, store.add, 10.0, work)
         store.finish(lost)
         return (folder / "rows.parquet").read_bytes(), store.dropped

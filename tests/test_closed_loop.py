@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks import closed_loop
-from benchmarks.closed_loop import BASELINE, Run, combined, run_all, run_one, summary, trials, variant
-from benchmarks.study_store import Store
-from benchmarks.study_worker import Worker
+from benchmarks.study import closed_loop
+from benchmarks.study.closed_loop import BASELINE, Run, combined, run_all, run_one, summary, trials, variant
+from benchmarks.study.store import Store
+from benchmarks.study.worker import Worker
 from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario, run
 from tests import broken_solvers

@@ -61,7 +61,7 @@ def test_a_bad_number_in_the_robot_s_table(value):
         ("c0", -0.01), ("c1", float("nan")), ("c2", -1e-3), ("damping", -1e-9), ("observer_gain_per_s", -1.0),
         ("dcac_damping", -1.0), ("law", "both"), ("projector", "kinetic"), ("fallback", "stop"),
         ("limit_torque", "perhaps"), ("feedforward", 3),
-        ("speed_fraction", 0.0), ("speed_fraction", 1.5), ("ramp_s", -0.1),
+        ("speed_fraction", 0.0), ("speed_fraction", 1.5), ("ramp_s", -0.1), ("limit_margin_rad", -0.1),
     ],
 )  # fmt: skip
 def test_wrong_values(field, value):
@@ -78,6 +78,7 @@ def test_paper_preset():
     paper = ControlSettings.paper()
     assert (paper.c0, paper.c1, paper.c2, paper.k0_per_s) == (0.01, 0.01, 0.001, 0.1)
     assert (paper.damping, paper.observer_gain_per_s, paper.feedforward) == (0.0, 0.0, False)
+    assert (paper.speed_fraction, paper.limit_margin_rad, paper.ramp_s) == (1.0, 0.0, 0.0)
     assert ControlSettings.paper(k0_per_s=1.0).k0_per_s == 1.0
 
 

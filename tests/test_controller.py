@@ -13,7 +13,7 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
 
 EXACT = solvers.create("exact")
-QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False}
+QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0}
 
 
 def reference(state, speed=0.01):
@@ -109,7 +109,7 @@ def test_third_level_fades_in(robot):
     """With a ramp of ten periods the first tick gives a tenth of it; a restart begins anew."""
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
-    faded, *_ = started(robot, state=state, ramp_s=0.02, **QUIET)
+    faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
     dcac, *_ = started(robot, None, state, gains="moc", **QUIET)
     low = dcac.tick(state, tip_ref, trocar)
     top = whole.tick(state, tip_ref, trocar) - low
@@ -126,12 +126,31 @@ def test_speed_fraction_narrows_the_box(robot):
         controller, _, tip_ref, trocar = started(robot, state=state, speed_fraction=fraction)
         controller.tick(state, tip_ref, trocar)
         qp = controller.subproblem
-        np.testing.assert_allclose(
-            qp.upper, np.minimum(fraction * robot.v_max, 2.0 * (robot.q_max - state.q))
-        )
-        np.testing.assert_allclose(
-            qp.lower, np.maximum(-fraction * robot.v_max, 2.0 * (robot.q_min - state.q))
-        )
+        below, above = robot.q_min + 0.045 - state.q, robot.q_max - 0.045 - state.q
+        np.testing.assert_allclose(qp.upper, np.minimum(fraction * robot.v_max, 2.0 * above))
+        np.testing.assert_allclose(qp.lower, np.maximum(-fraction * robot.v_max, 2.0 * below))
+
+
+@pytest.mark.parametrize("margin", [0.0, 0.045, 0.3])
+def test_the_box_closes_before_the_limit(robot, margin):
+    """At the margin no joint may move on, between margin and limit it is asked back, and further in it is free."""
+    q = robot.data.q_home.copy()
+    for joint in range(6):
+        for end, side in ((robot.q_min, -1.0), (robot.q_max, 1.0)):
+            for inside in (-0.01, 0.0, 0.01):
+                pose = q.copy()
+                pose[joint] = end[joint] - side * (margin + inside)
+                state = robot.state(pose)
+                controller, _, tip_ref, trocar = started(robot, state=state, limit_margin_rad=margin, k0_per_s=2.0)
+                controller.tick(state, tip_ref, trocar)
+                qp = controller.subproblem
+                outwards = qp.upper[joint] if side > 0.0 else -qp.lower[joint]
+                assert outwards == pytest.approx(2.0 * inside, abs=1e-12)
+
+
+def test_a_margin_that_leaves_no_room_is_refused(robot):
+    with pytest.raises(ControlError, match=r"limit_margin_rad = 2.1: nothing is left of joint 2 .* less than 2.09"):
+        Controller(robot, ControlSettings(limit_margin_rad=2.1), EXACT)
 
 
 @pytest.mark.parametrize("form", ["compiled", "plain"])

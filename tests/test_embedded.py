@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.settings import PAPER
 from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
@@ -48,9 +49,10 @@ LAWS: dict[str, dict[str, Any]] = {
     "moc": {},
     "dcac": {"law": "dcac", "gains": "moc"},
     "dcac-damped": {"law": "dcac", "gains": "moc", "dcac_damping": 3.0, "projector": "printed"},
-    "paper": {"k0_per_s": 0.1, "damping": 0.0, "observer_gain_per_s": 0.0, "limit_torque": False},
+    "paper": {**PAPER, "limit_torque": False},
     "all-else": {
         "projector": "static", "feedforward": True, "fallback": "hold", "speed_fraction": 0.2, "ramp_s": 0.01,
+        "limit_margin_rad": 0.4,
         "damping": 1e-4, "c2": 0.002, "K_N2": 20.0,
     },
 }  # fmt: skip

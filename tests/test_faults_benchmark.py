@@ -6,11 +6,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import faults, faults_page
-from benchmarks.faults_config import GROUPS, Case, Config
-from benchmarks.faults_runs import Waited, detection, jobs, measure, recovery, run_case, smooth
-from benchmarks.faults_summary import goals, outcome, summarise
+from benchmarks import faults
 from benchmarks.output import default_config
+from benchmarks.reliability import page
+from benchmarks.reliability.config import GROUPS, Case, Config
+from benchmarks.reliability.runs import Waited, detection, jobs, measure, recovery, run_case, smooth
+from benchmarks.reliability.summary import goals, outcome, summarise
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace import Trace
@@ -237,19 +238,19 @@ def test_json_is_the_summary(tmp_path, capsys):
 
 def test_the_page_belongs_to_its_generator():
     """docs/reliability.md is what the generator makes of docs/reliability.json, to the letter."""
-    found = json.loads(faults_page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
-    assert faults_page.page(found) == faults_page.PAGE.read_text(encoding="utf-8"), (
+    found = json.loads(page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
+    assert page.page(found) == page.PAGE.read_text(encoding="utf-8"), (
         "run python -m benchmarks.faults --page"
     )
 
 
 def test_the_page_is_of_the_configuration_that_ships(shipped):
     """Figures of other faults, or of fewer, would not be those of the command."""
-    found = json.loads(faults_page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
+    found = json.loads(page.PAGE.with_suffix(".json").read_text(encoding="utf-8"))
     assert found["environment"]["config"] == json.loads(json.dumps(shipped.model_dump(mode="json")))
     assert set(found["cases"]) == {"none", *shipped.cases}
-    for promise, _, files in faults_page.PROMISES:
+    for promise, _, files in page.PROMISES:
         assert promise.endswith(".")
         for name in files.replace("`", "").split(", "):
-            path = faults_page.PAGE.parents[1] / name
+            path = page.PAGE.parents[1] / name
             assert name == "this benchmark" or path.exists(), name

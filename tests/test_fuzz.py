@@ -14,8 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import fuzz, fuzz_checks
-from benchmarks.fuzz_inputs import STRATEGIES, good_trace
+from benchmarks import fuzz
+from benchmarks.reliability import fuzz_checks
+from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
 from moc_opt.model import load_robot
@@ -237,7 +238,7 @@ def test_toml_is_data(tmp_path):
     "entity", ['<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "<!ENTITY a 'b'>"]
 )
 def test_a_urdf_reads_no_other_file(entity, tmp_path):
-    from benchmarks.fuzz_inputs import ROBOTS
+    from benchmarks.reliability.fuzz_inputs import ROBOTS
 
     toml = (ROBOTS / "lwr4.toml").read_text().replace("lwr4.urdf", "arm.urdf")
     (tmp_path / "arm.toml").write_text(toml)

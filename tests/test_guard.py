@@ -143,16 +143,25 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
 
 
 @pytest.mark.parametrize(
-    ("control", "most"), [({"preset": "tuned"}, 0), ({"law": "dcac"}, 0), ({"law": "dcac", "gains": "moc"}, 0),
-                          ({"ramp_s": 0.3}, 0), ({}, 30)],
+    "control", [{"preset": "tuned"}, {"law": "dcac"}, {"law": "dcac", "gains": "moc"}, {}],
 )  # fmt: skip
-def test_ordinary_runs_are_not_touched(control, most):
-    """The default law jumps to full speed at its first tick, past joints' speed limits: only there."""
+def test_ordinary_runs_are_not_touched(control):
     trace = run(Scenario(control=control, **QUICK))
-    touched = np.flatnonzero(trace.limited)
-    assert len(touched) <= most
-    assert (touched < 50).all()
+    assert not trace.limited.any()
     assert trace.meta["ended"] == "completed"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_default_law_starts_gently(seed):
+    """From any swivel: the guard has nothing to do, and the tip stays with its reference."""
+    scenario = Scenario(start={"swivel": "random"}, seed=seed, duration_s=2.0, **QUICK)
+    trace = run(scenario)
+    assert not trace.limited.any()
+    assert trace.tip_error_m.max() < 1.5e-3
+    # without ramp and at the joints' own speed limits, as the paper has it, the guard must step in
+    violent = run(scenario.change(control={"ramp_s": 0.0, "speed_fraction": 1.0}))
+    assert violent.limited.any()
+    assert violent.tip_error_m.max() > 2.0 * trace.tip_error_m.max()
 
 
 def test_bad_measurements_are_bridged(guard, robot):
@@ -309,6 +318,21 @@ def test_an_unstable_loop_is_stopped():
     assert trace.t_s[-1] < 4.0
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.05
     assert trace.tip_error_m.max() < 0.05
+
+
+@pytest.mark.parametrize("law", ["moc", "dcac"])
+@pytest.mark.parametrize("plant", [{}, {"friction": 0.0}, {"trocar_stiffness_N_per_m": 3000.0}], ids=str)
+def test_the_tuned_gains_bear_four_ticks_of_delay(law, plant):
+    """Also without friction to help, and against a stiff trocar: no joint begins to shake."""
+    for seed in (0, 3):
+        control = {"preset": "tuned", "law": law}
+        base = Scenario(control=control, start={"swivel": "random"}, seed=seed, duration_s=3.0, **QUICK)
+        one, four = (run(base.change(plant={"delay_ticks": ticks, **plant})) for ticks in (1, 4))
+        assert four.meta["ended"] == "completed"
+        assert not four.limited.any()
+        assert four.tip_error_m.mean() < 3e-4
+        rates = [np.diff(trace.tau_Nm[500:], axis=0).std() for trace in (one, four)]
+        assert rates[1] < 1.5 * rates[0]
 
 
 def test_a_run_away_keeps_its_trace(robot):

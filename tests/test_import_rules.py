@@ -35,7 +35,8 @@ ROOMS = {
     "sim": ["moc_opt.sim"],
     "report": ["moc_opt.report"],
     "pictures": [
-        "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.swivel",
+        "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.map_page",
+        "moc_opt.report.courses", "moc_opt.report.runs", "moc_opt.report.swivel",
     ],
     "scenario": ["moc_opt.scenario"],
     "live": ["moc_opt.live"],

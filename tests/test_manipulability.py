@@ -9,6 +9,7 @@ from scipy.optimize import lsq_linear
 
 from moc_opt.control import manipulability as level3
 from moc_opt.control import tick
+from moc_opt.errors import ControlError, ScenarioError
 from moc_opt.scenario import Scenario, run
 from moc_opt.subproblem import NullSpaceQP, row_length
 
@@ -77,22 +78,50 @@ def test_no_velocity_of_the_box_leaves_the_limits(seed, k0):
         assert (q <= q_max + 1e-12).all()
 
 
-@pytest.mark.parametrize("preset", ["nominal", "realistic"])
-@pytest.mark.parametrize("number", [13, 25])
-def test_closed_loop_stays_inside_the_limits(number, preset, robot, regular_poses):
-    """From these two poses the manipulability grows right up to a joint limit: the damper must stop the arm."""
-    q = regular_poses(30)[number]
-    trace = run(
+def test_box_limits(robot):
+    found = level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=0.1, speed_fraction=0.25)
+    np.testing.assert_array_equal(found, [robot.q_min + 0.1, robot.q_max - 0.1, 0.25 * robot.v_max])
+    with pytest.raises(ControlError, match=r"limit_margin_rad = 3.0: nothing is left of joint 2 .* less than 2.09"):
+        level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=3.0)
+
+
+def towards_a_limit(q, preset="nominal", **control):
+    """Four seconds of self-motion at rest."""
+    return run(
         Scenario(
-            start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=2.0,
-            task={"wait_s": 5.0}, judge=False, bound_samples=0,
-            guard={"position_margin_rad": 0.0},  # the damper alone: the guard's wall stands before the limit
+            start={"q_rad": q.tolist(), "swivel": 0.5}, plant={"preset": preset}, duration_s=4.0,
+            task={"wait_s": 5.0}, control=control, judge=False, bound_samples=0,
         )
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("preset", ["nominal", "realistic"])
+@pytest.mark.parametrize("number", [13, 25])
+def test_closed_loop_stops_before_the_wall(number, preset, robot, regular_poses):
+    """From these two poses mu grows right up to a joint limit: the box must stop the arm before the guard does."""
+    trace = towards_a_limit(regular_poses(30)[number], preset)
     room = np.minimum(robot.q_max - trace.q_rad, trace.q_rad - robot.q_min)
     assert trace.mu[-1] > 1.2 * trace.mu[0]
-    assert 0.0 < room.min() < 0.05
+    assert 0.045 < room.min() < 0.05
     assert (trace.status == "solved").all()
+    assert not trace.limited.any()
+    assert trace.meta["ended"] == "completed"
+    assert trace.tip_error_m.max() < 2e-3
+
+
+def test_a_box_up_to_the_limit_presses_into_the_wall(robot, regular_poses):
+    """Why the margin is there: box and guard disagree, and the tip pays for it."""
+    trace = towards_a_limit(regular_poses(30)[13], limit_margin_rad=0.0)
+    assert trace.limited.any()
+    assert trace.tip_error_m.max() > 0.01
+
+
+def test_a_wall_inside_the_box_is_refused():
+    with pytest.raises(ScenarioError, match=r"guard.position_margin_rad = 0.1: .*limit_margin_rad = 0.045; set"):
+        Scenario(guard={"position_margin_rad": 0.1})
+    Scenario(guard={"position_margin_rad": 0.1}, control={"limit_margin_rad": 0.1})
+    Scenario(guard={"position_margin_rad": 0.1}, control={"law": "dcac"})  # no box
+    Scenario(guard={"position_margin_rad": 0.1}, control={"preset": "paper"})  # the paper's box, on purpose
 
 
 # --- references that a rigid tool can follow ---
@@ -346,3 +375,46 @@ def test_least_violation_gets_no_worse_with_more_sweeps(seed):
         residuals.append(np.linalg.norm(A @ x - b))
     assert (np.diff(residuals) <= 1e-12).all()
     assert residuals[-1] < residuals[0]
+
+
+def boxed(rng, robot, q, tight):
+    """A and b of a pose, with a box around a point of A x = b that leaves the shortest one out as often as not."""
+    s = robot.state(q)
+    v_tip = 0.05 * rng.normal(size=3)
+    v_wrist = level3.consistent_wrist_velocity(v_tip, 0.05 * rng.normal(size=3), s.tool_direction)
+    A, b, Z = np.array(s.A), np.concatenate([v_tip, v_wrist]), level3.null_space(s.A)
+    inside = np.linalg.lstsq(A, b, rcond=1e-9)[0] + 0.2 * rng.normal(size=len(Z)) @ Z
+    return A, b, Z, inside - tight * rng.uniform(size=7), inside + tight * rng.uniform(size=7)
+
+
+@BOTH
+def test_the_smallest_self_motion_into_the_box(form, robot, odd_robot, regular_poses):
+    """Against a bounded least-squares solver, on arms with one swivel and with two freedoms."""
+    rng, moved = np.random.default_rng(10), 0
+    for number, q in enumerate(regular_poses(40 if form == "compiled" else 4)):
+        arm = robot if number % 2 else odd_robot
+        pose = q if arm is robot else arm.random_regular_pose(rng)
+        A, b, Z, lower, upper = boxed(rng, arm, pose, 0.2)
+        found = of(level3.into_the_box, form)(A, b, Z, lower, upper, 500)
+        shortest = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+        np.testing.assert_allclose(A @ found, 0.0, atol=1e-12)
+        x = shortest + found
+        assert (x >= lower - 1e-6).all()
+        assert (x <= upper + 1e-6).all()
+        # min |x|^2 on A x = b in the box: the equations weigh so much that they hold
+        heavy = np.vstack([1e4 * A, np.eye(7)])
+        best = lsq_linear(heavy, np.concatenate([1e4 * b, np.zeros(7)]), (lower, upper), tol=1e-14).x
+        assert np.linalg.norm(x) <= np.linalg.norm(best) * (1 + 1e-4)
+        np.testing.assert_allclose(x, best, atol=2e-4)
+        moved += np.abs(found).max() > 1e-3
+    assert moved > 1
+
+
+def test_no_self_motion_where_none_is_needed_or_none_helps(robot, regular_poses):
+    rng = np.random.default_rng(11)
+    A, b, Z, *_ = boxed(rng, robot, regular_poses(1)[0], 0.1)
+    wide = np.full(7, 10.0)
+    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, -wide, wide, 50), np.zeros(7))
+    lower, upper = wide - 1.0, wide  # out of reach
+    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
+    np.testing.assert_array_equal(level3.into_the_box(np.full((6, 7), np.nan), b, Z, -wide, wide, 50), np.zeros(7))

@@ -70,6 +70,7 @@ def test_the_swivel_is_a_continuous_coordinate(robot: RobotModel, found: SwivelM
         assert np.nanquantile(step, 0.99) < 0.4
     assert np.all(np.diff(found.swivel_rad) > 0.0)
     assert found.swivel_rad[-1] - found.swivel_rad[0] < 2 * np.pi
+    assert abs(found.swivel_rad.mean()) <= np.pi
 
 
 def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
@@ -141,7 +142,7 @@ def test_what_is_out_of_reach_is_said_to_be(robot: RobotModel, runs: dict[str, T
     assert (some.limit[2:] == UNREACHABLE).all()
     assert np.isnan(some.best_mu[2:]).all()
     assert np.isfinite(some.best_mu[:2]).all()
-    reasons = map_figure(some).data[0].customdata
+    reasons = map_figure(some).data[1].customdata
     assert set(np.unique(reasons[:, 2:])) == {"out of reach"}
 
 
@@ -166,9 +167,11 @@ def test_wrong_input_is_refused(robot: RobotModel, odd_robot: RobotModel, runs: 
 
 def test_the_figure_shows_it_all(found: SwivelMap) -> None:
     drawn = map_figure(found)
-    grey, colored = (trace for trace in drawn.data if trace.type == "heatmap")
-    np.testing.assert_array_equal(np.isnan(grey.z.T), found.limit == FEASIBLE)
-    np.testing.assert_array_equal(np.isnan(colored.z.T), found.limit != FEASIBLE)
+    colored, grey = (trace for trace in drawn.data if trace.type == "heatmap")
+    allowed = found.limit == FEASIBLE
+    np.testing.assert_array_equal(np.isnan(grey.z.T), allowed)
+    np.testing.assert_allclose(colored.z.T, np.where(found.limit == UNREACHABLE, np.nan, found.mu), atol=1e-6)
+    assert (colored.zmin, colored.zmax) == (found.mu[allowed].min(), found.mu[allowed].max())
     assert grey.colorscale[0][1] == BAD
     assert any("beyond its limit" in reason for reason in np.unique(grey.customdata))
     legend = [trace.name for trace in drawn.data if trace.type == "scatter" and trace.showlegend is None]

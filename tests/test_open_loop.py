@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.open_loop import expand, record
-from benchmarks.study import Study
-from benchmarks.study_config import Config, OpenLoop
+from benchmarks.study.config import Config, OpenLoop
+from benchmarks.study.open_loop import expand, record
+from benchmarks.study.parts import Study
 from moc_opt.scenario import Scenario, run
 
 

@@ -54,6 +54,15 @@ def test_rows_may_have_different_columns(tmp_path):
     ]  # fmt: skip
 
 
+def test_a_column_takes_what_a_benchmark_finds(tmp_path):
+    path = tmp_path / "rows.parquet"
+    rows = [{"x": 1, "ok": np.bool_(True)}, {"x": 2.5}, {"x": np.float64(np.inf), "ok": False}, {"x": np.int64(4)}]
+    output.write_rows(path, rows)
+    assert pq.read_table(path).to_pylist() == [
+        {"x": 1.0, "ok": True}, {"x": 2.5, "ok": None}, {"x": None, "ok": False}, {"x": 4.0, "ok": None},
+    ]  # fmt: skip
+
+
 def test_environment_says_where_numbers_come_from():
     found = output.environment({"x": 1}, 7, ["--quick"])
     assert found["seed"] == 7

@@ -6,11 +6,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import paper, paper_figures, paper_procedure, paper_swivel, paper_verdict
-from benchmarks.output import default_config
-from benchmarks.paper_config import Config
-from benchmarks.paper_procedure import ProcedureJob, ProcedureSettings
-from benchmarks.paper_trials import (
+from benchmarks import paper
+from benchmarks.experiment import figures, swivel, verdict
+from benchmarks.experiment import procedure as paper_procedure
+from benchmarks.experiment.config import Config
+from benchmarks.experiment.procedure import ProcedureJob, ProcedureSettings
+from benchmarks.experiment.trials import (
     BASELINES,
     DAMPED,
     MATCHED,
@@ -22,7 +23,8 @@ from benchmarks.paper_trials import (
     trials,
     variant,
 )
-from benchmarks.paper_verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
+from benchmarks.experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
+from benchmarks.output import default_config
 from benchmarks.statistics import Interval
 from moc_opt import scenario
 from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
@@ -190,14 +192,14 @@ def test_pairs_match_trials_and_leave_out_what_is_missing():
         measured(MATCHED, "a", 10.0), measured("exact", "c", 3.0),
         measured(MATCHED, "a", 99.0, "settled", "rnn"),
     ]  # fmt: skip
-    assert paper_verdict.pairs(found, "g", "exact", MATCHED, "tip_error_mean_mm") == (
+    assert verdict.pairs(found, "g", "exact", MATCHED, "tip_error_mean_mm") == (
         [1.0, 2.0],
         [10.0, 20.0],
     )
-    assert paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm").value == pytest.approx(
+    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm").value == pytest.approx(
         -90.0
     )
-    assert paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled") is None
+    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled") is None
 
 
 def test_phases_are_compared_in_the_windows_of_the_same_moc():
@@ -206,7 +208,7 @@ def test_phases_are_compared_in_the_windows_of_the_same_moc():
         measured(MATCHED, "a", 50.0, "settled", "rnn"), measured("rnn", "a", 100.0, "settled", "rnn"),
     ]  # fmt: skip
     for moc, change in (("exact", -50.0), ("rnn", 100.0)):
-        assert paper_verdict.effect(found, "g", moc, MATCHED, "tip_error_mean_mm", "settled").value == change
+        assert verdict.effect(found, "g", moc, MATCHED, "tip_error_mean_mm", "settled").value == change
 
 
 def test_a_trial_counts_by_its_ticks_in_the_phase():
@@ -217,7 +219,7 @@ def test_a_trial_counts_by_its_ticks_in_the_phase():
         measured("exact", "b", 2.0, "settled", "exact", ticks=10.0),
         measured(MATCHED, "b", 1.0, "settled", "exact", ticks=10.0),
     ]
-    change = paper_verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled")
+    change = verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled")
     assert change.value == pytest.approx(100 * (920 / 1010 - 1))
 
 
@@ -239,7 +241,7 @@ def test_goals_are_read_off_the_right_numbers():
                 complete("exact", str(trial), settled * noise, "settled", "exact"),
                 complete(MATCHED, str(trial), 1.0, "settled", "exact"),
             ]
-        return {row["goal"]: row["reached"] for row in paper_verdict.goals(found, "g", "exact")}
+        return {row["goal"]: row["reached"] for row in verdict.goals(found, "g", "exact")}
 
     assert all(experiment(1.0, [10.0, 18.0, 25.0, 20.0]).values())
     assert not experiment(1.0, [1.0, 2.0, 3.0, 4.0])["mu_gain"]
@@ -252,7 +254,7 @@ def test_goals_are_read_off_the_right_numbers():
 def test_verdicts_name_every_claim_and_every_baseline():
     scales = {"exact": 1.0, OWN: 3.0, MATCHED: 1.0, DAMPED: 0.9}
     found = [complete(name, str(k), scale) for name, scale in scales.items() for k in range(4)]
-    rows = {row["claim"]: row for row in paper_verdict.verdicts(found, "g", "exact")}
+    rows = {row["claim"]: row for row in verdict.verdicts(found, "g", "exact")}
     assert rows["mu"]["verdict"] == FAILS
     assert rows["tip"]["verdict"] == GAINS_ONLY
     assert rows["tip"]["own_percent"] == pytest.approx(-100 * 2 / 3)
@@ -265,12 +267,12 @@ def test_verdicts_name_every_claim_and_every_baseline():
 def test_a_start_at_the_largest_mu_gains_least():
     base = SHORT.change(duration_s=2.5)
     [(_, trial)] = trials(base, ["circle"], [5])
-    rows = [paper_swivel.gain((trial, start, "exact")) for start in paper_swivel.starts(trial, 2)]
+    rows = [swivel.gain((trial, start, "exact")) for start in swivel.starts(trial, 2)]
     assert [row["fraction"] for row in rows] == sorted(row["fraction"] for row in rows)
     [top] = [row for row in rows if row["at_maximum"]]
     assert top["mu_start"] == max(row["mu_start"] for row in rows)
     assert abs(top["gain_percent"]) < 2.0
-    summary = paper_swivel.summary(rows)
+    summary = swivel.summary(rows)
     assert summary["gain_max_percent"] > summary["gain_at_maximum_percent"] + 3.0
 
 
@@ -278,7 +280,7 @@ def test_every_controller_has_its_boxes_even_without_outliers(trial):
     found = run_job(Job("g", "circle", trial, (MATCHED, "exact")))
     for column in found.samples[MATCHED, "circle"]:
         found.samples[MATCHED, "circle"][column] = np.linspace(0.2, 0.3, 50, dtype=np.float32)
-    drawn = paper_figures.box_figures([found], "g", ["circle"])
+    drawn = figures.box_figures([found], "g", ["circle"])
     assert set(drawn) == {f"figure7-g-{short}" for short in ("mu", "tip", "rcm", "force")}
     for made in drawn.values():
         assert [box.name for box in made.data] == [BASELINES[MATCHED], "MOC, exact"]
@@ -375,11 +377,12 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
         assert {
             "swivel",
             "trial-tuned",
+            "map-circle",
             *(f"figure7-tuned-{short}" for short in ("mu", "tip", "rcm", "force")),
         } == set(drawn)
         raise BrowserError("no browser here")
 
-    monkeypatch.setattr(paper_figures, "save", no_browser)
+    monkeypatch.setattr(figures, "save", no_browser)
     file = tmp_path / "tiny.toml"
     file.write_text(TINY)
     assert paper.main([str(file), "--out", str(tmp_path / "a"), "--json"]) == 0
@@ -397,7 +400,14 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
     environment = json.loads((tmp_path / "a" / "environment.json").read_text())
     assert environment["config"]["groups"]["tuned"]["about"] == "few and short trials"
     assert "shared" in environment["timing"]
+    rows = [(row["task"], row["name"]) for row in summary["courses"]]
+    assert rows == [
+        ("circle", BASELINES.get(name, f"MOC, {name}")) for name in (*BASELINES, "exact", "rnn-printed")
+    ]
     html = (tmp_path / "a" / "report.html").read_text()
+    assert 'id="map-circle"' in html
+    assert 'href="replay.html"' in html
+    assert (tmp_path / "a" / "replay.html").stat().st_size > 10_000
     assert "few and short trials" in html or "Few and short trials" in html
 
     assert paper.main([str(file), "--out", str(tmp_path / "b"), "--json"]) == 0
@@ -418,10 +428,10 @@ def test_figures_are_saved_as_pixels_and_as_vectors(tmp_path):
     except BrowserError as error:
         pytest.skip(str(error))
     row = {"fraction": 0.5, "mu_start": 0.3, "gain_percent": 10.0, "at_maximum": False}
-    drawn = paper_figures.swivel_figure(
+    drawn = figures.swivel_figure(
         [row, {**row, "fraction": 0.7, "at_maximum": True}, {"error": "broke off"}]
     )
-    written = paper_figures.save({"swivel": drawn}, tmp_path)
+    written = figures.save({"swivel": drawn}, tmp_path)
     assert [file.name for file in written] == ["swivel.svg", "swivel.png"]
     assert (tmp_path / "swivel.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (tmp_path / "swivel.svg").read_text()

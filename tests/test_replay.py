@@ -16,8 +16,8 @@ import pytest
 from moc_opt.errors import TraceError
 from moc_opt.model import RobotModel
 from moc_opt.report import export
+from moc_opt.report.document import MAX_BYTES
 from moc_opt.report.errors import BrowserError, ReportError
-from moc_opt.report.page import MAX_BYTES
 from moc_opt.report.replay import Replay, robot_of
 from moc_opt.report.replay.arm import BASE, arm_parts, link_frames
 from moc_opt.report.replay.tracks import FRAMES_IN_ALL, FRAMES_PER_S, velocity_ellipsoids

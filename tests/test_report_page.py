@@ -8,12 +8,13 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote, urljoin
 
 import numpy as np
 import plotly.graph_objects as go
 import pytest
 
-from moc_opt.report import figures, page
+from moc_opt.report import document, figures
 from moc_opt.report.errors import ReportError
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -69,6 +70,7 @@ def full() -> Page:
     made.headline(f"Headline {NASTY}")
     made.section("Results")
     made.text(f"First {NASTY}\n\nSecond `name`.")
+    made.link("replay.html#t=3", f"Link {NASTY}", f"after it {NASTY}")
     made.table(Table("Times", [Column("n", "solver"), Column("t", "time", "us")], [{"n": NASTY, "t": 1.5}]))
     made.figure(figures.latency_ecdf({NASTY: rng.lognormal(size=100)}, 9.0), f"Times of {NASTY}", name="ecdf")
     made.figure(
@@ -101,7 +103,7 @@ def test_texts_stay_texts(full: Page) -> None:
 
 
 def test_no_data_end_their_element() -> None:
-    found = Resources(page._script("inside", json.dumps(NASTY)))
+    found = Resources(document.script_data("inside", json.dumps(NASTY)))
     assert found.tags == ["script"]
     assert json.loads(found.data["inside"]) == NASTY
 
@@ -118,8 +120,8 @@ def test_names_and_numbers(full: Page) -> None:
     assert list(full.figures) == ["ecdf", "the-same-words-twice-over", "the-same-words-twice-over-2"]
     found = Resources(full.html())
     assert len(set(found.ids)) == len(found.ids)
-    assert found.links == ["#results", "#results-2", "#environment"]
-    assert {link[1:] for link in found.links} <= set(found.ids)
+    assert found.links == ["#results", "#results-2", "#environment", "replay.html#t=3"]
+    assert {link[1:] for link in found.links[:3]} <= set(found.ids)
     for words in ("Table 1.", "Figure 1.", "Figure 2.", "Figure 3."):
         assert found.text.count(words) == 1
 
@@ -150,10 +152,31 @@ def test_a_page_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest
     made = Page("Large")
     made.figure(go.Figure(go.Scatter(y=np.random.default_rng(0).random(2000))), "Noise.", name="noise")
     old = made.save(tmp_path / "report.html").read_bytes()
-    monkeypatch.setattr(page, "MAX_BYTES", 100_000)
+    monkeypatch.setattr(document, "MAX_BYTES", 100_000)
     with pytest.raises(ReportError, match=r"noise \(0\.0 MB\)"):
         made.save(tmp_path / "report.html")
     assert (tmp_path / "report.html").read_bytes() == old
+
+
+@pytest.mark.parametrize("target", ["replay.html", "a/b.html", "a b (1).html", "größe.html#t=3.2", "..a"])
+def test_a_link_leads_to_a_file_beside_the_page(target: str) -> None:
+    made = Page("Linked")
+    made.link(target, "text", " and so on")
+    (address,) = Resources(made.html()).links
+    assert unquote(urljoin("file:///folder/report.html", address)) == f"file:///folder/{target}"
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "", "#top", "https://example.org/x.html", "//example.org/x.html", "/etc/x.html", "javascript:alert(1)",
+        "../up.html", "a/../../up.html", "./x.html", "a//b.html", "\\\\example.org\\x", "C:\\x.html", "x.html?q=1",
+        "%2e%2e/x.html", '"><img>', "x\n.html", "file:x.html", " https://example.org",
+    ],
+)  # fmt: skip
+def test_no_link_leads_anywhere_else(target: str) -> None:
+    with pytest.raises(ReportError, match=r"give a file beside the page .* 'replay\.html'"):
+        Page("Linked").link(target, "text")
 
 
 def test_what_cannot_be_written_is_said(full: Page, tmp_path: Path) -> None:

@@ -441,7 +441,7 @@ def test_other_seed_other_trace():
 def nominal():
     """Both laws from the same poor swivel, in the plant that equals the model, with matched gains."""
     base = Scenario(
-        duration_s=1.6, start=POOR, plant={"preset": "nominal"}, control={"gains": "moc"}, bound_samples=9
+        duration_s=2.0, start=POOR, plant={"preset": "nominal"}, control={"gains": "moc"}, bound_samples=9
     )
     return {law: run(base.change(control={"law": law})) for law in ("moc", "dcac")}
 
@@ -462,9 +462,9 @@ def test_tip_follows_and_the_shaft_stays_in_the_trocar(nominal):
     moc, dcac = nominal["moc"], nominal["dcac"]
     assert dcac.tip_error_m.max() < 1e-4
     assert dcac.rcm_error_m.max() < 1e-3
-    assert moc.tip_error_m.max() < 5e-3  # while the elbow swings over at full speed
-    assert moc.rcm_error_m.max() < 15e-3
-    settled = moc.t_s > 1.1
+    assert moc.tip_error_m.max() < 1e-3  # while the elbow swings over at half its joints' speed
+    assert moc.rcm_error_m.max() < 4e-3
+    settled = moc.t_s > 1.5
     assert moc.tip_error_m[settled].max() < 2e-4
     assert moc.rcm_error_m[settled].max() < 2e-3
 
@@ -482,8 +482,8 @@ def test_the_observer_takes_friction_and_wrong_masses_out():
 
 
 def test_observer_helps_moc_too():
-    base = Scenario(duration_s=1.6, seed=2, start=POOR, **BARE)
+    base = Scenario(duration_s=2.0, seed=2, start=POOR, **BARE)
     tips = [
-        run(base.change(control={"observer_gain_per_s": g})).tip_error_m[550:].mean() for g in (20.0, 0.0)
+        run(base.change(control={"observer_gain_per_s": g})).tip_error_m[800:].mean() for g in (20.0, 0.0)
     ]
     assert tips[0] < 0.5 * tips[1]

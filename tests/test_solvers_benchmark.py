@@ -6,12 +6,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import closed_loop, export, solvers, study_tables
+from benchmarks import solvers
 from benchmarks.output import default_config
-from benchmarks.study_answers import ask
-from benchmarks.study_cells import Cell
-from benchmarks.study_config import PARTS, Config, TestSets
-from benchmarks.study_tables import headline, tables
+from benchmarks.study import closed_loop
+from benchmarks.study import tables as study_tables
+from benchmarks.study.answers import ask
+from benchmarks.study.cells import Cell
+from benchmarks.study.config import PARTS, ClosedLoop, Config, TestSets
+from benchmarks.study.parts import Study
+from benchmarks.study.tables import headline, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from tests import broken_solvers
 
@@ -67,11 +70,12 @@ def summary(folder):
 def test_every_part_is_there(summary):
     expected = {
         "open_loop_warm", "open_loop_cold", "testsets", "testset circle", "testset infeasible", "growth",
-        "closed_loop", "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction",
+        "closed_loop", "courses", "sweep osqp.eps", "sweep damping", "sweep k0", "sweep deadline.osqp", "prediction",
         "disagreements", "cost_begins", "duals on six rows", "duals on five rows", "settings", "not_run", "clock",
     }  # fmt: skip
     assert expected <= set(summary)
     assert set(summary["closed_loop"]) == {"dcac", *NAMES} - set(summary["not_run"])
+    assert set(summary["courses"]) == set(summary["closed_loop"])
     assert {"osqp@default", "osqp@tight", "osqp@recommended", "rnn@semi-implicit-10"} <= set(
         summary["testsets"]
     )
@@ -163,8 +167,12 @@ def test_all_files_are_written(folder, summary):
         "Where inaccuracy begins to cost",
         "Deadlines",
         "nlp-*",
+        'id="map"',
+        'href="replay.html"',
+        "cut off after 0.2 s",
     ):
         assert words in page
+    assert (out / "replay.html").stat().st_size > 10_000
     assert np.load(out / "solve_us_osqp.npy").shape == (100,)
 
 
@@ -207,6 +215,18 @@ def test_the_shipped_configuration_is_that_of_the_program():
     full = config.full()
     assert full.testsets.rounds > config.testsets.rounds
     assert full.growth.joints == list(range(7, 15))
+    assert full.closed_loop.twice
+
+
+def test_a_library_is_in_the_loop_once(tmp_path):
+    names = ["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"]
+
+    def controllers(**table):
+        study = Study(Config(closed_loop=ClosedLoop(**table)), names, tmp_path, print)
+        return [entry.solver for entry in study._in_the_loop()]
+
+    assert controllers() == ["exact", "daqp", "qpsolvers:scs"]
+    assert controllers(twice=True) == names
 
 
 def test_the_nonlinear_solvers_carry_their_footnote(summary):
@@ -230,8 +250,8 @@ def test_qpbenchmark_stands_beside_ours():
 
 def test_kept_parts_do_not_outlive_what_decides_them():
     """What reads a part is not among the sources of its key; what makes it is."""
-    from benchmarks.study_store import SOURCES
+    from benchmarks.study.store import SOURCES
 
-    assert ask.__module__.rpartition(".")[2] in SOURCES
-    assert Cell.__module__.rpartition(".")[2] not in SOURCES
-    assert export.__name__.rpartition(".")[2] not in SOURCES
+    made = [where.removeprefix("benchmarks.").replace(".", "/") for where in (ask.__module__, Cell.__module__)]
+    assert made[0] in SOURCES
+    assert made[1] not in SOURCES

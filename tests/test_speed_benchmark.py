@@ -11,12 +11,14 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import output, peers, speed, speed_setup, speed_solve
-from benchmarks.bare import BARE
+from benchmarks import output, peers, speed
 from benchmarks.peers import check
 from benchmarks.peers.base import TipGradient, wrist_reference
-from benchmarks.speed_goals import GOALS, judge_goals
-from benchmarks.speed_report import headline, tables, write_report
+from benchmarks.speeds import setup as speed_setup
+from benchmarks.speeds import solve as speed_solve
+from benchmarks.speeds.bare import BARE
+from benchmarks.speeds.goals import GOALS, judge_goals
+from benchmarks.speeds.report import headline, tables, write_report
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact import Exact

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import study_answers, study_growth, study_settings
-from benchmarks.study_answers import Data, Limits, asked, timed
-from benchmarks.study_cells import Cell, asked_all, load, time_figures, totals
-from benchmarks.study_settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
-from benchmarks.study_store import Part, Store
-from benchmarks.study_worker import Worker
+from benchmarks.study import answers, growth, settings
+from benchmarks.study.answers import Data, Limits, asked, timed
+from benchmarks.study.cells import Cell, asked_all, load, time_figures, totals
+from benchmarks.study.settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
+from benchmarks.study.store import Part, Store
+from benchmarks.study.worker import Worker
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
@@ -71,11 +71,12 @@ def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
     assert "not every problem was answered" in times.values["reason"]
 
 
-def test_a_solver_that_hangs_everywhere_is_given_up_sooner(broken):
-    sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid")]
+def test_a_solver_that_hangs_everywhere_is_given_up(broken):
+    sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
     cells = asked_all(Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits)
-    assert [found.counts()["hung"] for found in cells] == [2, 2, 1]
+    assert [found.counts()["hung"] for found in cells] == [2, 2, 2, 0, 0]
+    assert [found.counts()["not_asked"] for found in cells] == [2, 2, 2, 4, 4]
 
 
 def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
@@ -154,7 +155,8 @@ def test_times_are_measured_warm_and_cold(worker):
 
 def test_totals_add_counts_and_quote_the_worst_set(worker):
     cells = [cell(worker, EXACT, load(name, 32)) for name in ("circle", "infeasible")]
-    slow = {"solve_us": np.full((2, 4), 7.0), "setup_us": np.array([1.0]), "cold_us": np.array([2.0])}
+    others = {f"{name}_us": np.array([us]) for name, us in (("setup", 1.0), ("cold", 2.0), ("update", 3.0))}
+    slow = {"solve_us": np.full((2, 4), 7.0), **others}
     fast = {**slow, "solve_us": np.full((2, 4), 3.0)}
     found = totals(cells, {"circle": Part({}, slow), "infeasible": Part({}, fast)})
     assert found["solves"] == 8
@@ -165,7 +167,7 @@ def test_totals_add_counts_and_quote_the_worst_set(worker):
 def test_a_part_is_asked_once(worker, tmp_path, monkeypatch):
     store, data = Store(tmp_path), load("circle", 32)
     first = asked(store, worker, EXACT, data, LIMITS)
-    monkeypatch.setattr(study_answers, "ask", lambda *_: pytest.fail("asked again"))
+    monkeypatch.setattr(answers, "ask", lambda *_: pytest.fail("asked again"))
     second = asked(store, worker, EXACT, data, LIMITS)
     np.testing.assert_array_equal(first.arrays["x"], second.arrays["x"])
     assert store.reused == 1
@@ -199,15 +201,15 @@ def test_the_table_names_no_solver_that_does_not_exist():
 
 
 def test_the_page_shows_the_table_as_it_is():
-    """python -m benchmarks.study_settings prints it; solvers that are missing here are missing there."""
+    """python -m benchmarks.study.settings prints it; solvers that are missing here are missing there."""
     page = (Path(__file__).parent.parent / "docs" / "solvers.md").read_text(encoding="utf-8")
     shown = page.partition("<!-- settings -->\n")[2].partition("\n<!-- settings end -->")[0].splitlines()
     assert len(shown) > 30
-    assert [line for line in study_settings.as_markdown().splitlines() if line not in shown] == []
+    assert [line for line in settings.as_markdown().splitlines() if line not in shown] == []
 
 
 def test_recommended_is_what_an_adapter_does_untold():
-    by_label = {e.label: study_settings.effective(e) for e in entries(["osqp", "qpsolvers:osqp", "exact"])}
+    by_label = {e.label: settings.effective(e) for e in entries(["osqp", "qpsolvers:osqp", "exact"])}
     assert by_label["osqp@recommended"]["cost_scale"] == 100.0
     assert by_label["osqp@default"]["rows"] == 6
     assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
@@ -225,7 +227,7 @@ def test_overrides_change_the_recommended_setting_alone():
 
 @pytest.mark.parametrize("n", [7, 9])
 def test_arms_with_more_joints_are_feasible_and_answered(worker, n):
-    data = study_growth.sequence(n, count=6)
+    data = growth.sequence(n, count=6)
     assert data.n == n
     assert data.feasible.all()
     assert cell(worker, EXACT, data).counts()["verified_solved"] == 6
@@ -233,7 +235,7 @@ def test_arms_with_more_joints_are_feasible_and_answered(worker, n):
 
 def test_the_exponent_is_that_of_a_power_law():
     times = {n: {"solve_p50_us": 3.0 * n**2} for n in (7, 9, 14)}
-    found = study_growth.growth(times)
+    found = growth.growth(times)
     assert found["exponent"] == pytest.approx(2.0)
     assert found["14_over_7"] == pytest.approx(4.0)
-    assert study_growth.growth({7: {}}) == {}
+    assert growth.growth({7: {}}) == {}

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from benchmarks import study_compare
-from benchmarks.study_cells import load
-from benchmarks.study_compare import correlations, disagreements, dual_distances, profile, ranks, verdict
+from benchmarks.study import compare
+from benchmarks.study.cells import load
+from benchmarks.study.compare import correlations, disagreements, dual_distances, profile, ranks, verdict
 from moc_opt.solvers import create
 from moc_opt.subproblem import NullSpaceQP
 
@@ -117,7 +117,7 @@ def test_duals_that_were_not_given_are_left_out(problems):
     half = y.copy()
     half[::2] = np.nan
     assert dual_distances(problems, {"a": y, "b": half})["a | b"]["problems"] == len(problems) // 2
-    assert "Fewer than two" in study_compare.dual_verdict({}, {})
+    assert "Fewer than two" in compare.dual_verdict({}, {})
 
 
 # --- profiles ---

@@ -119,6 +119,46 @@ def test_held_for_some_ticks_and_damped_from_then_on(hold, qp, Z):
     assert mine.solve(Scripted(wrong), qp, Z)[1].any() == (hold > 0)  # a good answer starts the count anew
 
 
+def near_a_limit(qp, Z):
+    """The same tick where the box cuts off the shortest motion, but not all: joint 2 may do half of what it wants."""
+    row = np.array(qp.row)
+    shortest = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
+    part = fields(row)
+    (part.lower if shortest[1] < 0.0 else part.upper)[1] = 0.5 * shortest[1]
+    return NullSpaceQP.from_row(row), shortest
+
+
+def test_damping_keeps_off_the_limits(qp, Z):
+    """Once holding is over the elbow moves as far as the box asks for, and no further; or not at all, if told so."""
+    tight, shortest = near_a_limit(qp, Z)
+    wrong = no_answer(7, Status.NUMERICAL)
+    _, x = supervisor(hold_ticks=0).solve(Scripted(wrong), tight, Z)
+    np.testing.assert_allclose(tight.A @ x, 0.0, atol=1e-12)  # tip and wrist do not notice
+    assert shortest[1] + x[1] == pytest.approx(0.5 * shortest[1], abs=1e-6)
+    assert (shortest + x >= tight.lower - 1e-6).all()
+    assert (shortest + x <= tight.upper + 1e-6).all()
+    _, bare = supervisor(hold_ticks=0, keep_off_limits=False).solve(Scripted(wrong), tight, Z)
+    assert not bare.any()
+    _, empty = supervisor(hold_ticks=0).solve(Scripted(no_answer(7, Status.INFEASIBLE)), tight, Z)
+    assert not empty.any()
+
+
+def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
+    """This start leads joint 6 to its limit where nothing but damping is left."""
+    faults = {"solver": "nan", "solver_share": 1.0}
+    base = Scenario(
+        control={"preset": "tuned"}, start={"swivel": "random"}, faults=faults, bound_samples=0, judge=False
+    )
+    kept = run(base)
+    assert not kept.limited.any()
+    room = np.minimum(robot.q_max - kept.q_rad, kept.q_rad - robot.q_min).min()
+    assert 0.045 < room < 0.1
+    bare = run(base.change(control={"supervisor": {"keep_off_limits": False}}))
+    assert bare.limited.any()
+    assert kept.rcm_error_m.mean() < 0.9 * bare.rcm_error_m.mean()
+    assert kept.tip_error_m.max() < 0.2 * bare.tip_error_m.max()
+
+
 def test_nothing_to_hold_before_the_first_good_answer(qp, Z):
     mine = supervisor()
     assert not mine.solve(Scripted(no_answer(7, Status.NUMERICAL)), qp, Z)[1].any()
@@ -249,6 +289,53 @@ def test_a_late_lie_is_not_followed_as_an_iterate(qp, Z):
     _, x = mine.solve(Scripted(opposite(qp)), qp, Z)
     assert mine.fault is Fault.LIED
     assert not x.any()
+
+
+class Stoppable(Scripted):
+    """A session whose truncated answer is known, and who is asked for it."""
+
+    def __init__(self, whole, truncated):
+        super().__init__(whole)
+        self.cut, self.asked = truncated, []
+
+    def truncated(self, qp, iterations):
+        self.asked.append(iterations)
+        if isinstance(self.cut, Exception):
+            raise self.cut
+        return self.cut
+
+
+@pytest.mark.parametrize(("us", "iterations", "allowed"), [(400.0, 40, 10), (1e6, 40, 1), (99.0, 40, None)])
+def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z):
+    whole = solved(qp)._replace(iterations=iterations)
+    session = Stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
+    mine = supervisor(times=[us], budget_us=100.0, late="iterate")
+    solution, x = mine.solve(session, qp, Z)
+    assert session.asked == ([] if allowed is None else [allowed])
+    assert mine.fault is (Fault.NONE if allowed is None else Fault.LATE)
+    np.testing.assert_array_equal(x, whole.x if allowed is None else 0.5 * whole.x)
+    assert solution.status is (Status.SOLVED if allowed is None else Status.MAX_ITER)
+
+
+@pytest.mark.parametrize(
+    ("cut", "fault"),
+    [(ValueError("no"), Fault.FAILED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
+     (Solution(np.full(7, np.nan), None, Status.MAX_ITER), Fault.NOT_FINITE)],
+)  # fmt: skip
+def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
+    mine = supervisor(times=[10.0, 400.0], budget_us=100.0, late="iterate")
+    good = solved(qp)
+    mine.solve(Scripted(good), qp, Z)
+    _, x = mine.solve(Stoppable(good._replace(iterations=4), cut), qp, Z)
+    assert mine.fault is fault
+    np.testing.assert_array_equal(x, good.x)
+
+
+@pytest.mark.parametrize("late", ["hold", "zero"])
+def test_no_one_is_stopped_whose_answer_is_not_wanted(late, qp, Z):
+    session = Stoppable(solved(qp)._replace(iterations=4), solved(qp))
+    supervisor(times=[400.0], budget_us=100.0, late=late).solve(session, qp, Z)
+    assert session.asked == []
 
 
 def test_recorded_times_that_end_leave_the_rest_to_the_clock(qp, Z):

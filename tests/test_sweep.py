@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from benchmarks import sweep
 from benchmarks.output import default_config
-from benchmarks.sweep_config import Config
-from benchmarks.sweep_fields import check_path, paths, random_draws
-from benchmarks.sweep_plan import Plan, quick
+from benchmarks.sweeps.config import Config
+from benchmarks.sweeps.fields import check_path, paths, random_draws
+from benchmarks.sweeps.plan import Plan, quick
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
 from tests.sweeps import TINY, config
 
@@ -86,7 +86,7 @@ def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "benchmarks.sweep_config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
+        "benchmarks.sweeps.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
         Plan(config(solvers=["osqp"]))

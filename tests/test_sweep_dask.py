@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import sweep
-from benchmarks.sweep_dask import DaskPool
-from benchmarks.sweep_errors import WorkerError
-from benchmarks.sweep_local import LocalPool
+from benchmarks.sweeps.dask import DaskPool
+from benchmarks.sweeps.errors import WorkerError
+from benchmarks.sweeps.local import LocalPool
 from tests.sweeps import config
 
 distributed = pytest.importorskip("distributed", reason="pip install 'moc-opt[cluster]'")
@@ -102,7 +102,7 @@ def test_a_scheduler_that_goes_away_is_said_and_the_sweep_goes_on_at_home(
 
 
 def test_nobody_at_the_address_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.sweep_dask.CONNECT_S", 0.5)
+    monkeypatch.setattr("benchmarks.sweeps.dask.CONNECT_S", 0.5)
     with pytest.raises(WorkerError, match=r"no Dask scheduler answers at tcp://127.0.0.1:9"):
         sweep.sweep(config(), tmp_path, DaskPool("tcp://127.0.0.1:9"))
     with pytest.raises(WorkerError, match="no Dask scheduler answers at nonsense://"):
@@ -127,9 +127,9 @@ def test_workers_without_this_package_are_told(
     def lacking() -> str:
         raise ModuleNotFoundError("No module named 'benchmarks'")
 
-    monkeypatch.setattr("benchmarks.sweep_dask._version", lacking)
+    monkeypatch.setattr("benchmarks.sweeps.dask._version", lacking)
     with pytest.raises(WorkerError, match="install this checkout there too"):
         sweep.sweep(config(), tmp_path, DaskPool(cluster.scheduler_address))
-    monkeypatch.setattr("benchmarks.sweep_dask._version", lambda: "0.0.0")
+    monkeypatch.setattr("benchmarks.sweeps.dask._version", lambda: "0.0.0")
     with pytest.raises(WorkerError, match=r"has moc_opt 0\.0\.0"):
         sweep.sweep(config(), tmp_path, DaskPool(cluster.scheduler_address))

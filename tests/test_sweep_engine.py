@@ -11,10 +11,11 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import sweep, sweep_engine
-from benchmarks.sweep_errors import WorkerError
-from benchmarks.sweep_local import LocalPool
-from benchmarks.sweep_plan import Plan
+from benchmarks import sweep
+from benchmarks.sweeps import engine
+from benchmarks.sweeps.errors import WorkerError
+from benchmarks.sweeps.local import LocalPool
+from benchmarks.sweeps.plan import Plan
 from tests.sweeps import Here, config, do, made_up
 
 
@@ -57,7 +58,7 @@ def test_a_bad_disk_takes_no_worker_down() -> None:
         return made_up(table, limit_s)
 
     assert (
-        sweep_engine.run_all(pool, range(12), tables.__getitem__, lambda i, _: kept.append(i), 1.0, work)
+        engine.run_all(pool, range(12), tables.__getitem__, lambda i, _: kept.append(i), 1.0, work)
         == {}
     )
     assert sorted(kept) == list(range(12))
@@ -81,15 +82,15 @@ def test_another_version_or_a_defect_of_a_worker_stops_the_sweep(tmp_path: Path)
 
 def test_errors_of_a_run_are_its_row(monkeypatch: pytest.MonkeyPatch) -> None:
     table = Plan(config()).scenario(0).model_dump(mode="json")
-    good = sweep_engine.execute(table, 60.0)
+    good = engine.execute(table, 60.0)
     assert good["error"] is None
     assert good["figures"]["tip_error_max_mm"] >= 0.0
     assert good["wall_s"] > 0.0
-    bad = sweep_engine.execute({**table, "trocar": {**table["trocar"], "depth_m": 5.0}}, 60.0)
+    bad = engine.execute({**table, "trocar": {**table["trocar"], "depth_m": 5.0}}, 60.0)
     assert bad["error"].startswith("ScenarioError: [trocar] depth_m = 5.0")
     assert bad["figures"] == {}
-    monkeypatch.setattr(sweep_engine.scenario, "run", lambda scenario: 1 / 0)
-    assert sweep_engine.execute(table, 60.0)["error"] == "unexpected ZeroDivisionError: division by zero"
+    monkeypatch.setattr(engine.scenario, "run", lambda scenario: 1 / 0)
+    assert engine.execute(table, 60.0)["error"] == "unexpected ZeroDivisionError: division by zero"
 
 
 def hangs_or_kills(table: Any, limit_s: float) -> dict[str, Any]:
@@ -102,8 +103,8 @@ def hangs_or_kills(table: Any, limit_s: float) -> dict[str, Any]:
         marker.with_suffix(".io").touch()
         raise OSError(errno.EIO, "Input/output error")
     if table["seed"] == 2:
-        sweep_engine.scenario.run = lambda scenario: time.sleep(60)
-        return sweep_engine.execute(table, limit_s)
+        engine.scenario.run = lambda scenario: time.sleep(60)
+        return engine.execute(table, limit_s)
     return made_up({**table, "seed": 0}, limit_s)
 
 

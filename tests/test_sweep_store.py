@@ -12,10 +12,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import sweep_store, sweep_table
-from benchmarks.sweep_errors import StoreError
-from benchmarks.sweep_plan import Plan
-from benchmarks.sweep_store import Store
+from benchmarks.sweeps import store as sweep_store
+from benchmarks.sweeps import table
+from benchmarks.sweeps.errors import StoreError
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.store import Store
 from tests.sweeps import GRID, config, do, made_up
 
 
@@ -23,7 +24,7 @@ from tests.sweeps import GRID, config, do, made_up
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shards of 3 runs and row groups of 5, so that 12 runs meet every border."""
     monkeypatch.setattr(sweep_store, "SHARD", 3)
-    for module in (sweep_store, sweep_table):
+    for module in (sweep_store, table):
         monkeypatch.setattr(module, "BLOCK", 5)
 
 
@@ -118,7 +119,7 @@ def test_killed_at_every_step_it_goes_on_to_the_same_bytes(
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """See small_pieces."""
     monkeypatch.setattr(sweep_store, "SHARD", 3)
-    for module in (sweep_store, sweep_table):
+    for module in (sweep_store, table):
         monkeypatch.setattr(module, "BLOCK", 5)
 
 
@@ -179,7 +180,7 @@ def test_results_of_other_code_are_not_continued(
     whole: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     do(Plan(config()), tmp_path)
-    monkeypatch.setattr("benchmarks.sweep_plan.code_version", lambda: "0.1.0+changed")
+    monkeypatch.setattr("benchmarks.sweeps.plan.code_version", lambda: "0.1.0+changed")
     with pytest.raises(StoreError, match=r"moc_opt is '0.1.0\+changed' here and '0"):
         Store(tmp_path, Plan(config())).__enter__()
 

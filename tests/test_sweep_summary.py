@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import sweep_summary
-from benchmarks.sweep_errors import StoreError, SweepError
 from benchmarks.sweep_memory import write_synthetic
-from benchmarks.sweep_plan import Plan
-from benchmarks.sweep_summary import ACCURACY, bucket, quantile, summarise
+from benchmarks.sweeps import summary
+from benchmarks.sweeps.errors import StoreError, SweepError
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.summary import ACCURACY, bucket, quantile, summarise
 from moc_opt.errors import UnknownNameError
 from tests.sweeps import config, do
 
@@ -29,7 +29,7 @@ from tests.sweeps import config, do
     st.sampled_from([0.0, 0.05, 0.5, 0.95, 1.0]),
 )
 def test_quantiles_are_within_their_accuracy(values: list[float], p: float) -> None:
-    histogram = np.bincount(bucket(np.array(values)), minlength=sweep_summary.BUCKETS).astype(np.int32)
+    histogram = np.bincount(bucket(np.array(values)), minlength=summary.BUCKETS).astype(np.int32)
     exact = np.quantile(values, p, method="lower")
     assert quantile(histogram, p) == pytest.approx(exact, rel=ACCURACY * 1.001, abs=0.0)
 
@@ -61,7 +61,7 @@ def test_the_summary_is_that_of_the_rows(finished: Path) -> None:
 def test_the_summary_says_what_is_wrong(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'solver'"):
         summarise(finished, ["solvers"])
-    monkeypatch.setattr(sweep_summary, "MAX_GROUPS", 5)
+    monkeypatch.setattr(summary, "MAX_GROUPS", 5)
     with pytest.raises(SweepError, match="more than 5 groups"):
         summarise(finished, ["run"])
     with pytest.raises(StoreError, match="not finished"):
@@ -72,7 +72,7 @@ def test_the_summary_says_what_is_wrong(finished: Path, monkeypatch: pytest.Monk
 
 
 def test_memory_does_not_grow_with_the_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pool, peaks, batches = pa.default_memory_pool(), [0, 0], sweep_summary._batches
+    pool, peaks, batches = pa.default_memory_pool(), [0, 0], summary._batches
     for place, rows in enumerate((100_000, 300_000)):
         write_synthetic(tmp_path, rows)
         before = pool.bytes_allocated()
@@ -82,7 +82,7 @@ def test_memory_does_not_grow_with_the_rows(tmp_path: Path, monkeypatch: pytest.
                 peaks[place] = max(peaks[place], pool.bytes_allocated() - before)
                 yield batch
 
-        monkeypatch.setattr(sweep_summary, "_batches", watched)
+        monkeypatch.setattr(summary, "_batches", watched)
         assert sum(group["runs"] for group in summarise(tmp_path).values()) == rows
     assert 0 < peaks[1] < 1.5 * peaks[0]
     assert peaks[1] < 0.5 * (tmp_path / "rows.parquet").stat().st_size

@@ -76,7 +76,10 @@ class Controller:
         found = settings.resolve_gains(robot.data.gains)
         self._gains = np.array([found[gain] for gain in GAINS])
         self._projector = PROJECTORS.index(settings.projector)
-        self._limits = np.ascontiguousarray([robot.q_min, robot.q_max, settings.speed_fraction * robot.v_max])
+        self._limits = manipulability.box_limits(
+            robot.q_min, robot.q_max, robot.v_max,
+            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+        )  # fmt: skip
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
         self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s

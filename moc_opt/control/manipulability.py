@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
 from moc_opt.control.feedforward import independent_rows
+from moc_opt.errors import ControlError
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,31 @@ def velocity_damper(
     for i in range(q.shape[0]):
         lower[i] = min(max(-v_max[i], -k0 * (q[i] - q_min[i])), v_max[i])
         upper[i] = max(min(v_max[i], -k0 * (q[i] - q_max[i])), -v_max[i])
+
+
+def box_limits(
+    q_min: Array, q_max: Array, v_max: Array, *, margin: float = 0.0, speed_fraction: float = 1.0
+) -> Array:
+    """What the box on x is made from: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
+
+    The box has to close before a joint is where something else stops it (the guard's wall).
+
+    Args:
+        q_min, q_max: (n,) joint limits [rad].
+        v_max: (n,) [rad/s].
+        margin: what stays free of a joint's range at either end [rad].
+        speed_fraction: of v_max.
+
+    Raises:
+        ControlError: the margins of a joint meet.
+    """
+    room = 0.5 * float(np.min(q_max - q_min))
+    if not margin < room:
+        raise ControlError(
+            f"[control] limit_margin_rad = {margin}: nothing is left of joint {int(np.argmin(q_max - q_min)) + 1} "
+            f"between its limits; give less than {room:.3g}"
+        )
+    return np.ascontiguousarray([q_min + margin, q_max - margin, speed_fraction * v_max])
 
 
 @njit(cache=True, nogil=True)
@@ -88,6 +114,55 @@ def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
             inertia[i, j] = dot(Z[i], MZ[j])
     torque: Array = transpose_times(MZ, solve_factored(cholesky(inertia), times(Z, push)))
     return torque
+
+
+@njit(cache=True, nogil=True)
+def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweeps: int) -> Array:
+    """The smallest self-motion (n,) [rad/s] that brings the arm's other motion into the box; zero where none can.
+
+    An arm whose self-motion is damped follows its references with the shortest x of A x = b, which may run a
+    joint into its limit. Of all self-motions Z^T w added to it the shortest is wanted that leaves the box nowhere:
+    Hildreth's dual coordinate ascent, one constraint a joint. Zero where that x is inside already.
+
+    Args:
+        A: (6, n); b: (6,).
+        Z: (r, n) orthonormal rows of ker A.
+        lower, upper: (n,) [rad/s].
+        sweeps: over the joints; one freedom needs two.
+    """
+    r, n = Z.shape
+    S = np.zeros((n, n))  # A^T A + Z^T Z: regular, and the shortest solution of A x = b is S^-1 A^T b
+    size = np.zeros(n)
+    for i in range(n):
+        for k in range(r):
+            size[i] += Z[k, i] * Z[k, i]
+        for j in range(n):
+            for k in range(A.shape[0]):
+                S[i, j] += A[k, i] * A[k, j]
+            for k in range(r):
+                S[i, j] += Z[k, i] * Z[k, j]
+    shortest = solve_factored(cholesky(S), transpose_times(A, b))
+    w, push = np.zeros(r), np.zeros(n)
+    for _ in range(sweeps):
+        change = 0.0
+        for j in range(n):
+            if size[j] > 1e-12:
+                free = shortest[j] - size[j] * push[j]
+                for k in range(r):
+                    free += Z[k, j] * w[k]
+                new = (min(max(free, lower[j]), upper[j]) - free) / size[j]
+                for k in range(r):
+                    w[k] += (new - push[j]) * Z[k, j]
+                change = max(change, abs(new - push[j]))
+                push[j] = new
+        if change < 1e-12:
+            break
+    motion = transpose_times(Z, w)
+    for j in range(n):
+        x = shortest[j] + motion[j]
+        if not lower[j] - 1e-6 <= x <= upper[j] + 1e-6:  # the box is empty, or A has lost more than a rank
+            return np.zeros(n)
+    return motion
 
 
 @njit(cache=True, nogil=True)

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control.dense import dot
-from moc_opt.control.manipulability import least_violation
+from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.model_kernels import all_finite
 from moc_opt.settings import Settings
-from moc_opt.solvers.base import Session, Solution, Status, no_answer
+from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
 from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
@@ -71,8 +71,15 @@ class SupervisorSettings(Settings):
     hold_ticks: int = Field(
         10, ge=0, description="how long the last good answer is held, before damping alone"
     )
+    keep_off_limits: bool = Field(
+        True, description="from then on, move the elbow as far as the box asks for; False: damping alone"
+    )
     budget_us: float | None = Field(None, gt=0.0, description="time a solve may take; None: no limit")
-    late: Literal["hold", "zero", "iterate"] = Field("hold", description="what stands for a late answer")
+    late: Literal["hold", "zero", "iterate"] = Field(
+        "hold",
+        description="what stands for a late answer; iterate: what the solver has when the budget ends, or its whole "
+        "answer where it cannot be stopped",
+    )
 
 
 @njit(cache=True, nogil=True)
@@ -174,6 +181,7 @@ class Supervisor:
         answer_residuals(qp.row, qp.n, Z, self._rest)
         if self._fallback == "least-violation":
             self._least_violation(qp)
+        self._retreat(qp, Z)
 
     def solve(self, session: Session, qp: NullSpaceQP, Z: Array) -> tuple[Solution, Array]:
         """Ask, check, and answer in any case.
@@ -191,13 +199,15 @@ class Supervisor:
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
         solution = well_formed(solution, qp.n)
+        if self.settings.late == "iterate" and self._late:
+            solution = well_formed(self._stopped(session, qp, solution), qp.n)
         self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
         if self.fault is Fault.NONE:
             # A copy: the solver may write its next answer, or none, into the same memory.
             self._good, self._age = np.array(solution.x), 0
             return solution, self._good
         self.counts[self.fault.label] += 1
-        return solution, self._replace(solution, qp)
+        return solution, self._replace(solution, qp, Z)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         settings, status = self.settings, solution.status
@@ -216,20 +226,41 @@ class Supervisor:
                 return Fault.OUTSIDE
             elif relative > settings.relative_limit or (off > settings.opposite_limit and opposite < off):
                 return Fault.LIED
-        if settings.budget_us is not None and self.solve_us > settings.budget_us:
-            return Fault.LATE
-        return Fault.NONE
+        return Fault.LATE if self._late else Fault.NONE
 
-    def _replace(self, solution: Solution, qp: NullSpaceQP) -> Array:
+    @property
+    def _late(self) -> bool:
+        return self.settings.budget_us is not None and self.solve_us > self.settings.budget_us
+
+    def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
+        """What the solver has when its budget ends: its iterations are taken to last equally long.
+
+        One that cannot be stopped is waited for, and its whole answer taken.
+        """
+        if not isinstance(session, TruncatingSession) or solution.iterations < 1:
+            return solution
+        share = (self.settings.budget_us or 0.0) / self.solve_us
+        try:
+            return session.truncated(qp, max(1, int(share * solution.iterations)))
+        except Exception:  # noqa: BLE001 - as in solve
+            return no_answer(qp.n, Status.NUMERICAL)
+
+    def _replace(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Array:
         self._age += 1
         if self.fault is Fault.INFEASIBLE and self._fallback != "hold":
             if self._fallback == "damping":
                 return self._rest
             return self._least_violation(qp)
         if self.fault is Fault.LATE and self.settings.late != "hold":
-            # the truncated iterate: a late answer is still an answer, only the tick is lost
             return np.array(solution.x) if self.settings.late == "iterate" else self._rest
-        return self._good if self._age <= self.settings.hold_ticks else self._rest
+        if self._age <= self.settings.hold_ticks:
+            return self._good
+        return self._retreat(qp, Z) if self.settings.keep_off_limits else self._rest
+
+    def _retreat(self, qp: NullSpaceQP, Z: Array) -> Array:
+        part = qp.fields
+        x: Array = into_the_box(part.A, part.b, Z, part.lower, part.upper, 50)
+        return x
 
     def _least_violation(self, qp: NullSpaceQP) -> Array:
         part = qp.fields

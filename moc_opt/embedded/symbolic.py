@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.manipulability import box_limits
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.layout import Layout, layout
@@ -187,10 +188,14 @@ class _Law:
         v_wrist = v_tip - ca.dot(b1, gap) * b1 - ca.dot(b2, gap) * b2  # a rigid tool keeps its length
         # b1, b2, u are right-handed: b1 . omega = -b2 . (v_T - v_W)/L and b2 . omega = b1 . (v_T - v_W)/L.
         rates = ca.vertcat(-ca.dot(b2, gap), ca.dot(b1, gap)) / self.span
-        k0, v_max = settings.k0_per_s, settings.speed_fraction * robot.v_max
+        k0 = settings.k0_per_s
+        q_min, q_max, v_max = box_limits(
+            robot.q_min, robot.q_max, robot.v_max,
+            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+        )  # fmt: skip
         box = swivel.Box(
-            ca.fmin(ca.fmax(-v_max, -k0 * (q - robot.q_min)), v_max),
-            ca.fmax(ca.fmin(v_max, -k0 * (q - robot.q_max)), -v_max),
+            ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max),
+            ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max),
         )
         answer = swivel.solve(
             triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active, settings.c2, settings.damping,

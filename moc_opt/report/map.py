@@ -30,6 +30,8 @@ UNREACHABLE, FEASIBLE = -1, 0
 COURSE_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
+OTHER_BRANCH_RAD = 0.5
+"""A course with a larger gap belongs to an arm that is folded another way than the map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +109,8 @@ def manipulability_map(
     turn = _cut(limit == FEASIBLE)
     swivel = np.roll(swivel, -turn)
     swivel[swivels - turn :] += 2.0 * np.pi
+    if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
+        swivel -= 2.0 * np.pi
     q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
     best[0] = _onto(best[0], swivel)
     courses = {
@@ -133,7 +137,10 @@ def _targets(
             raise ReportError(
                 f"run {name!r} was given another path (up to {apart:.3g} m apart): make a map for each path"
             )
-    tips, trocars = guide.tip_ref_m[ticks], guide.columns[column][ticks]
+    # In double precision whatever the trace has: tip and wrist must be as far apart as the arm's are, to REACHED_M.
+    tips, trocars = (
+        np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column)
+    )
     span = robot.state(robot.data.q_home).tool_span
     return tips, tips + span * unit(trocars - tips)
 

@@ -8,9 +8,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from string import Template
 from types import MappingProxyType
@@ -19,13 +17,11 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from moc_opt.report.errors import ReportError
+from moc_opt.report.document import asset, beside, document, save_document, script_data
 from moc_opt.report.figures.style import DARK
 from moc_opt.report.notation import DASH
 from moc_opt.report.table_html import escape
 from moc_opt.report.tables import Table
-
-MAX_BYTES = 8_000_000
 
 
 class Page:
@@ -59,6 +55,19 @@ class Page:
     def text(self, text: str) -> None:
         """Paragraphs."""
         self._parts += [f"<p>{_inline(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()) if part]
+
+    def link(self, target: str, text: str, about: str = "") -> None:
+        """A paragraph with a link to a file that lies beside the page; the page is complete without it.
+
+        Args:
+            target: relative path of that file, such as "replay.html", or "replay.html#t=3".
+            text: of the link.
+            about: what follows it.
+
+        Raises:
+            ReportError: the target is not beside or below the page: no other host, scheme or folder above is allowed.
+        """
+        self._parts.append(f'<p><a href="{beside(target)}">{_inline(text)}</a>{_inline(about)}</p>')
 
     def table(self, table: Table) -> None:
         """A numbered table."""
@@ -102,45 +111,34 @@ class Page:
         """The whole file as text."""
         links = [f'<li><a href="#{name}">{_inline(title)}</a></li>' for name, title in self._sections]
         contents = f'<nav aria-label="Contents"><ol>{"".join(links)}</ol></nav>' if len(links) > 1 else ""
-        data = [_script(f"{name}-data", _plain_json(figure)) for name, figure in self._figures.items()]
-        scripts = [_asset("tables.js")]
+        data = [script_data(f"{name}-data", _plain_json(figure)) for name, figure in self._figures.items()]
+        scripts = [asset("tables.js")]
         if self._figures:
             data += [
-                _script("dark-colors", json.dumps(dict(DARK))),
-                _script("plotly-packed", _packed_plotly()),
+                script_data("dark-colors", json.dumps(dict(DARK))),
+                script_data("plotly-packed", _packed_plotly()),
             ]
-            scripts.append(_asset("figures.js"))
-        return Template(_asset("page.html")).substitute(
-            title=escape(self.title), style=_asset("page.css"), body="\n".join(self._parts), contents=contents,
+            scripts.append(asset("figures.js"))
+        body = Template(asset("page.html")).substitute(
+            title=escape(self.title), body="\n".join(self._parts), contents=contents,
             subtitle=f'<p class="subtitle">{_inline(self.subtitle)}</p>' if self.subtitle else "",
             data="\n".join(data), scripts="\n".join(scripts),
         )  # fmt: skip
+        return document(self.title, "page.css", body)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the file, all or nothing: an older one of that name stays until the new one is there.
 
         Raises:
-            ReportError: it would be larger than MAX_BYTES, or cannot be written.
+            ReportError: it would be larger than `document.MAX_BYTES`, or cannot be written.
         """
-        file, content = Path(path), self.html().encode()
-        if len(content) > MAX_BYTES:
-            sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
-            largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
-            raise ReportError(
-                f"{file}: the page has {len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}: "
-                f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
-            )
-        unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.write_bytes(content)
-            unfinished.replace(file)
-        except OSError as error:
-            # Where there was no folder, there is nothing to clear away either.
-            with suppress(OSError):
-                unfinished.unlink()
-            raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
-        return file
+        return save_document(path, self.html(), "page", self._thinner)
+
+    def _thinner(self) -> str:
+        """What to do about a page that is too large."""
+        sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
+        largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
+        return f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
 
     @staticmethod
     def _name(text: str, taken: Iterable[str]) -> str:
@@ -175,16 +173,6 @@ def _value(value: Any) -> str:
 def _plain_json(figure: go.Figure) -> str:
     text: str = figure.to_json()
     return text
-
-
-def _script(name: str, text: str) -> str:
-    """Data for the page's scripts; no text in it can end the element."""
-    escaped = text.replace("<", "\\u003c")
-    return f'<script type="application/json" id="{name}">{escaped}</script>'
-
-
-def _asset(name: str) -> str:
-    return resources.files("moc_opt.report").joinpath("assets", name).read_text(encoding="utf-8").strip()
 
 
 @cache

@@ -73,6 +73,24 @@ class Solver(Protocol):
         ...
 
 
+@runtime_checkable
+class UpdatingSession(Protocol):
+    """A session whose ``solve`` begins with ``update``: the two can be timed apart."""
+
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand a subproblem to the library without solving it."""
+        ...
+
+
+@runtime_checkable
+class TruncatingSession(Protocol):
+    """A session that can be stopped in the middle of a solve, as by a deadline; its iterations are counted."""
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """The iterate after ``iterations`` (at least 1), from where the last solve began."""
+        ...
+
+
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
     """A solution without an x: NaN, so that using it by mistake shows."""
     return Solution(np.full(n, np.nan), None, status, iterations)

@@ -145,9 +145,9 @@ class CasadiSession:
             self._buffer.set_res(self._function.index_out(name), array.data)  # type: ignore[call-arg]
         self._back = 1.0 / self._settings.cost_scale
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's builds a new function."""
-        A, b, lift = equalities(qp, self._settings.rows)
+    def update(self, qp: NullSpaceQP) -> None:
+        """Write the subproblem into the function's buffers; another shape than the last one's builds a new function."""
+        A, b, self._lift = equalities(qp, self._settings.rows)
         if A.shape != self._shape:
             self._build(qp)
         given, part, scale = self._in, qp.fields, self._settings.cost_scale
@@ -156,13 +156,17 @@ class CasadiSession:
         self._A[:] = A
         given["lba"][:] = given["uba"][:] = b
         given["lbx"][:], given["ubx"][:] = part.lower, part.upper
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
         try:
             self._evaluate()
         except RuntimeError:  # how CasADi reports a failure; asking for statistics every time costs 15 us
             self._start_from(False)
             return no_answer(qp.n, _verdict(self._buffer.stats()))
         self._start_from(self._settings.warm)
-        return Solution(self._x.copy(), np.dot(self._lam_a, lift) * self._back, Status.SOLVED)
+        return Solution(self._x.copy(), np.dot(self._lam_a, self._lift) * self._back, Status.SOLVED)
 
     def _start_from(self, last: bool) -> None:
         for key, value in (("x0", self._x), ("lam_x0", self._lam_x), ("lam_a0", self._lam_a)):

@@ -97,14 +97,29 @@ class ClarabelSession:
         matrix = sparse.csc_matrix(stacked, shape=(m + 2 * n, n))
         self._core: Any = clarabel.DefaultSolver(P, self._q, matrix, self._b, cones, options)
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
         if not self._load(qp):
             self._build(qp)
         self._core.update(P=self._P, q=self._q, A=self._A.ravel(), b=self._b)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
         found = self._core.solve()
         status = next((ours for theirs, ours in _STATUS if found.status == theirs), Status.NUMERICAL)
         if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
             return no_answer(qp.n, status, found.iterations)
         y = self._load.lifted(np.array(found.z[: self._shape[0]]), self._back)
         return Solution(np.array(found.x), y, status, found.iterations)
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """The iterate after so many iterations: an interior-point method always begins anew."""
+        options = self._core.get_settings()
+        options.max_iter = iterations
+        self._core.update(settings=options)
+        try:
+            return self.solve(qp)
+        finally:
+            options.max_iter = self._settings.max_iter
+            self._core.update(settings=options)

@@ -95,16 +95,20 @@ class DAQPSession:
         }  # fmt: skip
         self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
         if not self._load(qp):
             self._build(qp)
-        core, n = self._core, self._shape[1]
         sense = None
         if not self._settings.warm:
             self._sense[:] = self._fresh
             sense = self._sense
-        core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+        self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
+        core, n = self._core, self._shape[1]
         x, _, code, info = core.solve()
         status = _STATUS.get(code, Status.NUMERICAL)
         if status not in _HAS_X:

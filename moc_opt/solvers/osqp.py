@@ -95,7 +95,7 @@ class OSQPSession:
         self._A = np.ones((n, m + 1))
         self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
         self._back = 1.0 / self._settings.cost_scale
-        self._zeros = np.zeros(n), np.zeros(m + n)
+        self._zeros = self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
         self._load = Loader(
             self._settings.rows, self._settings.cost_scale, P=np.empty((n, n)), packed=self._P, p=self._q,
             A=self._A[:, :m].T, low=self._l[:m], high=self._u[:m], lower=self._l[m:], upper=self._u[m:],
@@ -113,19 +113,24 @@ class OSQPSession:
         options.max_iter = self._settings.max_iter
         options.check_termination = self._settings.check_termination
         options.polishing = int(self._settings.polishing)
-        self._rho = options.rho
+        self._options, self._rho = options, options.rho
         self._core: Any = core.OSQPSolver(
             core.CSC(P_csc), self._q, core.CSC(A_csc), self._l, self._u, m + n, n, options
         )
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
         if not self._load(qp):
             self._build(qp)
-        m, n = self._shape
         core = self._core
         core.update_data_vec(q=self._q, l=self._l, u=self._u)
         core.update_data_mat(P_x=self._P, P_i=None, A_x=self._A.reshape(-1), A_i=None)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
+        core, (m, n) = self._core, self._shape
+        self._before = self._last
         if not self._settings.warm:
             core.update_rho(self._rho)
             core.warm_start(*self._zeros)
@@ -135,4 +140,17 @@ class OSQPSession:
         if status not in _HAS_X:
             return no_answer(n, status, info.iter)
         found = core.solution
-        return Solution(found.x, self._load.lifted(found.y[:m], self._back), status, info.iter)
+        self._last = x, y = found.x, found.y
+        return Solution(x, self._load.lifted(y[:m], self._back), status, info.iter)
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """The iterate after so many iterations, from where the last solve began; the next one goes on from here."""
+        core, options = self._core, self._options
+        core.warm_start(*self._before)
+        options.max_iter = iterations
+        core.update_settings(options)
+        try:
+            return self.solve(qp)
+        finally:
+            options.max_iter = self._settings.max_iter
+            self._core.update_settings(options)

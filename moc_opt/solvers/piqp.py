@@ -85,15 +85,28 @@ class PIQPSession:
         self._load(qp)
         core.setup(self._P, self._p, self._A, self._b, None, None, None, self._lower, self._upper)
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
         if not self._load(qp):
             self._build(qp)
+        self._core.update(self._P, self._p, self._A, self._b, None, None, None, self._lower, self._upper)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
         core = self._core
-        core.update(self._P, self._p, self._A, self._b, None, None, None, self._lower, self._upper)
         status = _STATUS.get(core.solve(), Status.NUMERICAL)
         result = core.result
         if status not in _HAS_X:
             return no_answer(qp.n, status, result.info.iter)
         y = self._load.lifted(result.y, self._back)
         return Solution(np.array(result.x), y, status, result.info.iter)
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """The iterate after so many iterations: an interior-point method always begins anew."""
+        options = self._core.settings
+        options.max_iter = iterations
+        try:
+            return self.solve(qp)
+        finally:
+            self._core.settings.max_iter = self._settings.max_iter

@@ -107,12 +107,16 @@ class ProxQPSession:
         self._core, self._warm = core, False
         core.init(*self._data)
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's starts a new workspace."""
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
         if not self._load(qp):
             self._build(qp)
+        self._core.update(*self._data)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        self.update(qp)
         core = self._core
-        core.update(*self._data)
         core.solve()
         result = core.results
         info = result.info

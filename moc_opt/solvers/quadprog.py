@@ -67,12 +67,16 @@ class QuadprogSession:
         )  # fmt: skip
         self._load(qp)
 
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem; another shape than the last one's takes new buffers."""
-        if self._settings.supports(qp) is not None:
-            return no_answer(qp.n, Status.UNSUPPORTED)
+    def update(self, qp: NullSpaceQP) -> None:
+        """Write the subproblem into the arrays that the library reads; another shape takes new ones."""
         if not self._load(qp):
             self._build(qp)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        if self._settings.supports(qp) is not None:
+            return no_answer(qp.n, Status.UNSUPPORTED)
+        self.update(qp)
         m, n = self._shape
         try:
             x, _, _, steps, multipliers, _ = quadprog.solve_qp(self._P, self._a, self._C, self._b, m)

@@ -18,7 +18,8 @@
 
   const exchange = JSON.parse(texts("dark-colors"));
   const colors = new RegExp(Object.keys(exchange).join("|"), "gi");
-  // On a phone: smaller type, names beside points become a legend, and the legend gets two columns and its own height.
+  // On a phone: smaller type, names beside points become a legend, the legend gets its own height and two columns where
+  // its names fit into them, and a scale of colours lies below its map.
   const narrow = ({ data, layout }) => {
     layout.font = { ...layout.font, size: 10 };
     layout.legend = { ...layout.legend, font: { size: 10 } };
@@ -32,10 +33,17 @@
       trace.showlegend = true;
       layout.showlegend = true;
     }
-    const named = data.filter((trace) => trace.showlegend !== false && trace.name).length;
-    if (layout.showlegend === false || named < 6) return;
-    layout.legend = { ...layout.legend, entrywidth: 0.48, entrywidthmode: "fraction", maxheight: 400 };
-    layout.height = (layout.height || layout.template?.layout?.height || 450) + 17 * Math.ceil(named / 2);
+    for (const trace of data) {
+      if (!trace.colorbar) continue;
+      trace.colorbar = { ...trace.colorbar, orientation: "h", x: 0.5, y: -0.14, yanchor: "top", len: 1, thickness: 10 };
+      trace.colorbar.title = { ...trace.colorbar.title, side: "bottom" };
+    }
+    const names = data.filter((trace) => trace.showlegend !== false && trace.name).map((trace) => trace.name);
+    if (layout.showlegend === false || names.length < 6) return;
+    const room = 0.48 * (layout.width - layout.margin.l - layout.margin.r) - 45;
+    const columns = Math.max(...names.map((name) => name.length)) * 5 < room ? 2 : 1;
+    layout.legend = { ...layout.legend, entrywidth: columns === 2 ? 0.48 : 1, entrywidthmode: "fraction", maxheight: 400 };
+    layout.height = (layout.height || layout.template?.layout?.height || 450) + 17 * Math.ceil(names.length / columns);
   };
   const spec = (chart) => {
     let source = texts(chart.id + "-data");
@@ -56,8 +64,11 @@
     toImageButtonOptions: { format: "svg", filename: chart.dataset.name },
   });
   const draw = (chart) => {
-    const figure = spec(chart);
+    const figure = spec(chart), size = figure.layout.width < phone ? "phone" : "screen";
     chart.style.minHeight = "";
+    // Left to itself, plotly keeps the room of a scale of colours that has moved.
+    if (chart.dataset.size && chart.dataset.size !== size) Plotly.purge(chart);
+    chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
   };
   const all = () => Promise.all(charts.map(draw));

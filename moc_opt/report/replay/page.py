@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from importlib import resources
 from pathlib import Path
 from string import Template
 from types import MappingProxyType
@@ -15,13 +13,14 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model import RobotModel
+from moc_opt.report.document import asset, document, save_document, script_data
 from moc_opt.report.errors import ReportError
 from moc_opt.report.figures.series import PANELS
 from moc_opt.report.figures.style import DARK, Styles
-from moc_opt.report.page import MAX_BYTES
 from moc_opt.report.replay.arm import arm_parts
 from moc_opt.report.replay.tracks import Block, check, frame_times, run_track
+from moc_opt.report.runs import load_runs
 from moc_opt.report.table_html import escape
 from moc_opt.trace import Trace
 
@@ -68,14 +67,8 @@ class Replay:
             ReportError: they are not of one robot and tool, or cannot be shown.
             TraceError: a file is missing, damaged, or no trace.
         """
-        traces: dict[str, Trace] = {}
-        for file in map(Path, files):
-            name = file.stem if file.stem not in traces else str(file)
-            traces[name] = Trace.load(file)
-        arms = {name: _robot_table(trace) for name, trace in traces.items()}
-        if not traces or len(set(map(str, arms.values()))) > 1:
-            raise ReportError(f"traces of {arms or 'nothing'}: give traces of one robot with one tool")
-        return cls(traces, robot_of(next(iter(traces.values()))), title=title)
+        traces, robot = load_runs(files)
+        return cls(traces, robot, title=title)
 
     def data(self) -> tuple[dict[str, Any], str]:
         """What the page shows: a JSON value, and the block of numbers it points into."""
@@ -98,55 +91,18 @@ class Replay:
         value, packed = self.data()
         robot = self.robot.data
         subtitle = f"{robot.name}, tool of {robot.tool_length:.2f} m"
-        return Template(_asset("replay.html")).substitute(
-            title=escape(self.title), subtitle=escape(subtitle), style=_asset("replay.css"),
-            value=json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"), numbers=packed,
-            scripts="\n".join(map(_asset, SCRIPTS)),
+        body = Template(asset("replay.html")).substitute(
+            title=escape(self.title), subtitle=escape(subtitle), numbers=packed, scripts="\n".join(map(asset, SCRIPTS)),
+            value=script_data("replay-value", json.dumps(value, allow_nan=False, separators=(",", ":"))),
         )  # fmt: skip
+        return document(self.title, "replay.css", body)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the file, all or nothing: an older one of that name stays until the new one is there.
 
         Raises:
-            ReportError: it would be larger than MAX_BYTES, or cannot be written.
+            ReportError: it would be larger than `document.MAX_BYTES`, or cannot be written.
         """
-        file, content = Path(path), self.html().encode()
-        if len(content) > MAX_BYTES:
-            raise ReportError(
-                f"{file}: the replay has {len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}: "
-                "show fewer runs, or a part of them (`trace.select`)"
-            )
-        unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.write_bytes(content)
-            unfinished.replace(file)
-        except OSError as error:
-            with suppress(OSError):
-                unfinished.unlink()
-            raise ReportError(f"{file}: cannot be written: {error.strerror or error}") from error
-        return file
-
-
-def robot_of(trace: Trace) -> RobotModel:
-    """The arm that a trace was run with, from its `meta`.
-
-    Raises:
-        ReportError: the trace does not say.
-        RobotError, UnknownNameError: that robot cannot be loaded here.
-    """
-    table = _robot_table(trace)
-    if not table.get("name"):
-        raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
-    return load_robot(
-        table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg")
-    )
-
-
-def _robot_table(trace: Trace) -> dict[str, Any]:
-    table = dict((trace.meta.get("scenario") or {}).get("robot") or {})
-    return {**table, "name": table.get("name") or trace.meta.get("robot")}
-
-
-def _asset(name: str) -> str:
-    return resources.files("moc_opt.report").joinpath("assets", name).read_text(encoding="utf-8").strip()
+        return save_document(
+            path, self.html(), "replay", lambda: "show fewer runs, or a part of them (`trace.select`)"
+        )

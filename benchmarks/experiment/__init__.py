@@ -1,0 +1,1 @@
+"""The experiment of the paper: what `python -m benchmarks.paper` is made of."""

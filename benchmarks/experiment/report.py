@@ -1,0 +1,251 @@
+"""The tables, the page and the headline of ``python -m benchmarks.paper``, all from its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+from rich.console import Console
+
+from benchmarks.experiment.figures import titles
+from benchmarks.experiment.verdict import GAINS_ONLY, HOLDS
+from benchmarks.output import save_page
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+
+Summary = Mapping[str, Any]
+
+FIGURES = {
+    "mu_mean": ("mu", "m^3", 4),
+    "mu_gain_percent": ("gain", "%", 3),
+    "tip_error_mean_mm": ("tip", "mm", 3),
+    "rcm_error_mean_mm": ("RCM", "mm", 3),
+    "trocar_force_mean_N": ("force", "N", 3),
+}
+PHASE = [
+    Column("controller", "controller"),
+    Column("phase", "phase"),
+    Column("share_of_ticks", "share", format=".2f", help="of the ticks of a trial"),
+    Column("tip_error_mean_mm", "tip", unit="mm"),
+    Column(
+        "tip", "change", unit="%", help="against DCAC with the same gains at the same ticks, 95 % interval"
+    ),
+    Column("rcm_error_mean_mm", "RCM", unit="mm"),
+    Column("rcm", "change", unit="%"),
+    Column("trocar_force_mean_N", "force", unit="N"),
+    Column("force", "change", unit="%"),
+]
+VERDICT = [
+    Column("controller", "controller"),
+    Column("text", "claim"),
+    Column("verdict", "verdict"),
+    Column("own", "against DCAC, its own gains", unit="%", help="effect with its 95 % interval"),
+    Column("matched", "MOC's gains", unit="%"),
+    Column("damped", "MOC's gains, damped", unit="%"),
+]
+PROCEDURE = [
+    Column("task", "task"),
+    Column(
+        "registration_error_mm",
+        "trocar off",
+        unit="mm",
+        help="registered against true, after hands-on guiding",
+    ),
+    Column("hand_force_max_N", "hand", unit="N", help="largest force of the hand"),
+    Column("board_position_mm", "board off", unit="mm", help="as located by the camera, against the truth"),
+    Column("board_angle_deg", "board off", unit="deg"),
+    Column("waited_s", "waited", unit="s", help="for a board that could not be seen"),
+    Column("tip_error_mean_mm", "tip", unit="mm", help="from the reference that the robot follows"),
+    Column(
+        "path_deviation_mean_mm",
+        "off the task",
+        unit="mm",
+        help="from the task as it truly lies on the phantom",
+    ),
+    Column("rcm_error_mean_mm", "RCM", unit="mm", help="from the true incision"),
+    Column("error", "error"),
+]
+GOAL = [
+    Column("text", "goal"),
+    Column("limit", "limit", digits=3),
+    Column("value", "value", help="with its 95 % interval"),
+    Column("reached", "reached"),
+]
+
+
+def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
+    """A figure with its interval, as text; None where there is none."""
+    value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
+    if value is None:
+        return None
+    if low is None or high is None or low != low:
+        return f"{value:.{digits}g}"
+    return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
+
+
+def group_table(summary: Summary, group: str, about: str) -> Table:
+    """Every controller of a group: means over the trials with their intervals."""
+    columns = [Column("controller", "controller")]
+    columns += [Column(key, title, unit=unit) for key, (title, unit, _) in FIGURES.items()]
+    columns += [
+        Column("mu_fraction_of_bound", "of bound", digits=3, better="high"),
+        Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", digits=3, better="low"),
+        Column("broke_off", "broke off", format="d", better="low"),
+    ]
+    names = titles(list(summary[group]))
+    rows = [
+        {
+            **{
+                name: entries.get(name)
+                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off")
+            },
+            "controller": names[controller],
+            **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
+        }
+        for controller, entries in summary[group].items()
+    ]
+    return Table(
+        f"Group {group}: {about}", columns, rows, "Mean over the trials, with its 95 % bootstrap interval."
+    )
+
+
+def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
+    """Travelling and settled apart."""
+    names = titles([row["controller"] for row in rows])
+    drawn = [
+        {
+            **row, "controller": names[row["controller"]],
+            **{key: spread(row, f"{key}_change_percent") for key in ("tip", "rcm", "force")},
+        }
+        for row in rows
+        if row["group"] == group
+    ]  # fmt: skip
+    return Table(f"Group {group}: while the elbow travels, and once it has settled", PHASE, drawn)
+
+
+def verdict_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
+    """The claims of the paper."""
+    names = titles([row["controller"] for row in rows])
+    drawn = [
+        {
+            **row, "controller": names[row["controller"]],
+            **{key: spread(row, f"{key}_percent") for key in ("own", "matched", "damped")},
+        }
+        for row in rows
+        if row["group"] == group
+    ]  # fmt: skip
+    return Table(f"Group {group}: do the paper's claims hold?", VERDICT, drawn)
+
+
+def goal_table(rows: Sequence[Mapping[str, Any]], group: str, solver: str) -> Table:
+    """The goals of the best MOC."""
+    drawn = [{**row, "value": spread(row, "value")} for row in rows]
+    return Table(f"Goals: MOC with {solver}, group {group}", GOAL, drawn)
+
+
+def procedure_table(summary: Summary) -> Table:
+    """From guiding to the end of the task."""
+    rows = [{"task": task, **entries} for task, entries in summary["procedure"].items()]
+    pictures = summary["board_pictures"]
+    caption = (
+        f"Single pictures of the board at random poses: seen in {100 * pictures['seen']:.0f} %, "
+        f"off by {pictures['position_median_mm']:.2f} mm and {pictures['angle_median_deg']:.2f} deg (medians)."
+    )
+    return Table("The operative procedure, whole", PROCEDURE, rows, caption)
+
+
+def headline(summary: Summary, groups: Sequence[str], solver: str) -> list[str]:
+    """The results in words, computed."""
+    found = []
+    for group in groups:
+        mine = [v for v in summary["verdict"] if v["group"] == group and v["controller"] == solver]
+        held = [v["text"] for v in mine if v["verdict"] == HOLDS]
+        gains = [v["text"] for v in mine if v["verdict"] == GAINS_ONLY]
+        failed = [v["text"] for v in mine if v["verdict"] not in (HOLDS, GAINS_ONLY)]
+        parts = [
+            f"{label}: {', '.join(names)}"
+            for label, names in (
+                ("hold", held),
+                ("hold only because of the gains", gains),
+                ("do not hold", failed),
+            )
+            if names
+        ]
+        found.append(f"Group {group}, MOC with {solver}, of the paper's claims {'; '.join(parts)}.")
+    goals = summary["goals"]
+    missed = [goal["text"] for goal in goals if not goal["reached"]]
+    found.append(
+        f"{len(goals) - len(missed)} of {len(goals)} goals are reached"
+        + (f"; missed: {', '.join(missed)}." if missed else ".")
+    )
+    swivel = summary["swivel"]
+    if "gain_at_maximum_percent" in swivel and "gain_max_percent" in swivel:
+        found.append(
+            f"A start at the largest mu changes it by {swivel['gain_at_maximum_percent']:+.2g} %, other starts by "
+            f"{swivel['gain_min_percent']:+.2g} to {swivel['gain_max_percent']:+.2g} %."
+        )
+    return found
+
+
+def print_tables(
+    screen: Console, summary: Summary, groups: Mapping[str, str], best: tuple[str, str], out: Path
+) -> None:
+    """The tables on the screen, the headline, and where the files are."""
+    for group, about in groups.items():
+        screen.print(group_table(summary, group, about).to_rich())
+        screen.print(verdict_table(summary["verdict"], group).to_rich())
+    screen.print(phase_table(summary["phases"], best[0]).to_rich())
+    screen.print(goal_table(summary["goals"], *best).to_rich())
+    screen.print(procedure_table(summary).to_rich())
+    for sentence in headline(summary, list(groups), best[1]):
+        screen.print(sentence)
+    screen.print(
+        f"written: {out}/summary.json rows.parquet environment.json report.html replay.html figures/"
+    )
+
+
+def write_page(
+    path: Path,
+    summary: Summary,
+    groups: Mapping[str, str],
+    best: tuple[str, str],
+    drawn: Mapping[str, go.Figure],
+    environment: Mapping[str, Any],
+    look: Callable[[Page], None],
+) -> None:
+    """One page that opens by itself; ``look`` adds the section on single trials."""
+    page = Page("The paper's experiment in simulation", "DCAC and MOC on three virtual tasks")
+    for sentence in headline(summary, list(groups), best[1]):
+        page.headline(sentence)
+    page.section("Goals")
+    page.table(goal_table(summary["goals"], *best))
+    for group, about in groups.items():
+        page.section(f"Group {group}")
+        page.text(f"{about[:1].upper()}{about[1:]}.")
+        page.table(verdict_table(summary["verdict"], group))
+        page.table(group_table(summary, group, about))
+        page.table(phase_table(summary["phases"], group))
+        for name, figure in drawn.items():
+            if name.startswith(f"figure7-{group}-"):
+                page.figure(figure, "Distribution over the ticks of all trials, by task.", name=name)
+        if f"trial-{group}" in drawn:
+            page.figure(drawn[f"trial-{group}"], "The first trial over time.", name=f"trial-{group}")
+    look(page)
+    page.section("The starting swivel")
+    page.text(
+        "The same trial from every place of the feasible self-motion. The gain in mu is a statement about the start "
+        "as much as about the controller."
+    )
+    page.figure(
+        drawn["swivel"], "Gain in mean mu over DCAC, and mu at the start, against the start.", name="swivel"
+    )
+    page.section("The procedure")
+    page.text(
+        "A hand guides the tip to the incision, where the trocar is registered; the camera finds the board; the tip "
+        "follows the task that is defined on it, and waits while the board is lost. Errors are against the truth."
+    )
+    page.table(procedure_table(summary))
+    page.environment(environment)
+    save_page(page, path)

@@ -1,0 +1,1 @@
+"""Faults and bad input: what `python -m benchmarks.faults` and `.fuzz` are made of."""

@@ -1,0 +1,144 @@
+"""docs/reliability.md: what is promised, how each promise is tested, and the figures that a run of this benchmark gave.
+
+The page is a function of docs/reliability.json alone. `python -m benchmarks.faults --page` and
+`python -m benchmarks.fuzz --page` write both, each its own figures.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from benchmarks import output
+from benchmarks.reliability.report import CASES, GOALS, SEEN, by_group, headline, markdown
+from moc_opt.errors import ScenarioError
+from moc_opt.report.tables import Column
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+
+PROMISES = (
+    (
+        "Tip and RCM control never depend on the third level.",
+        "The torque of a tick whose answer is refused equals, in the tip and RCM directions, that of the same tick "
+        "with a good answer: `J M^-1 tau` is the same to rounding.",
+        "`tests/test_supervisor.py`",
+    ),
+    (
+        "An answer that raised, is missing, is not finite, leaves the box, misses the references, is claimed to be "
+        "optimal and is not, or comes too late is refused, counted, and named in the trace column `fault`. The last "
+        "good answer is held for `hold_ticks` ticks, then the self-motion is damped; where damping would lead a joint "
+        "out of the box, the elbow moves just as far as the box asks for (`keep_off_limits`).",
+        "Every kind is injected at a seeded share of the ticks, and every tick of the trace is compared with the draw; "
+        "a start from which damping alone ends at a joint limit; the fallback against a bounded least-squares solver.",
+        "`tests/test_supervisor.py`, `tests/test_faulty.py`, `tests/test_manipulability.py`, this benchmark",
+    ),
+    (
+        "An honest answer is taken, also a loose one.",
+        "Every registered solver runs in a short closed loop at its default settings.",
+        "`tests/test_supervisor.py`",
+    ),
+    (
+        "Torque and torque rate stay within their limits at every tick; a joint that is too fast, or too close to its "
+        "limit for its speed, is braked.",
+        "Hypothesis over states and torques; a saboteur that asks for twice the largest torques in random directions "
+        "does not get a joint of the plant past its position limit.",
+        "`tests/test_guard.py`",
+    ),
+    (
+        "A measurement that cannot be true is bridged for `patience_ticks` ticks; then the drives brake, the torque "
+        "carries the arm's weight in the last pose that was believed, and the run ends with the trace so far and "
+        "`meta[\"ended\"] = \"stopped: ...\"`. The same happens when the controller breaks down, when its torque is no "
+        "number, and when the tip has been far from its reference for a while: an unstable loop does not go on.",
+        "NaN, jumps, a controller that raises, and five ticks of delay, in the plant.",
+        "`tests/test_guard.py`, this benchmark",
+    ),
+    (
+        "Bad input ends in success or in a MocOptError whose message names the field: never a traceback from inside, a "
+        "hang or a wrong answer. Files from strangers run no code, and nothing in them decides where files go.",
+        "Hypothesis over scenario files, robot files (TOML and URDF), subproblems and result files (Parquet and JSON): "
+        "`python -m benchmarks.fuzz --cases 10000`.",
+        "`tests/test_fuzz.py`",
+    ),
+)  # fmt: skip
+
+LIMITS = """\
+- A solver that never comes back is not interrupted: it runs in the control process, and its lateness is seen when it
+  returns. A solver's own time limit is what bounds it; a watchdog that cuts the drives belongs in the arm's own
+  controller.
+- The residual check looks along the self-motion that raises manipulability. On an arm with one elbow swivel this is
+  the whole feasible set; on others a lie across that line is seen only through its reference and box violations.
+- A lie whose answer is the optimum all the same, because the box leaves nothing else or the gradient is zero along the
+  self-motion, is not refused: it does no harm. Such answers are counted as harmless, by the judge that also verifies
+  honest ones, not by the supervisor.
+- With a solver that is faulty at every tick no third level is left: the arm then does what tip and RCM control with a
+  damped self-motion do, manipulability is not raised, and the RCM error is that of the poses it passes, some percent
+  more or less than on the way that the third level would have taken. Joints are kept off their limits only where some
+  self-motion does it; where none does, the guard's wall acts.
+- Delay: the `tuned` gains bear four ticks from command to torque (8 ms); with five the loop is unstable and the guard
+  stops it. K_X = 2000, D_X = 60 and an observer of 20 /s bear five, at a third more tip error.
+- Speed limits are kept by braking what is too fast, not by foresight: full torque in the wrong direction exceeds them
+  for some ticks.
+"""
+
+
+def page(found: Mapping[str, Any]) -> str:
+    """The page as text, from the figures of one run (``cases``, ``goals``, ``environment``)."""
+    cases, goals, where = found["cases"], found["goals"], found["environment"]
+    config, machine = where["config"], where["machine"]
+    parts = [
+        "# Reliability",
+        "What is promised when something goes wrong, how each promise is tested, and what a run of the fault benchmark "
+        "found. This page is written by `python -m benchmarks.faults --page` and `python -m benchmarks.fuzz --page`; "
+        "do not edit it.",
+        "## Promises",
+        "\n".join(f"{i}. **{text}** Tested: {how} ({file})" for i, (text, how, file) in enumerate(PROMISES, 1)),
+        "## Limits of these promises",
+        LIMITS.rstrip(),
+        "## Figures",
+        headline(cases, goals),
+        f"{config['trials']} trials of {config['scenario']['duration_s']:g} s, seed {where['seed']}; "
+        f"Python {machine['python']}, {machine['cores']} cores. A run survives when it completes with a tip error of "
+        f"at most {config['tip_limit_mm']:g} mm and an RCM error of at most {config['rcm_limit_mm']:g} mm throughout. "
+        "No figure here is a time of computation: hanging solvers are replayed times.",
+        "### Goals",
+        markdown(GOALS, goals),
+        "### Solver faults: injected and detected",
+        markdown(SEEN, by_group(cases).get("solver", [])),
+    ]  # fmt: skip
+    if "fuzz" in found:
+        sent = found["fuzz"]
+        columns = [Column("kind", "input"), *(Column(name, name, format=".0f") for name in COUNTED)]
+        parts += [
+            "### Bad input",
+            f"`python -m benchmarks.fuzz --cases {sent['cases']} --seed {sent['seed']} --page`. Accepted: it ran, and "
+            "what came of it is right; refused: with a message that names the field or the file.",
+            markdown(columns, [{"kind": kind, **sent["kinds"][kind]} for kind in sorted(sent["kinds"])]),
+        ]
+    groups = by_group(cases)
+    for group, rows in ((name, groups[name]) for name in TITLES if name in groups):
+        parts += [f"### Worst of the trials: {TITLES[group]}", markdown(CASES, rows)]
+    return "\n\n".join(parts) + "\n"
+
+
+COUNTED = ("cases", "accepted", "refused", "failed")
+TITLES = {
+    "none": "no fault", "solver": "solver", "sensors": "sensors and packets", "plant": "plant and delay",
+    "contact": "bumps and trocar", "camera": "camera",
+}  # fmt: skip
+
+
+def write_page(found: Mapping[str, Any], path: Path = PAGE) -> None:
+    """The page, and beside it the figures that it was made from; those of another command stay as they are.
+
+    Raises:
+        ScenarioError: the figures of the faults are not there yet.
+    """
+    figures = path.with_suffix(".json")
+    old = json.loads(figures.read_text(encoding="utf-8")) if figures.exists() else {}
+    if "cases" not in {**old, **found}:
+        raise ScenarioError(f"{figures}: no figures yet; run python -m benchmarks.faults --page first")
+    output.write_json(figures, {**old, **found})
+    # of the file, not of what it was written from: whoever reads it must come to the same page
+    output.write_atomically(path, page(json.loads(figures.read_text(encoding="utf-8"))).encode())

@@ -1,0 +1,138 @@
+"""Tables, the page and docs/reliability.md of the fault benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from benchmarks.output import save_page
+from benchmarks.reliability.summary import Summary, outcome
+from moc_opt.report import figures
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+from moc_opt.trace import Trace
+
+CASES = [
+    Column("case", "fault"),
+    Column("solver", "controller"),
+    Column("outcome", "outcome", help="of the trials: survived within the limits, or stopped safely"),
+    Column("tip_error_max_mm", "worst tip", unit="mm", format=".2f", help="until the stop, where there was one"),
+    Column("rcm_error_max_mm", "worst RCM", unit="mm", format=".2f", help="the stop included"),
+    Column("trocar_force_max_N", "worst force", unit="N", format=".2f"),
+    Column("rcm_mean_percent", "mean RCM", unit="%", format="+.1f", help="above the same run without the fault"),
+    Column(
+        "recover_s", "recovered after", unit="s", format=".2f",
+        help="from the fault's end, or its start where it lasts: both errors below 1.2 times the fault-free level for "
+        "good; a dash: not within the run",
+    ),
+    Column("stop_travel_mm", "stop travel", unit="mm", format=".1f", help="of the tip after the stop began"),
+]  # fmt: skip
+SEEN = [
+    Column("case", "fault"),
+    Column("solver", "controller"),
+    Column("injected", "injected", format=".0f"),
+    Column("detected", "detected", format=".0f"),
+    Column("harmless", "harmless", format=".0f", help="spoilt, taken, and verified as optimal all the same"),
+    Column("missed", "missed", format=".0f"),
+    Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
+]
+GOALS = [
+    Column("goal", "goal"),
+    Column("limit", "limit", digits=3),
+    Column("value", "found", digits=3),
+    Column("reached", "reached"),
+    Column("where", "where"),
+]
+
+
+def case_rows(summary: Summary) -> list[dict[str, Any]]:
+    """One per case and controller."""
+    return [
+        {"case": case, "solver": name, **figures, "outcome": outcome(figures)}
+        for case, by in summary.items()
+        for name, figures in by.items()
+    ]
+
+
+def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
+    """Goals, every case, and what the supervisor saw."""
+    rows = case_rows(summary)
+    return [
+        Table("Goals", GOALS, goals),
+        Table("Every fault under every controller: the worst of the trials", CASES, rows),
+        Table(
+            "Solver faults, injected and detected", SEEN, [r for r in rows if r["group"] == "solver"],
+        ),
+    ]  # fmt: skip
+
+
+def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
+    """The result in words, computed."""
+    rows = case_rows(summary)
+    runs = sum(r["runs"] for r in rows)
+    survived, stopped = (sum(r[name] for r in rows) for name in ("survived", "stopped"))
+    injected, detected, harmless = (
+        sum(r.get(k, 0) for r in rows) for k in ("injected", "detected", "harmless")
+    )
+    text = (
+        f"Of {runs} runs {survived} survived, {stopped} were stopped, and {runs - survived - stopped} did neither. "
+        f"Of {injected} injected solver faults {detected} were detected"
+    )
+    if harmless:
+        text += f"; {harmless} more had the optimum for an answer"
+    missed = [goal["goal"] for goal in goals if not goal["reached"]]
+    return text + ". " + (f"Not reached: {'; '.join(missed)}." if missed else "Every goal is reached.")
+
+
+def print_tables(console: Console, summary: Summary, goals: list[dict[str, Any]], out: Path) -> None:
+    """The tables on the screen, and where the files are."""
+    for table in tables(summary, goals):
+        console.print(table.to_rich())
+    console.print(headline(summary, goals))
+    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
+
+
+def write_report(
+    path: Path,
+    summary: Summary,
+    goals: list[dict[str, Any]],
+    traces: Mapping[str, Trace],
+    environment: Mapping[str, Any],
+) -> None:
+    """One page that opens by itself."""
+    page = Page("Faults", "every fault under every controller: survived, or stopped safely")
+    page.headline(headline(summary, goals))
+    first, cases, seen = tables(summary, goals)
+    page.section("Goals")
+    page.table(first)
+    page.section("Every fault")
+    page.table(cases)
+    if traces:
+        page.figure(
+            figures.time_series(traces, ("tip_error_m", "rcm_error_m", "trocar_force_N")),
+            "MOC with exact, first trial: errors and trocar force over time, without a fault and with some.",
+        )
+    page.section("Solver faults")
+    page.table(seen)
+    page.environment(environment)
+    save_page(page, path)
+
+
+def markdown(columns: list[Column], rows: list[dict[str, Any]]) -> str:
+    """A table for docs/: the same notation as everywhere."""
+    heads = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in columns]
+    cells = [[cell.text for cell in Table("", columns, rows).cells(column)] for column in columns]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    lines += ["| " + " | ".join(line) + " |" for line in zip(*cells, strict=True)]
+    return "\n".join(lines)
+
+
+def by_group(summary: Summary) -> dict[str, list[dict[str, Any]]]:
+    """Rows of the cases, group by group."""
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in case_rows(summary):
+        groups.setdefault(str(row["group"]), []).append(row)
+    return groups

@@ -1,0 +1,1 @@
+"""Where the time goes: what `python -m benchmarks.speed` is made of."""

@@ -1,0 +1,1 @@
+"""The solver study: what `python -m benchmarks.solvers` is made of."""

@@ -1,0 +1,1 @@
+"""Sweeps that survive: what `python -m benchmarks.sweep` is made of."""

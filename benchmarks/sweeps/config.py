@@ -1,0 +1,89 @@
+"""The TOML of a sweep: what is swept, over which solvers and seeds."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from benchmarks.config import Configuration
+from benchmarks.study.closed_loop import BASELINE
+from benchmarks.sweeps.errors import SweepError
+from moc_opt.errors import SolverError, UnknownNameError
+from moc_opt.scenario import Scenario, SolverTable
+from moc_opt.settings import Settings
+from moc_opt.solvers import available
+
+
+class RandomSample(Settings):
+    """Fields that are drawn, together, ``samples`` times."""
+
+    KIND: ClassVar[str] = "[random]"
+    samples: int = Field(1, ge=1)
+    fields: dict[str, Any] = Field(default_factory=dict, description="path -> range or choice")
+
+
+class Config(Configuration):
+    """benchmarks/configs/sweep.toml."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0, description="of the random sample, and the first of the scenarios' seeds")
+    seeds: int | list[int] = Field(1, description="how many, or which")
+    solvers: Literal["all"] | list[str] | None = Field(
+        None, description="None: the scenario's; dcac: no solver"
+    )
+    run_limit_s: float = Field(
+        600.0, gt=0.0, description="a run that takes longer is stopped with its process"
+    )
+    grid: dict[str, Any] = Field(default_factory=dict, description="path -> list of values")
+    random: RandomSample = RandomSample()
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
+    scenario: Scenario = Scenario()
+
+
+def chosen_seeds(config: Config) -> list[int]:
+    """The seeds of the scenarios.
+
+    Raises:
+        SweepError: there is none, or one twice.
+    """
+    wanted = config.seeds
+    seeds = wanted if isinstance(wanted, list) else [config.seed + i for i in range(wanted)]
+    if not seeds or len(set(seeds)) < len(seeds):
+        raise SweepError(f"seeds = {wanted}: give how many (1 or more), or a list of different ones")
+    return seeds
+
+
+def chosen_solvers(config: Config) -> tuple[list[str], dict[str, dict[str, Any]]]:
+    """Names in order, and name -> settings; every one of them can run here.
+
+    Raises:
+        UnknownNameError: no such solver.
+        SolverError: a solver that is asked for by name cannot run here.
+        SweepError: none, one twice, or settings in two places.
+    """
+    table = config.scenario.solver
+    if config.solvers is None:
+        baseline = config.scenario.control.law == "dcac"
+        return [BASELINE if baseline else table.name], {
+            table.name: {**table.settings, **config.settings.get(table.name, {})}
+        }
+    if table != SolverTable():
+        raise SweepError(
+            "solvers and [scenario.solver] are both given: name them in solvers, set them in [settings]"
+        )
+    found = {BASELINE: None, **available()}
+    names = (
+        [name for name, why in found.items() if why is None] if config.solvers == "all" else config.solvers
+    )
+    if not names or len(set(names)) < len(names):
+        raise SweepError(f"solvers = {names}: give one or more, each once")
+    for name in names:
+        if name not in found:
+            raise UnknownNameError("solver", name, found)
+        if found[name] is not None:
+            raise SolverError(f"solver {name!r} cannot run here: {found[name]}")
+    for name in config.settings:
+        if name not in names:
+            raise UnknownNameError("solver in [settings]", name, names)
+    return names, config.settings

@@ -1,0 +1,155 @@
+"""The tables of a sweep: what stands in which column, and how the final ones become the same bytes every time."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from benchmarks.output import plain
+from benchmarks.sweeps.errors import StoreError
+from benchmarks.sweeps.plan import Plan, canonical
+
+BLOCK = 20_000
+"""Rows of a row group of the final tables, whatever the pieces were: the bytes depend on it."""
+PLAN_KEY = b"moc_opt.sweep"
+
+
+def is_clock(metric: str) -> bool:
+    """Whether a metric is read off a clock, so that two runs of the same scenario differ in it."""
+    return metric.endswith("_us") or metric == "deadline_misses"
+
+
+def record_schema(metrics: Sequence[str]) -> pa.Schema:
+    """One finished run, as it is kept: its place in the plan, its error or its figures, and how it was timed."""
+    return pa.schema(
+        [
+            ("index", pa.int64()),
+            ("error", pa.string()),
+            ("timing_shared", pa.bool_()),
+            ("wall_s", pa.float64()),
+        ]
+        + [(name, pa.float64()) for name in metrics]
+    )
+
+
+def rows_schema(plan: Plan) -> pa.Schema:
+    """rows.parquet: everything that the plan decides."""
+    values = plan.grid | plan.draws
+    fields = [(path, column_type(values[path])) for path in plan.fields]
+    figures = [(name, pa.float64()) for name in plan.metrics if not is_clock(name)]
+    head = [("index", pa.int64()), ("run", pa.string()), ("solver", pa.string()), ("seed", pa.int64())]
+    schema = pa.schema([*head, *fields, ("error", pa.string()), *figures])
+    return schema.with_metadata({PLAN_KEY: plan.digest})
+
+
+def clock_schema(plan: Plan) -> pa.Schema:
+    """clock.parquet: what a clock decided, row by row as in rows.parquet."""
+    figures = [(name, pa.float64()) for name in plan.metrics if is_clock(name)]
+    head = [
+        ("index", pa.int64()),
+        ("run", pa.string()),
+        ("solver", pa.string()),
+        ("timing_shared", pa.bool_()),
+    ]
+    return pa.schema([*head, ("wall_s", pa.float64()), *figures]).with_metadata({PLAN_KEY: plan.digest})
+
+
+def column_type(values: Iterable[Any]) -> pa.DataType:
+    """Numbers, flags and texts as such; anything mixed or nested as the text of its JSON."""
+    kinds = {type(value) for value in values}
+    if kinds <= {int, float} and kinds:
+        return pa.int64() if kinds == {int} else pa.float64()
+    return pa.bool_() if kinds == {bool} else pa.string()
+
+
+def record_table(records: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> pa.Table:
+    """Finished runs as a table of :func:`record_schema`; figures that are not finite become null."""
+    schema = record_schema(metrics)
+    flat = [{**record, **record["figures"]} for record in records]
+    return pa.table(
+        {n: pa.array([plain(row.get(n)) for row in flat], schema.field(n).type) for n in schema.names}
+    )
+
+
+def described(plan: Plan, indices: Sequence[int]) -> dict[str, list[Any]]:
+    """The columns that the plan knows, for some of its runs."""
+    points = [plan.point(i) for i in indices]
+    schema = rows_schema(plan)
+    columns: dict[str, list[Any]] = {
+        "run": [plan.run_id(i) for i in indices],
+        "solver": [point.solver for point in points],
+        "seed": [point.seed for point in points],
+    }
+    for path in plan.fields:
+        found = [point.values[path] for point in points]
+        if schema.field(path).type == pa.string():
+            found = [v if v is None or isinstance(v, str) else canonical(v) for v in found]
+        columns[path] = found
+    return columns
+
+
+def write_final(folder: Path, plan: Plan, blocks: Iterator[pa.Table]) -> None:
+    """rows.parquet and clock.parquet, from blocks of records in order; both appear whole, or not at all.
+
+    Args:
+        folder: of the sweep.
+        plan: of the sweep.
+        blocks: tables of :func:`record_schema`, BLOCK rows each but the last, sorted by index.
+
+    Raises:
+        OSError: no space, no permission.
+    """
+    # The rows come last: where they are, the sweep is finished.
+    with (
+        whole_parquet(folder / "rows.parquet", rows_schema(plan)) as write_rows,
+        whole_parquet(folder / "clock.parquet", clock_schema(plan)) as write_clock,
+    ):
+        for block in blocks:
+            known = described(plan, block.column("index").to_pylist())
+            for write, schema in ((write_rows, rows_schema(plan)), (write_clock, clock_schema(plan))):
+                columns = [
+                    pa.array(known[field.name], field.type)
+                    if field.name in known
+                    else block.column(field.name).combine_chunks()
+                    for field in schema
+                ]
+                write(pa.table(columns, schema=schema))
+
+
+@contextmanager
+def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table], None]]:
+    """A Parquet file that is there only once all of it is written; yields what writes one row group."""
+    name = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
+    try:
+        with open(name, "xb") as file:
+            # No statistics of time or writer enter: the same tables in give the same bytes out.
+            with pq.ParquetWriter(file, schema, compression="zstd", write_page_checksum=True) as writer:
+                yield lambda table: writer.write_table(table, row_group_size=BLOCK)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        name.unlink(missing_ok=True)
+        raise
+
+
+def read_records(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """A table of records that was written whole.
+
+    Raises:
+        StoreError: damaged, or something else.
+    """
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            return file.read(columns)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError(
+            f"{path}: damaged, or no table of a sweep ({error}); remove it: its runs are done again"
+        ) from error

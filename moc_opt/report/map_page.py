@@ -1,0 +1,205 @@
+"""The manipulability map as a part of a page, with its result in words and numbers, and as a page of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from moc_opt.report.courses import ALIKE_RAD, CLOSE_RAD, END, NEAR, End, Reading, alike, read_course
+from moc_opt.report.figures.style import Styles
+from moc_opt.report.map import SwivelMap, manipulability_map
+from moc_opt.report.map_figure import map_figure
+from moc_opt.report.notation import Missing
+from moc_opt.report.page import Page
+from moc_opt.report.runs import load_runs
+from moc_opt.report.tables import Column, Table
+
+MOST_LINES = 8
+COLUMNS = (
+    Column("name", "course"),
+    Column(
+        "near", "on the ridge", unit="%", format=".0f", better="high",
+        help=f"of the time: mu at most {100 * NEAR:.0f} % below the best at that time",
+    ),
+    Column("from_s", "for good from", unit="s", format=".1f", better="low", help="from then on it stays there"),
+    Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean over mean"),
+    Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
+    Column(
+        "at_grey", "at the grey", unit="%", format=".0f", better="low",
+        help="of the time: no farther than a row of the map from a pose that is not allowed",
+    ),
+    Column(
+        "end", "in the end",
+        help=f"over the last {100 * END:.0f} % of the time; held by a lower top or a forbidden pose: less than "
+        f"{np.degrees(CLOSE_RAD):.0f} deg before it, climbing",
+    ),
+)  # fmt: skip
+PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
+
+
+def add_map(
+    page: Page, found: SwivelMap, *, name: str = "map", what: str = "", styles: Styles | None = None
+) -> list[Reading]:
+    """Words, figure and table of one map.
+
+    Of more than eight courses those that cannot be told apart are drawn as one.
+
+    Args:
+        page: they are appended to it.
+        found: of `manipulability_map`.
+        name: of the figure's file.
+        what: it is a map of, in a few words, for caption and table.
+        styles: how each run looks, as in the page's other figures.
+
+    Returns:
+        What each course amounts to, those that are not drawn among them.
+
+    Raises:
+        ReportError: no pose of the map is allowed.
+    """
+    kinds, titles = kinds_of(found), lines(found)
+    readings = {course: read_course(found, course) for course in found.courses}
+    figure = map_figure(found, styles, titles=titles)
+    page.text(in_words([readings[first] for first in kinds], titles))
+    page.figure(figure, caption(found, what), name=name)
+    page.table(course_table(readings, kinds, what))
+    return list(readings.values())
+
+
+def kinds_of(found: SwivelMap) -> dict[str, list[str]]:
+    """The courses to speak of -> those that go the same way and are not spoken of, where there are many."""
+    return alike(found) if len(found.courses) > MOST_LINES else {name: [] for name in found.courses}
+
+
+def lines(found: SwivelMap) -> dict[str, str]:
+    """The courses to draw, eight at most -> what to call each in the legend."""
+    kinds = list(kinds_of(found).items())[:MOST_LINES]
+    return {first: first + (f" and {len(others)} more" if others else "") for first, others in kinds}
+
+
+def caption(found: SwivelMap, what: str = "") -> str:
+    """What the figure shows, and how finely."""
+    times, swivels = found.mu.shape
+    begin = f"{what[:1].upper()}{what[1:]}: every" if what else "Every"
+    return (
+        f"{begin} pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of the "
+        "elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
+        "reach. A line is the course of a run, from the marker at its start, and of several colours where runs go the "
+        "same way; the dotted one joins the best poses, and may leap where no arm can follow."
+    )
+
+
+def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = None) -> str:
+    """Sentences on who is on the ridge, who is not, and why.
+
+    Args:
+        readings: of the courses to speak of.
+        titles: name -> what the figure calls it.
+    """
+    called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}
+    known = sorted((r for r in readings if np.isfinite(r.near)), key=lambda reading: -reading.near)
+    timed = []
+    for reading in known:
+        if not _never(reading):
+            since = (
+                f" (from {reading.from_s:.1f} s on for good)"
+                if reading.from_s > 0.0 and reading.near < 1.0
+                else ""
+            )
+            timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
+    limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
+    said = [f"On the ridge ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
+    groups: dict[str, list[str]] = {}
+    for reading in readings:
+        never = "never gets there: it " if _never(reading) else ""
+        for words in (grey_in_words(reading), never + end_in_words(reading)):
+            groups.setdefault(words, []).append(called[reading.name])
+    groups.pop("", None)
+    for words, names in groups.items():
+        several = len(names) > 1 or names[0].endswith(" more")
+        said.append(f"{_listed(names)} {_plural(words) if several else words}.")
+    return " ".join(said)
+
+
+def _never(reading: Reading) -> bool:
+    """It would read as 0 %."""
+    return reading.near < 0.005
+
+
+def _plural(words: str) -> str:
+    """The same said of several: the verb that begins it, and one that follows a colon."""
+    begin, colon, rest = words.partition("never gets there: it ")
+    if colon:
+        return f"never get there: they {_plural(rest)}"
+    verb, space, rest = begin.partition(" ")
+    return f"{PLURAL[verb]}{space}{rest}"
+
+
+def end_in_words(reading: Reading) -> str:
+    """A verb in the singular and what follows it."""
+    limit = f"the limit of joint {reading.joint}" if reading.joint else "the arm's reach"
+    return {
+        End.RIDGE: "ends on the ridge",
+        End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
+        End.GREY: f"ends before the grey: the way up leads beyond {limit}",
+        End.STILL: "stays put, though the way up is open",
+        End.RISING: "is still going up when the run ends",
+        End.FALLING: "goes down when the run ends",
+        End.ELSEWHERE: "folds the arm another way: the map does not hold there",
+        End.UNKNOWN: "is nowhere on the map, where no pose is allowed",
+    }[reading.end]
+
+
+def grey_in_words(reading: Reading) -> str:
+    """A verb in the singular and what follows it; nothing for a course that keeps away from the grey."""
+    if not reading.at_grey > 0.0 or reading.end is End.GREY:
+        return ""
+    joints = [f"joint {joint}" for joint in reading.limits]
+    return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
+
+
+def course_table(
+    readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = ""
+) -> Table:
+    """One row for each kind of course, in their order."""
+    rows = []
+    for first in kinds:
+        reading = readings[first]
+        rows.append(
+            {
+                "name": first, "near": 100.0 * reading.near, "from_s": reading.from_s,
+                "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
+                "at_grey": 100.0 * reading.at_grey,
+                "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
+            }
+        )  # fmt: skip
+        if reading.end is not End.RIDGE:
+            rows[-1]["from_s"] = Missing("not there in the end")
+    stand_for = [f"{first} stands for {', '.join(others)} too" for first, others in kinds.items() if others]
+    apart = f"within {np.degrees(ALIKE_RAD):.0f} deg of its elbow at all times"
+    note = f"{'; '.join(stand_for)}: {apart}." if stand_for else ""
+    return Table(f"Courses on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
+
+
+def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
+    """A page with the map of saved traces, named as their files are.
+
+    Raises:
+        ReportError: they are not of one robot, tool and path, or cannot be shown.
+        RobotError: the arm has no elbow whose angle tells its poses apart.
+        TraceError: a file is missing, damaged, or no trace.
+    """
+    traces, robot = load_runs(files)
+    page = Page(title or "Manipulability along the path", " and ".join(traces))
+    add_map(page, manipulability_map(robot, traces))
+    return page
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names as a text; semicolons between those that have commas of their own."""
+    if len(names) == 1:
+        return names[0]
+    comma = "; " if any("," in name for name in names) else ", "
+    return f"{comma.join(names[:-1])} and {names[-1]}"
