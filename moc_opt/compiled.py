@@ -18,8 +18,8 @@ class Entry:
     """A kernel's machine code for arguments of fixed kinds, without numba's look at their types at every call.
 
     That look costs some 30 ns an argument, and three times as much where an array is read-only. The code still
-    refuses objects of the wrong size or dimension, but takes contiguous memory and the dtype for granted: hand it only
-    arrays that this package has made or checked itself.
+    refuses what is no array and numbers of another size, but takes dimension, dtype and contiguous memory for granted:
+    hand it only arrays that this package has made or checked itself.
 
     Args:
         kernel: an ``njit`` function.

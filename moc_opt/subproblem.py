@@ -155,8 +155,8 @@ class NullSpaceQP:
         return self
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != (8,):  # compiled code takes it for granted
-            row = np.array(row, dtype=np.float64)
+        if row.strides != (8,) or row.dtype.char != "d":  # compiled code takes both for granted
+            row = np.array(row, dtype=np.float64).ravel()
         row.flags.writeable = False
         self.__dict__.update(row=row, n=n)
 

@@ -147,3 +147,13 @@ def test_residuals_check_shapes(arguments):
         qp.residuals(np.zeros(6))
     with pytest.raises(SubproblemError, match="five duals"):
         qp.residuals(np.zeros(7), np.zeros(5))
+
+
+def test_a_record_in_other_memory_is_copied():
+    """Compiled solvers read it as contiguous doubles."""
+    row = np.array(random_problem(np.random.default_rng(2)).row)
+    spread = np.repeat(row, 2)[::2]
+    for held in (spread, row.astype(np.float32)):
+        np.testing.assert_array_equal(NullSpaceQP.from_row(held).row, held)
+        assert NullSpaceQP.from_row(held).row.strides == (8,)
+    assert NullSpaceQP.from_row(row).row is row

@@ -177,13 +177,8 @@ class Controller:
             )
         # Copies of our own: what is compiled takes their kind of memory for granted.
         self._tip_ref[:], self._trocar[:] = tip_ref, trocar
-        robot, record, gains, tip_ref, trocar = (
-            self.robot,
-            state.record,
-            self._gains,
-            self._tip_ref,
-            self._trocar,
-        )
+        tip_ref, trocar = self._tip_ref, self._trocar
+        robot, record, gains = self.robot, state.record, self._gains
         if self._session is not None:
             tau, row = np.empty(robot.n), np.empty(self._row_length)
             if not self._before_solver(
@@ -206,7 +201,9 @@ class Controller:
             self._share = min(1.0, self._share + self._fade)
             pull, damping = self._share * self._pull, self._share * self._damping
         else:
-            tau = self._tracking_torque(record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward)
+            tau = self._tracking_torque(
+                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
+            )
             if self._uses_null_space:
                 self._follow_null_space(state)
             x, pull, damping = self._rest, self._dcac_damping, 0.0

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 OK, EMPTY, STUCK = 0, 1, 2
+NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
 UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of length one: below it, it does not
 
@@ -49,11 +50,11 @@ def projector(M: Array, n: int, r: int) -> None:
         for j in range(n):
             M[c, j] *= scale
     for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for c in range(Z, Z + r):
-                total += M[c, i] * M[c, j]
-            M[PI + i, j] = M[PI + j, i] = total
+        for j in range(n):
+            M[PI + i, j] = M[Z, i] * M[Z, j]
+        for c in range(Z + 1, Z + r):
+            for j in range(n):
+                M[PI + i, j] += M[c, i] * M[c, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -127,10 +128,11 @@ def settle(M: Array, n: int, active: Indices, k: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def project(M: Array, n: int, r: int, active: Indices, tolerance: float) -> int:
+def project(M: Array, n: int, r: int, active: Indices, tolerance: float, far: bool) -> int:
     """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi.
 
     Afterwards s - s_start = Pi FORCE; FORCE is above zero at a lower bound, below at an upper one, zero elsewhere.
+    Where the start is ``far``, the rounding of the way is taken out at the end.
     Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
     """
     k = 0
@@ -145,7 +147,8 @@ def project(M: Array, n: int, r: int, active: Indices, tolerance: float) -> int:
                 if M[S, j] - M[HIGH, j] > worst:
                     p, worst, side = j, M[S, j] - M[HIGH, j], -1.0
         if p < 0:
-            settle(M, n, active, k)
+            if far:
+                settle(M, n, active, k)
             for i in range(k):
                 M[FORCE, active[i]] = M[SIDE, active[i]] * M[PRESSURE, i]
             return OK
@@ -220,9 +223,9 @@ def maximise_over_box(
     if rho > 0.0 and largest <= FAR * width * rho:
         for j in range(n):
             M[S, j] = M[PULL, j] / rho
-        status = project(M, n, r, active, small)
+        status = project(M, n, r, active, small, largest > NEAR * width * rho)
     else:
-        status = project(M, n, r, active, small)
+        status = project(M, n, r, active, small, True)
         weight = 0.0
         base = 10.0 * max(width, 1e-6) / largest if largest > 0.0 else 0.0
         # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
@@ -235,7 +238,7 @@ def maximise_over_box(
                 for j in range(n):
                     M[BEFORE, j] = M[S, j]
                     M[S, j] = (M[S, j] + step * M[PULL, j]) / (1.0 + rho * step)
-                status = project(M, n, r, active, small * max(1.0, 1e-3 * scale))
+                status = project(M, n, r, active, small * max(1.0, 1e-3 * scale), True)
                 weight = rho + 1.0 / step
                 moved = 0.0
                 for j in range(n):

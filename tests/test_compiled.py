@@ -1,0 +1,41 @@
+"""The short way into compiled kernels: the same numbers, compiled late, and objects of another kind refused."""
+
+import numpy as np
+import pytest
+from numba import float64, njit
+
+from moc_opt.compiled import MATRIX, VECTOR, Entry
+
+
+def scaled_sums():
+    @njit
+    def kernel(A, factor, out):
+        for i in range(A.shape[0]):
+            out[i] = factor * A[i].sum()
+
+    return kernel
+
+
+def test_the_code_is_the_kernel_and_is_compiled_when_asked_for():
+    kernel = scaled_sums()
+    entry = Entry(kernel, MATRIX, float64, VECTOR)
+    assert not kernel.overloads
+    A, ours, theirs = np.arange(12.0).reshape(3, 4), np.empty(3), np.empty(3)
+    entry.code(A, 2.0, ours)
+    assert len(kernel.overloads) == 1
+    assert entry.code is entry.code
+    kernel(A, 2.0, theirs)
+    np.testing.assert_array_equal(ours, theirs)
+
+
+def test_read_only_memory_is_read():
+    A, out = np.ones((2, 3)), np.empty(2)
+    A.flags.writeable = False
+    Entry(scaled_sums(), MATRIX, float64, VECTOR).code(A, 1.0, out)
+    np.testing.assert_array_equal(out, 3.0)
+
+
+@pytest.mark.parametrize("wrong", [np.ones((2, 3), dtype=np.float32), [[1.0, 2.0]], None])
+def test_another_kind_is_refused(wrong):
+    with pytest.raises(TypeError):
+        Entry(scaled_sums(), MATRIX, float64, VECTOR).code(wrong, 1.0, np.empty(2))
