@@ -18,9 +18,12 @@ from benchmarks import sweep
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.errors import WorkerError
 from benchmarks.sweeps.local import LocalPool
-from tests.sweeps import config
+from tests.sweeps import TINY, config
 
 distributed = pytest.importorskip("distributed", reason="pip install 'moc-opt[cluster]'")
+
+
+LONG = {**TINY, "duration_s": 2.0}  # runs that something can happen to before all of them are over
 
 
 def loopback(folder: Path, **changes: Any) -> Any:
@@ -44,7 +47,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 def reference(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """rows.parquet of the same sweep on one local process."""
     folder = tmp_path_factory.mktemp("reference")
-    assert sweep.sweep(config(), folder, LocalPool(1)) == {}
+    assert sweep.sweep(config(scenario=LONG), folder, LocalPool(1)) == {}
     return (folder / "rows.parquet").read_bytes()
 
 
@@ -67,7 +70,7 @@ def test_one_flag_moves_the_sweep_to_a_cluster_where_a_worker_is_killed(
     file = tmp_path / "sweep.toml"
     file.write_text(
         'seeds = 2\nsolvers = ["exact"]\n[grid]\ncontrol.damping = [1e-6, 1e-5, 1e-4]\nplant.mass_error = [0.0, 0.1]\n'
-        "[scenario]\nduration_s = 0.05\njudge = false\nbound_samples = 0\n"
+        "[scenario]\nduration_s = 2.0\njudge = false\nbound_samples = 0\n"
     )
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
@@ -94,10 +97,10 @@ def test_a_scheduler_that_goes_away_is_said_and_the_sweep_goes_on_at_home(
     leaver = threading.Thread(target=leave, daemon=True)
     leaver.start()
     with pytest.raises(WorkerError, match="went away"):
-        sweep.sweep(config(), out, DaskPool(made.scheduler_address))
+        sweep.sweep(config(scenario=LONG), out, DaskPool(made.scheduler_address))
     leaver.join(20.0)
     assert 0 < len(list(out.glob("runs/*.json"))) < 12
-    assert sweep.sweep(config(), out, LocalPool(1)) == {}
+    assert sweep.sweep(config(scenario=LONG), out, LocalPool(1)) == {}
     assert (out / "rows.parquet").read_bytes() == reference
 
 

@@ -26,7 +26,7 @@ samples = 2
 [random.fields]
 plant.mass_error = { low = 0.0, high = 0.3 }
 [scenario]
-duration_s = 0.05
+duration_s = 2.0
 judge = false
 bound_samples = 0
 """
@@ -102,7 +102,7 @@ def test_killed_several_times_the_sweep_goes_on_to_the_same_bytes(reference: byt
         process = begin(tmp_path, "out")
         if not wait_for(process, out, before + int(rng.integers(1, 4))):
             break
-        time.sleep(rng.uniform(0.0, 0.1))
+        time.sleep(rng.uniform(0.0, 0.05))
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.communicate()
