@@ -12,7 +12,7 @@ from benchmarks.arms import random_arm, smooth_sequence
 from benchmarks.study.answers import Data
 from moc_opt.solvers.exact import Exact
 
-COUNT = 32  # judging an answer takes long too: with 14 joints its best multipliers have 3432 facets to satisfy
+COUNT = 32
 SEED = 5
 
 
