@@ -150,7 +150,7 @@ def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array
     return worst
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
     """Directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
 

@@ -34,7 +34,7 @@ class ClosedLoop(Settings):
     """The trials."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "sinusoid"], min_length=1)
+    tasks: list[str] = Field(["circle", "spiral"], min_length=1)
     seeds: int = Field(1, ge=1)
     duration_s: float | None = Field(None, gt=0.0)
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
@@ -114,7 +114,7 @@ class Config(Configuration):
         """The same study on less data: for a first look and for the tests."""
         few = {
             "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
-            "seconds": 0.02,
+            "seconds": 0.02, "setup_s": 6.0,
         }  # fmt: skip
         return self._with(
             open_loop={"ticks": 200, "cold": 10},
