@@ -1,205 +1,36 @@
-"""What a run is, as a validated table, and how it is put together: the only place that knows every room."""
+"""How a scenario is put together and run: the only place that knows every room."""
 
 from __future__ import annotations
 
 import itertools
-import os
-import tomllib
-from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, field_validator, model_validator
 
 from moc_opt import solvers
-from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.guard import Guard, GuardSettings
-from moc_opt.errors import MocOptError, RobotError, ScenarioError, UnknownNameError
+from moc_opt.control import Controller
+from moc_opt.control.guard import Guard
+from moc_opt.driver import Driver
+from moc_opt.errors import MocOptError, RobotError, ScenarioError
 from moc_opt.model import RobotModel, load_robot
+from moc_opt.scenario_tables import Scenario, TaskTable
 from moc_opt.selfmotion import self_motion
-from moc_opt.settings import Settings
-from moc_opt.sim.faults import Faults, FaultSettings
+from moc_opt.sim.faults import Faults
 from moc_opt.sim.loop import Brain, RunAway, Stop, simulate
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.settings import PlantSettings
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
-from moc_opt.subproblem import judge, row_length
+from moc_opt.subproblem import judge
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.trace import Trace
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
 
 MOST_TICKS = 5_000_000
 """Of a run: almost three hours at 500 Hz. More is a slip of the pen, and would not fit into memory."""
-
-
-class RobotTable(Settings):
-    """Which arm, and which tool on it."""
-
-    KIND: ClassVar[str] = "[robot]"
-    name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
-    tool_length_m: float | None = Field(default=None, gt=0.0, le=10.0)
-    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
-
-
-class StartTable(Settings):
-    """The pose of the arm at t = 0; tip and wrist are those of q whatever the swivel."""
-
-    KIND: ClassVar[str] = "[start]"
-    q_rad: tuple[float, ...] | None = Field(default=None, description="None: the robot's home pose")
-    swivel: float | Literal["given", "random"] = Field(
-        default="given",
-        description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
-    )
-
-    @field_validator("swivel")
-    @classmethod
-    def _a_fraction(cls, value: float | str) -> float | str:
-        if isinstance(value, float) and not 0.0 <= value <= 1.0:
-            raise ValueError("a swivel is a fraction from 0 to 1")
-        return value
-
-
-class TrocarTable(Settings):
-    """Where the shaft enters: a point on it at t = 0, then fixed or breathing."""
-
-    KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(default=0.15, gt=0.0, description="of the tip below the trocar at t = 0")
-    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5)
-    breathing_period_s: float = Field(default=4.0, gt=0.0)
-    breathing_direction: Vector = (0.0, 0.0, 1.0)
-    breathing_known: bool = Field(
-        default=True, description="whether the registered trocar follows the breathing"
-    )
-
-
-class TaskTable(Settings):
-    """The path of the tip."""
-
-    KIND: ClassVar[str] = "[task]"
-    path: str = "circle"
-    sizes: dict[str, float] = Field(default_factory=dict, description="of the path [m]; see moc_opt.tasks")
-    normal: Vector = (0.0, 0.0, 1.0)
-    heading: Vector = (1.0, 0.0, 0.0)
-    v_max_m_per_s: float = Field(default=0.05, gt=0.0)
-    a_max_m_per_s2: float = Field(default=0.2, gt=0.0)
-    wait_s: float = Field(default=0.5, ge=0.0, description="rest before the path")
-    hold_s: float = Field(default=0.5, ge=0.0, description="rest after it")
-
-    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
-        "line": {"length": 0.04},
-        "circle": {"radius": 0.03},
-        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
-        "spiral": {"turns": 2.0, "radius": 0.03},
-    }
-
-
-class SolverTable(Settings):
-    """Which solver the third level asks."""
-
-    KIND: ClassVar[str] = "[solver]"
-    name: str = "exact"
-    settings: dict[str, Any] = Field(default_factory=dict)
-    replay_us: str | tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
-        default=None,
-        description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
-        "budget, over and over: a run with deadlines can then be repeated exactly",
-    )
-
-
-class Scenario(Settings):
-    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
-
-    KIND: ClassVar[str] = "scenario:"
-    name: str = "circle"
-    seed: int = Field(default=0, ge=0, description="of starting swivel, mismatch and noise")
-    robot: RobotTable = RobotTable()
-    start: StartTable = StartTable()
-    trocar: TrocarTable = TrocarTable()
-    task: TaskTable = TaskTable()
-    control: ControlSettings = ControlSettings()
-    solver: SolverTable = SolverTable()
-    plant: PlantSettings = PlantSettings.realistic()
-    duration_s: float | None = Field(default=None, gt=0.0, description="stop early; None: the whole path")
-    deadline_us: float = Field(default=2000.0, gt=0.0, description="a longer tick is a miss")
-    guard: GuardSettings = GuardSettings()
-    faults: FaultSettings = FaultSettings()
-    judge: bool = Field(default=True, description="judge every answer after the run")
-    bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
-    )
-
-    @field_validator("control", mode="before")
-    @classmethod
-    def _control_preset(cls, value: Any) -> Any:
-        if isinstance(value, Mapping) and "preset" in value:
-            table = dict(value)
-            return ControlSettings.preset(str(table.pop("preset")), **table)
-        return value
-
-    @field_validator("plant", mode="before")
-    @classmethod
-    def _preset(cls, value: Any) -> Any:
-        if isinstance(value, Mapping) and "preset" in value:
-            table = dict(value)
-            presets = {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal}
-            name = table.pop("preset")
-            if name not in list(presets):
-                raise UnknownNameError("plant preset", str(name), presets)
-            return presets[name](**table)
-        return value
-
-    @model_validator(mode="after")
-    def _box_before_the_wall(self) -> Self:
-        """The third level must not press where the guard pushes back: the arm would stand between the two."""
-        box, wall = self.control.limit_margin_rad, self.guard.position_margin_rad
-        if 0.0 < box < wall and self.control.law == "moc":
-            raise ValueError(
-                f"guard.position_margin_rad = {wall}: the wall would stand inside the box of the third level, which "
-                f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
-            )
-        return self
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a TOML file.
-
-        Raises:
-            ScenarioError: no such file, no TOML, or a value out of range; names file and field.
-            UnknownNameError: a key or preset that does not exist.
-        """
-        file = Path(path)
-        try:
-            table = tomllib.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise ScenarioError(f"{file}: no such file; give the path of a scenario in TOML") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ScenarioError(f"{file}: not TOML: {error}") from error
-        except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
-            raise ScenarioError(f"{file}: cannot be read: {error}") from error
-        except RecursionError as error:
-            raise ScenarioError(f"{file}: tables or lists in it are nested too deep") from error
-        try:
-            return cls(**table)
-        except MocOptError as error:
-            error.args = (f"{file}: {error}",)  # of whichever kind it is
-            raise
-
-    def change(self, **tables: Any) -> Self:
-        """A copy with some fields changed; a mapping changes fields inside a table."""
-        values: dict[str, Any] = {}
-        for name in type(self).model_fields:
-            old = getattr(self, name)
-            new = tables.pop(name, old)
-            if isinstance(old, BaseModel) and isinstance(new, Mapping) and "preset" not in new:
-                new = type(old)(**{**{f: getattr(old, f) for f in type(old).model_fields}, **new})
-            values[name] = new
-        return type(self)(**values, **tables)
 
 
 class Setup:
@@ -379,62 +210,6 @@ def _recorded_times(scenario: Scenario) -> list[float] | None:
             f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
         )
     return [float(time) for time in times]
-
-
-class Driver:
-    """Connects a controller to the loop: measurements become a model state, and the answers become columns."""
-
-    def __init__(self, controller: Controller) -> None:
-        self.controller, self._robot = controller, controller.robot
-        self.tip: Array = np.zeros(3)
-        """Where the last tick saw the tip (3,) [m]."""
-
-    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """See ``sim.loop.Brain``; one tick is run for nothing, so that no compiler runs in the loop."""
-        state = self._robot.state(q, v)
-        self.controller.start(state, tip_ref, trocar)
-        self.controller.tick(state, tip_ref, trocar)
-        self.controller.start(state, tip_ref, trocar)
-
-    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.loop.Brain``."""
-        state = self._robot.state(q, v)
-        self.tip = state.tip
-        return self.controller.tick(state, tip_ref, trocar)
-
-    def sent(self, tau: Array) -> None:
-        """See ``sim.loop.Brain``."""
-        self.controller.sent(tau)
-
-    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """The third level's columns; none but the status under DCAC."""
-        n = self._robot.n
-        found: dict[str, NDArray[Any]] = {
-            "status": np.full(ticks, "none", dtype="<U12"),
-            "solve_us": np.full(ticks, np.nan),
-        }
-        if self.controller.solver is not None:
-            found |= {
-                "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
-                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
-                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
-            }  # fmt: skip
-        return found
-
-    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """See ``sim.loop.Brain``."""
-        solution, qp = self.controller.solution, self.controller.subproblem
-        if solution is None or qp is None:
-            return
-        columns["status"][row] = solution.status.label
-        columns["solve_us"][row] = self.controller.solve_us
-        columns["x_rad_per_s"][row] = solution.x
-        columns["applied_x_rad_per_s"][row] = self.controller.answer
-        if solution.y is not None:
-            columns["dual"][row] = solution.y
-        columns["subproblem"][row] = qp.row
-        columns["iterations"][row] = solution.iterations
-        columns["fault"][row] = self.controller.fault.label
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:

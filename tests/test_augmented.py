@@ -6,9 +6,9 @@ import pytest
 
 from moc_opt.augmented import Augmented
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.driver import Driver
 from moc_opt.errors import TaskError
 from moc_opt.placing import pose_through
-from moc_opt.scenario import Driver
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.view import BoardSettings, CameraSettings

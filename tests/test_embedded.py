@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.settings import PAPER
+from moc_opt.driver import Driver
 from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
@@ -29,7 +30,7 @@ from moc_opt.embedded.support import OBEYED
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model import RobotModel
-from moc_opt.scenario import Driver, Scenario, Setup
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.loop import Brain, simulate
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.elimination import EMPTY, OK, STUCK

@@ -10,8 +10,9 @@ from hypothesis.extra.numpy import arrays
 
 from moc_opt.__main__ import main
 from moc_opt.control.guard import Guard, GuardSettings, limit_torque
+from moc_opt.driver import Driver
 from moc_opt.errors import ControlError, PlantError
-from moc_opt.scenario import Driver, Scenario, Setup, run
+from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import RunAway, Stop, simulate
 from moc_opt.trace import Trace

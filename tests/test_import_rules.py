@@ -38,7 +38,7 @@ ROOMS = {
         "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.map_page",
         "moc_opt.report.courses", "moc_opt.report.runs", "moc_opt.report.swivel",
     ],
-    "scenario": ["moc_opt.scenario"],
+    "scenario": ["moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.driver"],
     "live": ["moc_opt.live"],
 }  # fmt: skip
 

@@ -18,13 +18,14 @@ from pydantic import Field
 
 from moc_opt.augmented import Augmented
 from moc_opt.control import Controller
+from moc_opt.driver import Driver
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.handson import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.metrics import summarize
 from moc_opt.model import RobotModel, load_robot
 from moc_opt.placing import pose_through
 from moc_opt.reach import check_reachable
-from moc_opt.scenario import Driver, Scenario, make_solver
+from moc_opt.scenario import Scenario, make_solver
 from moc_opt.selfmotion import self_motion
 from moc_opt.settings import Settings
 from moc_opt.sim.loop import simulate

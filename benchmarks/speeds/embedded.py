@@ -14,9 +14,10 @@ from benchmarks.peers.check import Inputs
 from benchmarks.speeds.tick import spread
 from benchmarks.timing import Timed
 from moc_opt.control import ControlSettings
+from moc_opt.driver import Driver
 from moc_opt.embedded import NativeController, export, record
 from moc_opt.model import RobotModel
-from moc_opt.scenario import Driver, make_solver
+from moc_opt.scenario import make_solver
 
 Array = NDArray[np.float64]
 

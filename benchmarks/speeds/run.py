@@ -16,10 +16,11 @@ from benchmarks.speeds.bare import BARE
 from benchmarks.speeds.goals import judge_goals
 from benchmarks.study.open_loop import expand
 from benchmarks.timing import Timed, clock_cost_us, interleaved, percentiles, ratios
+from moc_opt.driver import Driver
 from moc_opt.embedded import NativeController
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.model import load_robot
-from moc_opt.scenario import Driver, Setup
+from moc_opt.scenario import Setup
 from moc_opt.solvers import available
 
 if TYPE_CHECKING:

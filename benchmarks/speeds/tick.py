@@ -17,9 +17,10 @@ from benchmarks.peers.check import PERIOD_S, Inputs, Verdict, job, perform, verd
 from benchmarks.timing import Timed
 from moc_opt.control import Controller, ControlSettings, manipulability, tick
 from moc_opt.control.observer import MomentumObserver
+from moc_opt.driver import Driver
 from moc_opt.model import RobotModel
 from moc_opt.model_kernels import state_views
-from moc_opt.scenario import Driver, Setup, make_solver
+from moc_opt.scenario import Setup, make_solver
 from moc_opt.sim.loop import simulate
 from moc_opt.solvers.base import Solver
 from moc_opt.subproblem import NullSpaceQP, row_length

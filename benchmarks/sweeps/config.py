@@ -10,7 +10,8 @@ from benchmarks.config import Configuration
 from benchmarks.study.closed_loop import BASELINE
 from benchmarks.sweeps.errors import SweepError
 from moc_opt.errors import SolverError, UnknownNameError
-from moc_opt.scenario import Scenario, SolverTable
+from moc_opt.scenario import Scenario
+from moc_opt.scenario_tables import SolverTable
 from moc_opt.settings import Settings
 from moc_opt.solvers import available
 

@@ -21,7 +21,8 @@ from benchmarks.sweeps.fields import grid_axes, random_draws, with_value
 from benchmarks.sweeps.version import code_version
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.metrics import METRICS
-from moc_opt.scenario import Scenario, Setup, SolverTable
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario_tables import SolverTable
 
 FORMAT = 1
 """Of what a sweep's folder holds; part of every id."""
