@@ -137,6 +137,7 @@ def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) 
             "python": platform.python_version(), "load_1min": os.getloadavg()[0],
         },
         "threads": os.environ.get("OMP_NUM_THREADS"),
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),  # another kernel rounds otherwise
         "versions": versions,
         "commit": _commit(),
         "seed": seed,

@@ -116,3 +116,10 @@ def test_accepts():
     assert registry.accepts("nlp-sqp", "kinematics")
     assert registry.accepts("qpsolvers:daqp", "options")
     assert not registry.accepts("exact", "kinematics")
+
+
+def test_defaults_are_values():
+    """Also where a default is made anew each time, and where the settings are bound to a library's name."""
+    assert registry.defaults("casadi:qrqp")["options"] == {}
+    assert registry.defaults("qpsolvers:quadprog")["options"] == {}
+    assert registry.defaults("osqp")["rows"] == 5

@@ -42,7 +42,8 @@ class Store:
 
     def __init__(self, folder: Path | None) -> None:
         self.folder = folder
-        self.reused = 0
+        self._before = set() if folder is None else {path.name for path in folder.glob("*.npz")}
+        self.reused = 0  # parts of an earlier run
 
     def key(self, **what: Any) -> str:
         """Digest of a description in plain values; arrays in it count with their bytes."""
@@ -61,7 +62,7 @@ class Store:
         except (OSError, ValueError, KeyError, zipfile.BadZipFile):
             path.unlink(missing_ok=True)
             return None
-        self.reused += 1
+        self.reused += path.name in self._before
         return Part(values, arrays)
 
     def put(self, key: str, part: Part) -> Part:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass
+from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
@@ -93,8 +95,13 @@ def defaults(name: str) -> dict[str, Any]:
     Raises:
         UnknownNameError, SolverError: as ``create``.
     """
-    parameters = inspect.signature(_factory(name)).parameters.values()
-    return {p.name: p.default for p in parameters if p.default is not p.empty}
+    factory = _factory(name)
+    parameters = inspect.signature(factory).parameters.values()
+    found = {p.name: p.default for p in parameters if p.default is not p.empty}
+    made = factory.func if isinstance(factory, partial) else factory
+    if is_dataclass(made):  # a signature has no more than a mark where a default is made anew each time
+        found |= {f.name: f.default_factory() for f in fields(made) if f.default_factory is not MISSING}
+    return found
 
 
 def create(name: str, **settings: Any) -> Solver:
