@@ -17,6 +17,7 @@ from benchmarks.peers.base import TipGradient, wrist_reference
 from benchmarks.speeds import setup as speed_setup
 from benchmarks.speeds import solve as speed_solve
 from benchmarks.speeds.bare import BARE
+from benchmarks.speeds.config import Config
 from benchmarks.speeds.goals import GOALS, judge_goals
 from benchmarks.speeds.report import headline, tables, write_report
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
@@ -332,13 +333,13 @@ def test_nonsense_in_a_configuration_is_named(text, words, tmp_path, capsys):
 
 
 def test_default_configuration_is_complete_and_quick_is_less():
-    config = speed.Config.load(output.default_config("speed"))
+    config = Config.load(output.default_config("speed"))
     quick = config.quick()
     assert quick.tick.ticks < config.tick.ticks
     assert quick.tick.solvers == config.tick.solvers
     assert quick.loop.duration_s < config.loop.duration_s
     with pytest.raises(ScenarioError, match="cannot be used"):
-        speed.Config.load(output.default_config("nobody"))
+        Config.load(output.default_config("nobody"))
 
 
 SMALL = """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from benchmarks import peers
 from benchmarks.speeds import embedded, setup, solve, tick
 from benchmarks.speeds import loop as speed_loop
 from benchmarks.speeds.bare import BARE
+from benchmarks.speeds.config import Config
 from benchmarks.speeds.goals import judge_goals
 from benchmarks.study.open_loop import expand
 from benchmarks.timing import Timed, clock_cost_us, interleaved, percentiles, ratios
@@ -22,9 +23,6 @@ from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.model import load_robot
 from moc_opt.scenario import Setup
 from moc_opt.solvers import available
-
-if TYPE_CHECKING:
-    from benchmarks.speed import Config
 
 Array = NDArray[np.float64]
 Advance = Callable[[str], None]
