@@ -240,6 +240,13 @@ def test_the_nonlinear_solvers_carry_their_footnote(summary):
     assert "nlp-sqp" not in headline({"testsets": {**summary["testsets"], **wrong}}, {})
 
 
+def test_growth_is_said_in_words():
+    rows = {"a": {"solve_p50_us_14_over_7": 1.25, "solve_p50_us_n7": 9.0}, "b": {"solve_p50_us_14_over_7": 3.0}}
+    said = headline({"growth": rows}, {})
+    assert said == "From 7 to 14 joints the median time grows 1.2 times with a and 3.0 times with b."
+    assert headline({"growth": {"c": {"solves": 0}}}, {}) == "Nothing was run."
+
+
 def test_qpbenchmark_stands_beside_ours():
     ours = {f"qpsolvers:{n}@default": {"solves": 4, "feasible": 4, "verified_solved": v, "solve_p50_us_worst_set": t}
             for n, v, t in (("a", 4, 9.0), ("b", 4, 5.0), ("c", 2, 1.0))}  # fmt: skip

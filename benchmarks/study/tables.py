@@ -264,6 +264,19 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
     crashed = {n: m["crashed"] for n, m in every.items() if m["crashed"]}
     if crashed:
         parts.append("took their process with them: " + ", ".join(crashed))
+    ratios = {
+        name: (value, key.rpartition("us_")[2].split("_over_"))
+        for name, row in summary.get("growth", {}).items()
+        for key, value in row.items()
+        if key.startswith("solve_p50_us_") and "_over_" in key
+    }
+    if ratios:
+        least, most = min(ratios, key=lambda n: ratios[n][0]), max(ratios, key=lambda n: ratios[n][0])
+        last, first = ratios[most][1]
+        parts.append(
+            f"from {first} to {last} joints the median time grows {ratios[least][0]:.1f} times with {least} and "
+            f"{ratios[most][0]:.1f} times with {most}"
+        )
     closed = summary.get("closed_loop", {})
     gains = {n: m["mu_gain_percent"] for n, m in closed.items() if n != BASELINE and "mu_gain_percent" in m}
     if gains:
