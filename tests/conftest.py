@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 
 import moc_opt
@@ -16,6 +17,10 @@ from moc_opt.model import RobotModel, load_robot
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
 PACKAGE = Path(moc_opt.__file__).parent
+
+# Properties are tested on the same examples in every run, however busy the machine; `benchmarks.fuzz` looks for others.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.load_profile("repeatable")
 
 
 def stale_kernels(package: Path) -> list[Path]:

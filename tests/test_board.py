@@ -58,7 +58,7 @@ def test_presets_fit_the_abdomen(name):
 
 
 @given(POSE, st.sampled_from(list(BOARD_TASKS)))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_task_moves_with_its_board(pose, name):
     own = board_task(name).on_board()
     carried = BOARD.task_in_base(name, pose)

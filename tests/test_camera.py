@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError, UnknownNameError
@@ -39,7 +39,6 @@ def test_it_stands_where_the_settings_say():
 
 
 @given(st.tuples(*[st.floats(-0.5, 0.5)] * 2), st.floats(0.05, 1.0))
-@settings(deadline=None)
 def test_projection_is_the_pinhole(direction, depth):
     point = CAMERA.camera_in_base.apply(depth * np.array([*direction, 1.0]))
     expected = CAMERA.focal_px * np.array(direction) + [319.5, 239.5]
@@ -87,7 +86,6 @@ def test_the_same_seed_gives_the_same_pictures():
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.integers(0, 100))
-@settings(deadline=None)
 def test_hiding_more_hides_the_same_ones_too(one, other, seed):
     ids = Board().ids
     few, many = (hide(ids, fraction, seed) for fraction in sorted((one, other)))

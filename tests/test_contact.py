@@ -47,7 +47,7 @@ def shaft_of(plant, depth=0.15, off=1e-3):
 
 
 @given(seeds)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_kernel_is_its_formula(seed):
     rng, tip, wrist, twist, origin, trocar = scene(seed)
     elapsed, k, d = rng.uniform(0, 0.01), rng.uniform(0, 2e4), rng.uniform(0, 100)
@@ -58,7 +58,7 @@ def test_kernel_is_its_formula(seed):
 
 
 @given(seeds)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_tool_slides_and_spins_freely(seed):
     rng, tip, wrist, _, _, trocar = scene(seed)
     u = (tip - wrist) / np.linalg.norm(tip - wrist)
@@ -71,7 +71,7 @@ def test_tool_slides_and_spins_freely(seed):
 
 
 @given(seeds)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_resting_trocar_only_takes_energy(seed):
     """Power on the tool = -d/dt (k/2 distance^2) - damping |w across|^2, by differences along the motion."""
     _, tip, wrist, twist, _, trocar = scene(seed)
@@ -94,7 +94,7 @@ def test_a_resting_trocar_only_takes_energy(seed):
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_wrench_about_the_com_does_the_same_work(seed):
     force, point, com, omega, linear = np.random.default_rng(seed).normal(size=(5, 3))
     wrench = np.ones(6)

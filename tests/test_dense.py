@@ -25,7 +25,7 @@ def positive_definite(rng, m):
 
 
 @BOTH
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS, m=SIZES)
 def test_cholesky(form, seed, m):
     S = positive_definite(np.random.default_rng(seed), m)
@@ -43,7 +43,7 @@ def test_a_matrix_that_is_not_positive_definite_is_told_by_nan(form, S):
 
 
 @BOTH
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS, m=SIZES)
 def test_solve_factored(form, seed, m):
     rng = np.random.default_rng(seed)
@@ -57,7 +57,7 @@ def test_solve_factored(form, seed, m):
 
 
 @BOTH
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS, m=SIZES, n=SIZES)
 def test_products(form, seed, m, n):
     rng = np.random.default_rng(seed)

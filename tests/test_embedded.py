@@ -138,7 +138,7 @@ def swivel_function() -> Any:
     return ca.Function("swivel", [A, b, g, lower, upper], [*found, z])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-3, 3), tight=st.floats(0.01, 2.0))
 def test_swivel_answers_satisfy_the_optimality_conditions(
     swivel_function: Any, seed: int, scale: float, tight: float

@@ -17,7 +17,7 @@ def solve(qp):
     return Exact().start(qp).solve(qp)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     seed=st.integers(0, 100_000),
     n=st.sampled_from([6, 7, 8, 9, 11]),

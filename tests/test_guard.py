@@ -33,7 +33,7 @@ def numbers(low, high):
     return arrays(np.float64, N, elements=st.floats(low, high))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(tau=numbers(-1e4, 1e4), before=numbers(-1.0, 1.0), place=numbers(-0.2, 1.2), v=numbers(-20.0, 20.0))
 def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
     """Whatever is asked for, in any state, also beyond the joint limits."""
@@ -47,7 +47,7 @@ def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
     assert mine.limited == np.count_nonzero(sent != tau)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(tau=numbers(-170.0, 170.0), place=numbers(0.0, 1.0), v=numbers(-6.0, 6.0))
 def test_too_fast_or_too_near_is_braked(robot, tau, place, v):
     """Without a rate limit: a joint that is too fast for where it is gets a torque below its weight's, against v."""

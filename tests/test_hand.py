@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError, UnknownNameError
@@ -13,7 +13,6 @@ VECTOR = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 
 
 @given(st.lists(st.tuples(VECTOR, VECTOR), min_size=1, max_size=30), st.floats(0.5, 30.0))
-@settings(deadline=None)
 def test_the_force_is_bounded_whatever_happens(moments, most):
     hand = Hand(HandSettings(force_max_N=most), PERIOD)
     for place, velocity in moments:

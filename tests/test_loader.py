@@ -41,7 +41,7 @@ def check(qp, rows, found, scale, signs):
     np.testing.assert_array_equal(found["packed"], triangle)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     n=st.sampled_from([6, 7, 9]),

@@ -36,7 +36,7 @@ def limits(rng, n=7):
 
 
 @BOTH
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=SEEDS, k0=st.floats(1e-3, 100.0))
 def test_damper_inside_the_limits_is_the_formula(form, seed, k0):
     rng = np.random.default_rng(seed)
@@ -50,7 +50,7 @@ def test_damper_inside_the_limits_is_the_formula(form, seed, k0):
 
 
 @BOTH
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=SEEDS, k0=st.floats(1e-3, 100.0))
 def test_damper_never_crosses_and_leads_back(form, seed, k0):
     rng = np.random.default_rng(seed)
@@ -64,7 +64,7 @@ def test_damper_never_crosses_and_leads_back(form, seed, k0):
     assert (upper[q > q_max] < 0.0).all()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=SEEDS, k0=st.floats(0.1, 400.0))
 def test_no_velocity_of_the_box_leaves_the_limits(seed, k0):
     """q + T x stays inside for any x in the box, as long as k0 T <= 1."""
@@ -128,7 +128,7 @@ def test_a_wall_inside_the_box_is_refused():
 
 
 @BOTH
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=SEEDS)
 def test_consistent_wrist_velocity(form, seed):
     rng = np.random.default_rng(seed)
@@ -186,7 +186,7 @@ def test_null_space_of_an_arm(robot, regular_poses):
         check_basis(Z, A)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS, rows=st.integers(1, 6), n=st.integers(6, 9))
 def test_null_space_lies_closest_to_the_one_it_is_given(seed, rows, n):
     rng = np.random.default_rng(seed)
@@ -361,7 +361,7 @@ def test_least_violation_against_scipy(form, robot, regular_poses):
         assert np.linalg.norm(A @ x - b) < 1.01 * np.linalg.norm(A @ best - b) + 1e-6
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=SEEDS)
 def test_least_violation_gets_no_worse_with_more_sweeps(seed):
     rng = np.random.default_rng(seed)

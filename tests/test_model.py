@@ -316,7 +316,7 @@ def test_random_poses_keep_their_promise(robot: RobotModel, regular_poses: Draw)
         robot.random_regular_pose(np.random.default_rng(0), mu_min=5.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7), st.floats(-2.9, 2.9), st.floats(-2.9, 2.9))
 def test_mu_does_not_depend_on_the_first_and_last_joint(pose: list[float], first: float, last: float) -> None:
     s = LWR4.state(pose)
@@ -327,7 +327,7 @@ def test_mu_does_not_depend_on_the_first_and_last_joint(pose: list[float], first
         assert abs(s.grad_mu[0]) < 1e-12
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7), st.lists(st.floats(-3, 3), min_size=7, max_size=7)
 )

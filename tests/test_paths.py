@@ -57,7 +57,7 @@ def test_begins_at_start_and_stays_in_its_plane(kind: str) -> None:
         assert dp[0] @ path.heading == pytest.approx(1.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(any_path, st.floats(0.0, 1.0))
 def test_tangent_is_unit_and_derivatives_match_finite_differences(path: Path, place: float) -> None:
     bends = max(1.0 / path.length, *(abs(path.curve.at(s)[4]) for s in path.curve.knots.tolist()))
@@ -71,7 +71,7 @@ def test_tangent_is_unit_and_derivatives_match_finite_differences(path: Path, pl
     np.testing.assert_allclose((dp[2] - dp[0]) / (2.0 * h), ddp[1], atol=3e-5 * bends)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.floats(0.1, 40.0), st.floats(0.002, 0.5), st.floats(0.0, 1.0))
 def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place: float) -> None:
     path = spiral(START, HEADING, turns=turns, radius=radius, normal=NORMAL)
@@ -83,7 +83,7 @@ def test_spiral_arc_length_is_the_closed_form(turns: float, radius: float, place
     assert np.linalg.norm(path.at(path.length)[0] - START) == pytest.approx(radius, abs=1e-12)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0.001, 0.2), st.floats(0.01, 0.3), st.floats(0.1, 5.0), st.floats(0.0, 1.0))
 def test_sinusoid_arc_length_is_the_integral(a: float, length: float, periods: float, place: float) -> None:
     sizes = {"amplitude": a, "wavelength": length, "periods": periods}

@@ -16,7 +16,7 @@ def inside(robot, q):
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_wish_for_the_wrist_is_the_controllers(seed):
     tip, tip_velocity, trocar, trocar_velocity = np.random.default_rng(seed).normal(size=(4, 3))
     mine = wrist_through(tip, tip_velocity, trocar, trocar_velocity, 0.378)
@@ -59,7 +59,7 @@ def test_out_of_reach_it_goes_as_near_as_it_can(robot):
 
 
 @given(st.integers(0, 10_000))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_tip_and_trocar_of_a_pose_can_be_had_again(robot, seed):
     rng = np.random.default_rng(seed)
     state = robot.state(robot.random_regular_pose(rng))

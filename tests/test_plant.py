@@ -113,7 +113,7 @@ def test_without_friction_energy_is_kept():
 
 
 @given(st.integers(0, 1000), st.floats(0.1, 5.0), st.sampled_from([2, 5, 20]))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_friction_only_takes_energy(seed, scale, substeps):
     plant = Plant(
         DATA, PlantSettings.nominal(friction=scale, friction_error=0.2, gravity=False, substeps=substeps)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
@@ -17,7 +17,6 @@ POSE = st.builds(lambda turn, place: Pose(rotation_from(turn), place), TURN, VEC
 
 
 @given(POSE, POSE, VECTOR)
-@settings(deadline=None)
 def test_a_chain_of_poses_takes_points_from_right_to_left(a, b, point):
     np.testing.assert_allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-12)
     np.testing.assert_allclose((a @ a.inverse()).apply(point), point, atol=1e-12)
@@ -26,7 +25,6 @@ def test_a_chain_of_poses_takes_points_from_right_to_left(a, b, point):
 
 
 @given(TURN)
-@settings(deadline=None)
 def test_rotation_vector_is_the_inverse_of_rodrigues(turn):
     rotation = rotation_from(turn)
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -46,7 +44,6 @@ def test_quarter_turn_about_z():
 
 
 @given(POSE, POSE, st.floats(0.0, 1.0))
-@settings(deadline=None)
 def test_blending_goes_straight_from_one_to_the_other(a, b, share):
     way, turn = a.distance(b)
     between = a.towards(b, share)
@@ -58,7 +55,6 @@ def test_blending_goes_straight_from_one_to_the_other(a, b, share):
 
 
 @given(VECTOR, VECTOR)
-@settings(deadline=None)
 def test_a_camera_looks_at_its_target(eye, target):
     way = target - eye
     if np.linalg.norm(np.cross(way, (0, 0, 1))) < 1e-3:

@@ -129,7 +129,7 @@ def test_level_two_against_numpy(form, name, robot, regular_poses):
 
 
 @BOTH
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS)
 def test_desired_wrist_velocity_is_the_derivative(form, seed):
     """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
@@ -148,7 +148,7 @@ def test_desired_wrist_velocity_is_the_derivative(form, seed):
     np.testing.assert_allclose(wish(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS)
 def test_desired_wrist_puts_the_shaft_through_the_trocar(seed):
     rng = np.random.default_rng(seed)
@@ -159,7 +159,7 @@ def test_desired_wrist_puts_the_shaft_through_the_trocar(seed):
     assert (wrist - tip) @ (trocar - tip) > 0.0  # the trocar lies on the wrist's side
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(seed=SEEDS, angle=st.floats(1e-4, 3.0), depth=st.floats(0.02, 0.3))
 def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
     """d = lambda |N - N_d|, lambda = |P - X|/L cos(theta/2), theta between e and -u."""

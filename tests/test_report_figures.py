@@ -78,7 +78,7 @@ def test_names_are_never_markup(rng: Rng) -> None:
         assert not any("<a" in text for text in shown)
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(arrays(np.float64, st.integers(1, 60), elements=st.floats(0.5, 1e4)))
 def test_an_ecdf_of_few_samples_is_exact(times: np.ndarray) -> None:
     (line,) = figures.latency_ecdf({"a": times}).data
@@ -170,7 +170,7 @@ def test_pareto_front() -> None:
     assert "unknown" not in {trace.name for trace in made.data}
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     st.dictionaries(
         st.text("ab", min_size=1),
@@ -191,7 +191,6 @@ def test_nobody_beats_the_front(points: dict[str, tuple[float, float]]) -> None:
     }  # fmt: skip
 
 
-@settings(deadline=None)
 @given(
     st.dictionaries(
         st.text("abc", min_size=1, max_size=12),
@@ -252,7 +251,7 @@ def test_the_largest_mu_stands_beside_mu(rng: Rng) -> None:
     assert list(dotted.y) == [0.34] * 3
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(
     arrays(np.float64, st.integers(1, 400), elements=st.floats(-1e6, 1e6) | st.just(math.nan)),
     st.integers(4, 60),

@@ -59,7 +59,7 @@ def spectral_radius(qp, c, h, k, implicit):
     return np.abs(np.linalg.eigvals(basis.T @ step @ basis)).max()
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     seed=SEEDS, c=st.floats(1e-3, 20.0), k=st.floats(1e-3, 10.0), h=st.floats(0.05, 1.0),
     implicit=st.booleans(),
@@ -99,7 +99,7 @@ def test_scaling_the_weights_leaves_the_solution():
         assert steps[0] > steps[1]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=SEEDS, steps=st.sampled_from([1, 10, 1000, 30_000]), infeasible=st.booleans())
 def test_claims_are_true_and_x_stays_in_the_box(seed, steps, infeasible):
     make = infeasible_problem if infeasible else random_problem

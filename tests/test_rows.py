@@ -9,7 +9,7 @@ from moc_opt.subproblem import NullSpaceQP
 from tests.problems import random_problem
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), n=st.sampled_from([6, 7, 9]), structured=st.booleans())
 def test_kernel_equals_numpy(seed, n, structured):
     plain = random_problem(np.random.default_rng(seed), n, structured=structured)

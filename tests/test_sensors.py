@@ -53,7 +53,7 @@ def test_perfect_encoders_are_exact():
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(1e-6, 1e-2))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_resolution_rounds_to_its_steps(seed, step):
     q = np.random.default_rng(seed).uniform(-3, 3, 7)
     position, _ = encoders(resolution_rad=step).start(q, np.zeros(7))
@@ -108,7 +108,7 @@ def test_wrench_noise_per_axis():
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_identify_finds_the_load_it_was_shown(seed):
     rng = np.random.default_rng(seed)
     load = ToolLoad(rng.uniform(0.1, 2.0), rng.uniform(-0.2, 0.2, 3), rng.normal(size=6))

@@ -46,7 +46,7 @@ def test_noise_around_no_change_leaves_zero_inside():
     assert found.low < 0.0 < found.high
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(SAMPLES, st.sampled_from([0.125, 0.5, 2.0, 1024.0]))
 def test_a_change_does_not_depend_on_the_unit(values, factor):
     """Powers of two: rounding would break ties between resamples of few samples."""
@@ -56,7 +56,7 @@ def test_a_change_does_not_depend_on_the_unit(values, factor):
     np.testing.assert_allclose(b[:3], a[:3], rtol=1e-6, atol=1e-6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(SAMPLES)
 def test_the_value_lies_in_its_interval(values):
     found = mean(values)

@@ -105,7 +105,7 @@ def test_record_round_trip(arguments):
         fields(np.zeros(83))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), structured=st.booleans())
 def test_five_rows_say_the_same_as_six(seed, structured):
     rng = np.random.default_rng(seed)

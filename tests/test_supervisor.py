@@ -219,7 +219,7 @@ def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
     assert lies > 100
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(place=st.floats(0.0, 0.49), k=st.integers(0, 10**6))
 def test_a_claim_is_never_both_verified_and_refused(recorded, place, k):
     """Nearer to the optimum than to its opposite: what the judge verifies, the supervisor takes."""

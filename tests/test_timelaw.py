@@ -71,7 +71,7 @@ def extremes(reference: Reference, count: int) -> tuple[float, float]:
     return float(speed) / reference.v_max, float(acceleration) / reference.a_max
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(curved, st.floats(0.01, 1.0), st.floats(0.01, 10.0))
 def test_curved_duration_touches_a_limit_and_exceeds_none(path: Path, v_max: float, a_max: float) -> None:
     used = extremes(Reference(path, v_max, a_max), 30_001)

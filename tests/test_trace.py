@@ -81,7 +81,7 @@ def traces(draw: st.DrawFn) -> Trace:
     return Trace(columns, draw(st.dictionaries(st.text(), json, max_size=3)))
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(traces())
 def test_file_gives_back_every_bit(tmp_path: Path, trace: Trace) -> None:
     trace.save(tmp_path / "trace.parquet")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
@@ -109,7 +109,6 @@ def test_sightings_that_disagree_never_move_the_estimate():
 
 
 @given(st.lists(st.sampled_from(["good", "none", "far", "bad"]), max_size=60))
-@settings(deadline=None)
 def test_tracking_is_only_claimed_while_sightings_were_accepted_lately(kinds):
     limits = TrackerLimits()
     tracker, last_good = BoardTracker(limits), -np.inf

@@ -48,7 +48,7 @@ def config():
     return tune.Config.load(default_config("tune"))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**6))
 def test_candidates_stay_in_the_space_and_make_settings(seed):
     config = tune.Config.load(default_config("tune"))

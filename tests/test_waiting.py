@@ -36,7 +36,7 @@ LOSSES = st.lists(st.tuples(st.floats(0.0, 5.0), st.floats(0.0, 1.5)), max_size=
 
 
 @given(st.sampled_from(list(PATHS)), LOSSES, st.sampled_from([None, 0.05, 1.0]))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses, brake):
     waiting = WaitingReference(reference(kind), PERIOD, brake_m_per_s2=brake)
     rows, times = waiting.play(flags(6.0, losses))
@@ -59,7 +59,7 @@ def test_position_speed_and_acceleration_are_continuous_and_bounded(kind, losses
 
 
 @given(LOSSES)
-@settings(deadline=None, max_examples=15)
+@settings(max_examples=15)
 def test_it_stays_on_the_path_and_arrives(losses):
     original = reference()
     waiting = WaitingReference(original, PERIOD)
@@ -113,7 +113,7 @@ def test_flags_that_chatter_only_slow_it_down():
 
 
 @given(st.tuples(*[st.floats(-0.02, 0.02)] * 3), st.floats(0.0, 4.0), LOSSES)
-@settings(deadline=None, max_examples=12)
+@settings(max_examples=12)
 def test_a_moved_board_shifts_the_path_within_its_own_bounds(shift, when, losses):
     waiting = WaitingReference(reference(), PERIOD, shift_v_max=0.01, shift_a_max=0.05)
     seen = flags(14.0, losses)
