@@ -70,9 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = options.parse_args(arguments)
     argv = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        config = Config.load(given.config or output.default_config("faults"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "faults")
         if given.quick:
             config = config.quick()
         check_solvers(config)

@@ -6,23 +6,16 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from moc_opt.errors import MocOptError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model import RobotModel
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map import FEASIBLE, SwivelMap, manipulability_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
-from moc_opt.scenario import Scenario
 from moc_opt.trace import Trace
 
 COLUMNS_PER_S, COLUMNS, ROWS = 12.0, (10, 96), 120
 """Of a map: a column takes 20 ms, and a run of 1 s shows no more in a hundred of them than in a dozen."""
 REPLAY = "replay.html"
-
-
-def arm(trial: Scenario) -> RobotModel:
-    """The arm and tool of a trial."""
-    table = trial.robot
-    return load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
 
 
 def trial_map(robot: RobotModel, traces: Mapping[str, Trace]) -> SwivelMap | str:

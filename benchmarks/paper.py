@@ -125,9 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments
     )
     try:
-        config = Config.load(given.config or output.default_config("paper"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "paper")
         if given.quick:
             config = config.quick()
         experiment(config, given.out, given.json, list(arguments or sys.argv[1:]))

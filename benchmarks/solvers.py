@@ -51,9 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--parts", nargs="+", metavar="PART", choices=PARTS, help=f"of {', '.join(PARTS)}")
     given = options.parse_args(arguments)
     try:
-        config = Config.load(given.config or output.default_config("solvers"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "solvers")
         if given.quick or given.full:
             config = config.quick() if given.quick else config.full()
         config = config.choosing(given.sets, given.parts)

@@ -22,9 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure everything; 0, or 2 with a message where the input is wrong."""
     given = output.parser("speed", "Measure what everything costs.").parse_args(arguments)
     try:
-        config = Config.load(given.config or output.default_config("speed"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "speed")
         if given.quick:
             config = config.quick()
         measure(config, given.out, given.json, list(arguments or sys.argv[1:]))

@@ -36,9 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     given = options.parse_args(arguments)
     try:
-        config = Config.load(given.config or output.default_config("sweep"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "sweep")
         if given.quick:
             config = quick(config)
         pool = choose_pool(given.scheduler, given.workers)

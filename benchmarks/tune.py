@@ -178,9 +178,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Search; 0, or 2 with a message where the input is wrong or nothing was found."""
     given = output.parser("tune", "Search for control settings that reach the goals.").parse_args(arguments)
     try:
-        config = Config.load(given.config or output.default_config("tune"))
-        if given.seed is not None:
-            config = config.model_copy(update={"seed": given.seed})
+        config = Config.chosen(given, "tune")
         if given.quick:
             config = config.quick()
         found, finals = search(config)

@@ -14,7 +14,7 @@ from moc_opt.control import Controller
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
 from moc_opt.errors import MocOptError, RobotError, ScenarioError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model import RobotModel
 from moc_opt.scenario_tables import Scenario, TaskTable
 from moc_opt.selfmotion import self_motion
 from moc_opt.sim.faults import Faults
@@ -44,8 +44,7 @@ class Setup:
         """
         self.scenario = scenario
         start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
-        table = scenario.robot
-        self.robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
+        self.robot = scenario.robot.arm()
         self.q_start = self._start_pose(np.random.default_rng(start_seed))
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run

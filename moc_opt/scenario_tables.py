@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field, field_validator, model_validator
 from moc_opt.control import ControlSettings
 from moc_opt.control.guard import GuardSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.model import RobotModel, load_robot
 from moc_opt.settings import Settings
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.settings import PlantSettings
@@ -27,6 +28,14 @@ class RobotTable(Settings):
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(default=None, gt=0.0, le=10.0)
     tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
+
+    def arm(self) -> RobotModel:
+        """A model of it.
+
+        Raises:
+            MocOptError: no such robot, or something is wrong with its files.
+        """
+        return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
 
 class StartTable(Settings):

@@ -136,7 +136,7 @@ def test_the_best_solver_is_shown_with_other_parameters_too() -> None:
 
 def test_the_papers_section_has_a_map_a_task_and_one_replay(seen: solvers_look.Look, tmp_path: Path) -> None:
     traces = {BASELINES[MATCHED]: seen.traces[BASELINE], "MOC, exact": seen.traces["exact"]}
-    robot = look.arm(TRIAL)
+    robot = TRIAL.robot.arm()
     shown = paper_look.Look("circle/0", 12.3, 5, traces, look.trial_map(robot, traces))
     found = {"circle": shown, "spiral": paper_look.Look("spiral/1", 1.0, 5, traces, "no such thing")}
     config: Any = SimpleNamespace(scenario=TRIAL, best="tuned", best_solver="exact")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
+from benchmarks.config import Configuration
 from benchmarks.experiment.procedure import ProcedureJob, ProcedureSettings
 from benchmarks.experiment.trials import BASELINES, Job, seeds, trials
 from moc_opt.errors import ScenarioError, UnknownNameError
@@ -38,7 +38,7 @@ class Swivel(Settings):
     starts: int = Field(15, ge=2)
 
 
-class Config(Settings):
+class Config(Configuration):
     """benchmarks/configs/paper.toml."""
 
     KIND: ClassVar[str] = "configuration:"
@@ -63,10 +63,7 @@ class Config(Settings):
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a task, solver, group or key that does not exist.
         """
-        try:
-            config = cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
+        config = super().load(path)
         config.check()
         return config
 

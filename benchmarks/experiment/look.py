@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 from benchmarks.experiment.config import Config
 from benchmarks.experiment.figures import titles
 from benchmarks.experiment.trials import BASELINES, MATCHED, Outcome
-from benchmarks.look import add_replay, arm, trial_map
+from benchmarks.look import add_replay, trial_map
 from moc_opt.report.courses import read_course
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map import SwivelMap
@@ -61,7 +61,7 @@ def chosen(outcomes: Sequence[Outcome], group: str, solver: str) -> dict[str, tu
 
 def looks(config: Config, outcomes: Sequence[Outcome]) -> dict[str, Look]:
     """Task -> what is to be seen of it."""
-    robot, found = arm(config.scenario), {}
+    robot, found = config.scenario.robot.arm(), {}
     for task, (outcome, gain, of) in chosen(outcomes, config.best, config.best_solver).items():
         names = titles(list(outcome.traces))
         traces = {names[name]: trace for name, trace in outcome.traces.items()}
@@ -125,7 +125,7 @@ def add_section(page: Page, found: Mapping[str, Look], folder: Path, config: Con
     add_replay(
         page,
         folder,
-        arm(config.scenario),
+        config.scenario.robot.arm(),
         pair,
         f"Trial {look.trial}: {' and '.join(pair)}",
         Styles(look.traces),

@@ -76,7 +76,7 @@ def perform(job: ProcedureJob) -> dict[str, Any]:
 
 def _perform(job: ProcedureJob) -> dict[str, Any]:
     scenario, table, task = job.scenario, job.scenario.robot, board_task(job.task)
-    robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
+    robot = table.arm()
     home = robot.state(robot.data.q_home)
     hand_seed, plant_seed, swivel_seed, eye_seed = (
         np.random.SeedSequence(scenario.seed).generate_state(4).tolist()

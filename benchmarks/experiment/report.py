@@ -111,31 +111,30 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
     )
 
 
-def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
-    """Travelling and settled apart."""
+def interval_rows(
+    rows: Sequence[Mapping[str, Any]], group: str, keys: Sequence[str], suffix: str
+) -> list[dict[str, Any]]:
+    """The rows of a group, with the controller's title and each key's value with its interval."""
     names = titles([row["controller"] for row in rows])
-    drawn = [
+    return [
         {
             **row, "controller": names[row["controller"]],
-            **{key: spread(row, f"{key}_change_percent") for key in ("tip", "rcm", "force")},
+            **{key: spread(row, f"{key}{suffix}") for key in keys},
         }
         for row in rows
         if row["group"] == group
     ]  # fmt: skip
+
+
+def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
+    """Travelling and settled apart."""
+    drawn = interval_rows(rows, group, ("tip", "rcm", "force"), "_change_percent")
     return Table(f"Group {group}: while the elbow travels, and once it has settled", PHASE, drawn)
 
 
 def verdict_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
     """The claims of the paper."""
-    names = titles([row["controller"] for row in rows])
-    drawn = [
-        {
-            **row, "controller": names[row["controller"]],
-            **{key: spread(row, f"{key}_percent") for key in ("own", "matched", "damped")},
-        }
-        for row in rows
-        if row["group"] == group
-    ]  # fmt: skip
+    drawn = interval_rows(rows, group, ("own", "matched", "damped"), "_percent")
     return Table(f"Group {group}: do the paper's claims hold?", VERDICT, drawn)
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from benchmarks.experiment.trials import MATCHED, variant
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
-from moc_opt.model import load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.selfmotion import self_motion
 
@@ -31,8 +30,7 @@ class Start:
 
 def starts(trial: Scenario, count: int) -> list[Start]:
     """Evenly spread starts, and one at the largest mu."""
-    table = trial.robot
-    robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
+    robot = trial.robot.arm()
     home = robot.data.q_home if trial.start.q_rad is None else trial.start.q_rad
     curve = self_motion(robot, home)
     found = []

@@ -22,7 +22,6 @@ from moc_opt import scenario
 from moc_opt.control.settings import GAINS
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.metrics import PHASES, summarize
-from moc_opt.model import load_robot
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.tasks.board import board_task
@@ -170,8 +169,7 @@ def _measure_phases(
     outcome: Outcome, job: Job, controller: str, trace: Trace, baselines: Mapping[str, Trace]
 ) -> None:
     """The MOC and each baseline, in the windows of this MOC."""
-    table = job.trial.robot
-    robot = load_robot(table.name, tool_length=table.tool_length_m, tool_mass=table.tool_mass_kg)
+    robot = job.trial.robot.arm()
     flags = travelling(robot, trace.t_s, trace.q_rad)
     for name, run in {controller: trace, **baselines}.items():
         marked = run.with_columns(travelling=flags)

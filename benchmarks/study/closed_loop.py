@@ -16,7 +16,6 @@ from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.metrics import summarize
-from moc_opt.model import load_robot
 from moc_opt.scenario import Scenario
 from moc_opt.trace import Trace
 from moc_opt.travel import travelling
@@ -123,8 +122,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
 
 def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:
     """Errors apart from what an elbow on its way costs; nothing where it never arrives."""
-    robot = load_robot(trial.robot.name, tool_length=trial.robot.tool_length_m, tool_mass=trial.robot.tool_mass_kg)
-    flags = travelling(robot, trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
+    flags = travelling(trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
     found = summarize(trace.with_columns(travelling=flags), phase="settled")
     return {
         **{f"{error}_settled_mean_mm": found[f"{error}_mean_mm"] for error in ERRORS if f"{error}_mean_mm" in found},

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.look import add_replay, arm, trial_map
+from benchmarks.look import add_replay, trial_map
 from benchmarks.study.closed_loop import BASELINE, Run
 from moc_opt.report.courses import read_course
 from moc_opt.report.figures.style import Styles
@@ -51,7 +51,7 @@ class Look:
             add_map(page, self.found, what=f"trial {self.trial}", styles=styles)
         pair = {name: self.traces[name] for name in baseline_and_best(self.traces)}
         add_replay(
-            page, folder, arm(self.scenario), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles
+            page, folder, self.scenario.robot.arm(), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles
         )
 
 
@@ -67,7 +67,7 @@ def look(scenario: Scenario, runs: Sequence[Run]) -> Look | None:
     trial = runs[0].trial
     seen = {run.controller: run.seen for run in runs if run.trial == trial}
     traces = {name: trace for name, trace in seen.items() if trace is not None}
-    return Look(scenario, trial, traces, trial_map(arm(scenario), traces))
+    return Look(scenario, trial, traces, trial_map(scenario.robot.arm(), traces))
 
 
 def baseline_and_best(traces: Mapping[str, Trace]) -> list[str]:

@@ -61,7 +61,7 @@ def summarise(
     if not path.exists():
         raise StoreError(f"{path}: no such file; a sweep that is not finished has none, start it again")
     try:
-        with pq.ParquetFile(path, buffer_size=BUFFER, pre_buffer=False) as data:
+        with _opened(path) as data:
             names = data.schema_arrow.names
             for name in by:
                 if name not in names:
@@ -84,7 +84,7 @@ def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
         most: so many errors; of a sweep whose messages all differ only the first 1000 are told apart.
     """
     counted: Counter[str] = Counter()
-    with pq.ParquetFile(folder / "rows.parquet", buffer_size=BUFFER, pre_buffer=False) as data:
+    with _opened(folder / "rows.parquet") as data:
         for batch in _batches(data, ["error"]):
             for text in batch.column("error").drop_null().to_pylist():
                 counted[text if text in counted or len(counted) < 1000 else "others"] += 1
@@ -98,6 +98,10 @@ def figure_columns(schema: pa.Schema, but: Sequence[str] = ()) -> list[str]:
     names = schema.names
     first = names.index("error") if "error" in names else names.index(SHARED)
     return [name for name in names[first + 1 :] if name not in but and name not in KEYS]
+
+
+def _opened(path: Path) -> pq.ParquetFile:
+    return pq.ParquetFile(path, buffer_size=BUFFER, pre_buffer=False)
 
 
 def _batches(data: pq.ParquetFile, columns: list[str]) -> Iterator[pa.RecordBatch]:
