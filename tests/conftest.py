@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +47,19 @@ def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         for path in stale_kernels(PACKAGE):
             path.unlink(missing_ok=True)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless browser for the module."""
+    from moc_opt.report import export  # late: few tests draw
+    from moc_opt.report.errors import BrowserMissingError
+
+    try:
+        with export.browser() as running:
+            yield running
+    except BrowserMissingError as missing:
+        pytest.skip(str(missing))
 
 
 @pytest.fixture(scope="session")

@@ -22,8 +22,6 @@ from moc_opt.live import LiveError
 from moc_opt.live.history import QUANTITIES
 from moc_opt.live.orders import DCAC
 from moc_opt.live.page import LivePage
-from moc_opt.report import export
-from moc_opt.report.errors import BrowserError
 from moc_opt.scenario import Scenario
 
 pytest.importorskip("viser", reason="the live page needs viser: pip install 'moc-opt[live]'")
@@ -142,16 +140,6 @@ def test_ctrl_c_ends_it_cleanly() -> None:
 
 
 # --- in a browser ---
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A headless browser for the module."""
-    try:
-        with export.browser() as running:
-            yield running
-    except BrowserError as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,8 @@ import pytest
 
 from moc_opt.errors import TraceError
 from moc_opt.model import RobotModel
-from moc_opt.report import export
 from moc_opt.report.document import MAX_BYTES
-from moc_opt.report.errors import BrowserError, ReportError
+from moc_opt.report.errors import ReportError
 from moc_opt.report.replay import Replay, robot_of
 from moc_opt.report.replay.arm import BASE, arm_parts, link_frames
 from moc_opt.report.replay.tracks import FRAMES_IN_ALL, FRAMES_PER_S, velocity_ellipsoids
@@ -196,16 +195,6 @@ def test_saved_traces_are_shown_under_their_files_names(robot: RobotModel, tmp_p
 
 
 # --- in a browser ---
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A headless browser for the module."""
-    try:
-        with export.browser() as running:
-            yield running
-    except BrowserError as missing:
-        pytest.skip(str(missing))
 
 
 class Visit:

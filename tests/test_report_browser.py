@@ -13,22 +13,11 @@ import numpy as np
 import pytest
 
 from moc_opt.report import export, figures
-from moc_opt.report.errors import BrowserMissingError
 from moc_opt.report.export import save_figures
 from moc_opt.report.figures.style import DARK, INK
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Missing, Table
 from moc_opt.trace import Trace
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    """A headless browser for the module."""
-    try:
-        with export.browser() as running:
-            yield running
-    except BrowserMissingError as missing:
-        pytest.skip(str(missing))
 
 
 @pytest.fixture(scope="module")
