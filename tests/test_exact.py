@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import null_space
 from scipy.optimize import linprog
 
 from moc_opt.errors import SolverError
@@ -106,6 +107,69 @@ def test_batch_equals_one_by_one():
         np.testing.assert_array_equal(x, one.x)
         if one.y is not None:
             np.testing.assert_array_equal(y, one.y)
+
+
+@pytest.mark.parametrize(
+    "hold",
+    [
+        lambda solution: solution,
+        lambda solution: solution.x,
+        lambda solution: solution.y,
+        lambda solution: solution.x[1:3],
+        lambda solution: memoryview(solution.y),
+    ],
+    ids=["answer", "x", "y", "view of x", "buffer of y"],
+)
+def test_what_is_held_of_an_answer_is_never_written_again(hold):
+    rng = np.random.default_rng(4)
+    problems = [random_problem(rng) for _ in range(6)]
+    session = Exact().start(problems[0])
+    held, copies = [], []
+    for qp in problems:
+        held.append(hold(session.solve(qp)))
+        copies.append(np.array(held[-1][0] if isinstance(held[-1], tuple) else held[-1]))
+    for kept, copy in zip(held, copies, strict=True):
+        assert np.array_equal(np.array(kept[0] if isinstance(kept, tuple) else kept), copy)
+    for qp in problems:  # and all of them were answers
+        assert qp.residuals(*session.solve(qp)[:2]).verified()
+
+
+def test_an_answer_that_nobody_holds_is_written_again():
+    rng = np.random.default_rng(5)
+    problems = [random_problem(rng) for _ in range(8)]
+    session = Exact().start(problems[0])
+    assert len({id(session.solve(qp)) for qp in problems}) == 2
+    assert len({id(session.solve(qp).x) for qp in problems}) == 2
+
+
+def test_one_session_takes_arms_of_any_size():
+    rng = np.random.default_rng(6)
+    session = Exact().start(random_problem(rng, 7))
+    for n in (7, 9, 9, 6, 8, 7, 7):
+        qp = random_problem(rng, n)
+        solution = session.solve(qp)
+        assert solution.x.shape == (n,)
+        assert qp.residuals(solution.x, solution.y).verified()
+
+
+@pytest.mark.parametrize("n", [8, 9, 10])
+def test_a_wedge_of_joints_that_move_almost_as_one(n):
+    # Their self-motions are all but parallel, and the box leaves a sliver between them: both bounds hold at its tip.
+    rng = np.random.default_rng(n)
+    for _ in range(60):
+        Z, narrow = rng.normal(size=(n - 6, n)), 1e-4
+        Z[:, 1] = 1.3 * Z[:, 0] + narrow * rng.normal(size=n - 6)
+        Z[:, 3] = -0.8 * Z[:, 2] + narrow * rng.normal(size=n - 6)
+        A = null_space(Z).T
+        lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
+        x = 0.5 * (lower + upper) + 0.45 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
+        lower[0], upper[1] = x[0] - 0.3 * narrow, x[1] + 0.2 * narrow
+        qp = NullSpaceQP(A[:3], A[3:], A[:3] @ x, A[3:] @ x, rng.normal(size=n), lower, upper)
+        solution = solve(qp)
+        found = qp.residuals(solution.x, solution.y)
+        assert solution.status is Status.SOLVED
+        assert found.verified()
+        assert found.primal < 1e-13
 
 
 def test_settings_are_checked():

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from sys import getrefcount
 from typing import ClassVar
 
 import numpy as np
@@ -102,8 +103,6 @@ def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArra
 
 
 _SOLVE = Entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
-_SOLVED = Status.SOLVED
-_solution = tuple.__new__  # a NamedTuple's own constructor is written in Python and costs twice as much
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
@@ -128,7 +127,7 @@ class Exact:
 
     def start(self, qp: NullSpaceQP) -> ExactSession:
         """A session; there is nothing to warm up but the compiler."""
-        session = ExactSession(self.tolerance)
+        session = ExactSession(self.tolerance, qp.n)
         session.solve(qp)
         return session
 
@@ -164,18 +163,37 @@ class Exact:
 
 
 class ExactSession:
-    """Keeps nothing between ticks: warm equals cold."""
+    """Keeps nothing between ticks but memory: warm equals cold.
 
-    __slots__ = ("_kernel", "tolerance")
+    An answer that nobody holds any more is written again two calls later: to make and to free two arrays and a
+    tuple costs as much as to solve.
+    """
 
-    def __init__(self, tolerance: float) -> None:
+    __slots__ = ("_kernel", "_last", "_spare", "_unheld", "tolerance")
+
+    def __init__(self, tolerance: float, n: int) -> None:
         self.tolerance = tolerance
         self._kernel = _SOLVE.code
+        self._last, self._spare = _blank(n), _blank(n)
+        self._unheld = self._count()
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
-        x, y = np.empty(qp.n), np.empty(6)
+        entry = self._spare
+        answer, x, y = entry
+        if getrefcount(answer) + getrefcount(x) + getrefcount(y) != self._unheld or len(x) != qp.n:
+            entry = answer, x, y = _blank(qp.n)
+        self._spare, self._last = self._last, entry
         code = self._kernel(qp.row, self.tolerance, x, y)
-        if code == OK:
-            return _solution(Solution, (x, y, _SOLVED, 0))
-        return no_answer(qp.n, _STATUS[code])
+        return answer if code == OK else no_answer(qp.n, _STATUS[code])
+
+    def _count(self) -> int:
+        # The same steps as in `solve`: how many references they take themselves differs between Python versions.
+        entry = self._spare
+        answer, x, y = entry
+        return getrefcount(answer) + getrefcount(x) + getrefcount(y)
+
+
+def _blank(n: int) -> tuple[Solution, Array, Array]:
+    x, y = np.empty(n), np.empty(6)
+    return Solution(x, y, Status.SOLVED, 0), x, y
