@@ -8,8 +8,8 @@ from typing import Any
 
 from numba import bool_, float64, int64
 
-VECTOR, MATRIX, COLUMNS = float64[::1], float64[:, ::1], float64[::1, :]
-"""Contiguous arrays of one and two dimensions; the last one column by column."""
+VECTOR, MATRIX = float64[::1], float64[:, ::1]
+"""Contiguous arrays of one and two dimensions."""
 INDICES, FLAGS = int64[::1], bool_[:, ::1]
 """The same of integers and of truth values."""
 

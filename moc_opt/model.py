@@ -23,8 +23,11 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-_FILL_STATE = Entry(kernels.fill_state, VECTOR, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR)
+_FILL_STATE = Entry(
+    kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
+)
 _TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
+_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -52,7 +55,9 @@ class RobotModel:
         self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
         last = self._pin_data.oMi[n]
         self._last_rotation_t, self._last_origin = last.rotation.T, last.translation
-        self._coriolis = self._side_data.C
+        self._places = _places(self._pin_data, n)
+        self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
+        self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
         self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
         self._moves = self._find_moves()
@@ -70,20 +75,19 @@ class RobotModel:
         Raises:
             RobotError: q or v has the wrong shape or is not finite.
         """
-        n = self.n
-        record = np.empty(self._size)
-        record[:n] = self._vector("q", q)
-        record[n : 2 * n] = self._rest if v is None else self._vector("v", v)
-        position, velocity = record[:n], record[n : 2 * n]
-        model, data = self._pin, self._pin_data
-        pin.computeJointJacobians(model, data, position)
+        position = self._vector("q", q)
+        velocity = self._rest if v is None else self._vector("v", v)
+        model, data, record = self._pin, self._pin_data, np.empty(self._size)
         pin.nonLinearEffects(model, data, position, velocity)
-        pin.crba(model, data, position)
+        pin.crba(model, data, position, pin.Convention.WORLD)  # in the world: axes and places too
         code = self._fill_state(
             record,
+            position,
+            velocity,
             self._axes,
-            self._last_rotation_t,
-            self._last_origin,
+            self._places,
+            self._bodies,
+            self._field,
             self._offsets,
             self._moves,
             self._inertia,
@@ -94,7 +98,7 @@ class RobotModel:
             raise RobotError(
                 f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
             )
-        return RobotState(record, n)
+        return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
         """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it."""
@@ -111,11 +115,6 @@ class RobotModel:
         return np.array(
             pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
         )
-
-    def coriolis_view(self, state: RobotState) -> Array:
-        """C (n,n) at a state, without a copy: the next call of any method of this model may overwrite it."""
-        pin.computeCoriolisMatrix(self._pin, self._side_data, state.q, state.v)
-        return self._coriolis
 
     def gravity(self, q: ArrayLike) -> Array:
         """Gravity torque g (n,) [Nm]."""
@@ -168,8 +167,15 @@ class RobotModel:
         raise RobotError(f"no pose with mu > {mu_min} in 1000 draws: lower mu_min or margin = {margin}")
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
+        if (
+            type(value) is np.ndarray
+            and value.shape == self._shape
+            and value.dtype is _DOUBLE
+            and value.strides == _CLOSE
+        ):
+            return value
         try:
-            array = np.asarray(value, dtype=np.float64)
+            array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise RobotError(f"{name} = {value!r} is not numeric: give {self.n} numbers") from error
         if array.shape != self._shape:
@@ -198,6 +204,28 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     # Always, so that the kernels are compiled for one kind of argument only.
     array.flags.writeable = False
     return array
+
+
+def _places(data: Any, n: int) -> Array:
+    """One view (n, 12) of the joints' places in the world, which pinocchio keeps side by side; see `fill_state`.
+
+    Raises:
+        RobotError: this pinocchio lays them out in another way.
+    """
+    width = 12
+    first, *others = [place.rotation for place in list(data.oMi)[1:]]
+    begin = first.__array_interface__["data"][0]
+    starts = [rotation.__array_interface__["data"][0] for rotation in others]
+    if starts != [begin + 8 * width * i for i in range(1, n)]:
+        raise RobotError(
+            f"pinocchio {pin.__version__} lays its joints out in another way: install the version in constraints.txt"
+        )
+    return np.lib.stride_tricks.as_strided(first.T.reshape(9), (n, width), (8 * width, 8))
+
+
+def _numbers(body: Any) -> list[float]:
+    inertia = body.inertia
+    return [body.mass, *(body.mass * body.lever), *(inertia[i, j] for i in range(3) for j in range(i + 1))]
 
 
 def _build(data: RobotData) -> Any:

@@ -29,18 +29,15 @@ class RobotState:
     `state_views(record, n)`.
     """
 
-    __slots__ = ("_at", "n", "record")
+    __slots__ = ("n", "record")
     record: Array
     n: int
-    _at: dict[str, slice]
 
     def __init__(self, record: Array, n: int) -> None:
         """Wrap a complete record (record_size(n),), which becomes read-only; RobotModel.state makes them."""
         record.setflags(write=False)
-        put = object.__setattr__
-        put(self, "record", record)
-        put(self, "n", n)
-        put(self, "_at", _layout(n))
+        _put_record(self, record)
+        _put_n(self, n)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(
@@ -55,6 +52,10 @@ class RobotState:
 
     def __repr__(self) -> str:
         return f"RobotState(n={self.n}, q={np.round(self.q, 4).tolist()}, mu={self.mu:.4g})"
+
+    @property
+    def _at(self) -> dict[str, slice]:
+        return _layout(self.n)
 
     @property
     def q(self) -> Array:
@@ -130,3 +131,17 @@ class RobotState:
     def h(self) -> Array:
         """C v + g (n,) [Nm]."""
         return self.record[self._at["h"]]
+
+    @property
+    def energy_slope(self) -> Array:
+        """dT/dq = C^T v (n,) [Nm], T the kinetic energy and C Christoffel's Coriolis matrix."""
+        return self.record[self._at["energy_slope"]]
+
+    @property
+    def gravity(self) -> Array:
+        """g (n,) [Nm]: what carries the arm's weight."""
+        return self.record[self._at["gravity"]]
+
+
+# Around our own __setattr__, which refuses everybody else: two are made every tick.
+_put_record, _put_n = vars(RobotState)["record"].__set__, vars(RobotState)["n"].__set__

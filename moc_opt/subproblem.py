@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 TIED = 1e-9  # tip and wrist are rigidly tied when u^T (J_T - J_W) is smaller than this, relative to the largest entry
 LARGEST_WEIGHT = 1e12
 WEIGHTS = ("c0", "c1", "c2", "damping")
+_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
@@ -155,10 +156,11 @@ class NullSpaceQP:
         return self
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != (8,) or row.dtype.char != "d":  # compiled code takes both for granted
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code takes both for granted
             row = np.array(row, dtype=np.float64).ravel()
-        row.flags.writeable = False
-        self.__dict__.update(row=row, n=n)
+        row.setflags(write=False)
+        own = self.__dict__  # around our own __setattr__, which refuses everybody else
+        own["row"], own["n"] = row, n
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(f"NullSpaceQP is frozen: make a new one to change {name}")

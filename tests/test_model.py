@@ -143,8 +143,16 @@ def test_coriolis_and_gravity_make_the_bias(arm: RobotModel) -> None:
         C, g = arm.coriolis(q, v), arm.gravity(q)
         np.testing.assert_allclose(C @ v + g, s.h, atol=1e-11)
         np.testing.assert_allclose(arm.state(q).h, g, atol=1e-12)
+        np.testing.assert_allclose(s.energy_slope, C.T @ v, atol=1e-12)
+        np.testing.assert_allclose(s.gravity, g, atol=1e-12)
         dM = (arm.state(q + STEP * v).M - arm.state(q - STEP * v).M) / (2 * STEP)
         np.testing.assert_allclose(dM, C + C.T, atol=1e-7)
+
+
+def test_the_slope_of_the_kinetic_energy(arm: RobotModel) -> None:
+    for q, v, s in samples(arm, count=3):
+        slope = differences(lambda x: np.array(0.5 * v @ arm.state(x).M @ v), q)  # noqa: B023 - used at once
+        np.testing.assert_allclose(s.energy_slope, slope, atol=1e-7)
 
 
 def test_gravity_is_the_gradient_of_the_potential(arm: RobotModel) -> None:
@@ -226,7 +234,7 @@ def test_the_record_is_what_the_attributes_show(arm: RobotModel) -> None:
     views = kernels.state_views(s.record, s.n)
     assert s.record.shape == (kernels.record_size(s.n),)
     assert sum(np.size(view) for view in views) == s.record.size
-    for name in ("q", "v", "tip", "wrist", "A", "grad_mu", "M", "h"):
+    for name in ("q", "v", "tip", "wrist", "A", "grad_mu", "M", "h", "energy_slope", "gravity"):
         np.testing.assert_array_equal(getattr(views, name), getattr(s, name))
     np.testing.assert_array_equal(views.u, s.tool_direction)
     np.testing.assert_array_equal(views.drift, np.r_[s.drift_tip, s.drift_wrist])

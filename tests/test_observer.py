@@ -123,7 +123,7 @@ def test_one_step_against_numpy(form, robot, regular_poses):
         s, C = robot.state(q, v), robot.coriolis(q, v)
         wanted_integral = integral + (tau + C.T @ v - robot.gravity(q) + r) * PERIOD
         wanted = 25.0 * (s.M @ v - wanted_integral)
-        kernel(s.M, C, s.h, s.v, tau, 25.0, PERIOD, integral, r)
+        kernel(s.M, s.energy_slope, s.gravity, s.v, tau, 25.0, PERIOD, integral, r)
         np.testing.assert_allclose(integral, wanted_integral, rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(r, wanted, rtol=1e-10, atol=1e-9)
 

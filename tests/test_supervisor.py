@@ -189,6 +189,25 @@ def test_what_is_no_solution_at_all_is_a_fault(answer, qp, Z):
     assert not x.any()
 
 
+def test_an_answer_with_gaps_in_memory_is_an_answer(qp, Z):
+    good = solved(qp)
+    wide = np.full((7, 3), 5.0)
+    wide[:, 1] = good.x
+    mine = supervisor()
+    solution, x = mine.solve(Scripted(Solution(wide[:, 1], good.y, Status.SOLVED)), qp, Z)
+    assert mine.fault is Fault.NONE
+    np.testing.assert_array_equal(x, good.x)
+    np.testing.assert_array_equal(solution.x, good.x)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(7))
+def test_what_is_not_finite_is_told_by_nan(bad, place, qp, Z):
+    x = np.zeros(7)
+    x[place] = bad
+    assert np.isnan(answer_residuals(qp.row, 7, Z, x)).all()
+
+
 def test_wrong_duals_do_not_cost_the_answer(qp, Z):
     good = solved(qp)
     mine = supervisor()

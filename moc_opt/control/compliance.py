@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.dense import cholesky, solve_factored
+from moc_opt.control.dense import cholesky, solve_in_place
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,10 @@ Array = NDArray[np.float64]
 @njit(cache=True, nogil=True)
 def compliance_force(K: float, D: float, x_d: Array, dx_d: Array, x: Array, dx: Array) -> Array:
     """Spring and damper between a point and its reference, (3,) [N]; also the law of level 2."""
-    return K * (x_d - x) + D * (dx_d - dx)
+    force = np.empty(3)
+    for i in range(3):
+        force[i] = K * (x_d[i] - x[i]) + D * (dx_d[i] - dx[i])
+    return force
 
 
 @njit(cache=True, nogil=True)
@@ -28,14 +31,14 @@ def task_inertia(J: Array, M_factor: Array) -> tuple[Array, Array]:
     Lambda is the inertia felt at the task (Khatib 1987, eq. 51).
     """
     m, n = J.shape
-    W = np.empty((n, m))
+    columns = J.copy()
     for i in range(m):
-        W[:, i] = solve_factored(M_factor, J[i])
+        solve_in_place(M_factor, columns[i])
     mobility = np.empty((m, m))
     for i in range(m):
-        for j in range(m):
+        for j in range(i + 1):
             s = 0.0
             for k in range(n):
-                s += J[i, k] * W[k, j]
-            mobility[i, j] = s
-    return W, cholesky(mobility)
+                s += J[i, k] * columns[j, k]
+            mobility[i, j] = mobility[j, i] = s
+    return columns.T, cholesky(mobility)

@@ -23,6 +23,7 @@ from moc_opt.subproblem import NullSpaceQP, row_length
 
 Array = NDArray[np.float64]
 
+_DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
 
 _BEFORE_SOLVER = Entry(
     tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, MATRIX, VECTOR, float64, MATRIX, VECTOR,
@@ -99,7 +100,6 @@ class Controller:
         self._rest = np.zeros(robot.n)
         self._before_solver, self._after_solver = _BEFORE_SOLVER.code, _AFTER_SOLVER.code
         self._tracking_torque = _TRACKING_TORQUE.code
-        self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         self._supervisor = Supervisor(settings.supervisor, settings.fallback, robot.n, times_us)
         self._forget()
 
@@ -175,9 +175,11 @@ class Controller:
             raise ControlError(
                 f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
             )
-        # Copies of our own: what is compiled takes their kind of memory for granted.
-        self._tip_ref[:], self._trocar[:] = tip_ref, trocar
-        tip_ref, trocar = self._tip_ref, self._trocar
+        # What is compiled takes kind and order of their memory for granted.
+        if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
+            tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
+        if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
+            trocar = np.ascontiguousarray(trocar, dtype=np.float64)
         robot, record, gains = self.robot, state.record, self._gains
         if self._session is not None:
             tau, row = np.empty(robot.n), np.empty(self._row_length)
@@ -245,5 +247,5 @@ class Controller:
 
 
 def _read_only(array: Array) -> Array:
-    array.flags.writeable = False
+    array.setflags(write=False)
     return array

@@ -19,47 +19,60 @@ def cholesky(S: Array) -> Array:
         for k in range(j):
             d -= L[j, k] * L[j, k]
         L[j, j] = np.sqrt(d) if d > 0.0 else np.nan
+        inverse = 1.0 / L[j, j]
         for i in range(j + 1, m):
             s = S[i, j]
             for k in range(j):
                 s -= L[i, k] * L[j, k]
-            L[i, j] = s / L[j, j]
+            L[i, j] = s * inverse
     return L
+
+
+@njit(cache=True, nogil=True)
+def solve_in_place(L: Array, x: Array) -> None:
+    """x (m,) becomes S^-1 x, given the factor of S. No step waits for a division: they need no x."""
+    m = L.shape[0]
+    for i in range(m):
+        s = x[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s * (1.0 / L[i, i])
+    for i in range(m - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, m):
+            s -= L[k, i] * x[k]
+        x[i] = s * (1.0 / L[i, i])
 
 
 @njit(cache=True, nogil=True)
 def solve_factored(L: Array, b: Array) -> Array:
     """S^-1 b for a vector b (m,), given the factor of S."""
-    m = L.shape[0]
     x = b.copy()
-    for i in range(m):
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(m - 1, -1, -1):
-        for k in range(i + 1, m):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
+    solve_in_place(L, x)
     return x
 
 
 @njit(cache=True, nogil=True)
 def times(A: Array, x: Array) -> Array:
     """A x."""
-    out = np.zeros(A.shape[0])
+    out = np.empty(A.shape[0])
     for i in range(A.shape[0]):
+        s = 0.0
         for j in range(A.shape[1]):
-            out[i] += A[i, j] * x[j]
+            s += A[i, j] * x[j]
+        out[i] = s
     return out
 
 
 @njit(cache=True, nogil=True)
 def transpose_times(A: Array, x: Array) -> Array:
     """A^T x."""
-    out = np.zeros(A.shape[1])
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            out[j] += A[i, j] * x[i]
+    out = np.empty(A.shape[1])
+    for j in range(A.shape[1]):
+        s = 0.0
+        for i in range(A.shape[0]):
+            s += A[i, j] * x[i]
+        out[j] = s
     return out
 
 

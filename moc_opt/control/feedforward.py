@@ -45,17 +45,22 @@ def desired_wrist_acceleration(
 def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
     """A5 (5, n): the tip's rows and the wrist's across u; and the two directions across u, (2, 3)."""
     n = A.shape[1]
-    axis = np.zeros(3)
-    axis[np.argmin(np.abs(u))] = 1.0
+    # The axis that u is least along, so that their cross product is well conditioned.
+    k = 0 if abs(u[0]) <= abs(u[1]) else 1
+    k = k if abs(u[k]) <= abs(u[2]) else 2
+    i, j = (k + 1) % 3, (k + 2) % 3
     across = np.empty((2, 3))
-    across[0] = np.cross(u, axis)
-    across[0] /= np.sqrt(dot(across[0], across[0]))
-    across[1] = np.cross(u, across[0])
+    length = np.sqrt(u[i] * u[i] + u[j] * u[j])
+    across[0, k], across[0, i], across[0, j] = 0.0, u[j] / length, -u[i] / length
+    for c in range(3):
+        d, e = (c + 1) % 3, (c + 2) % 3
+        across[1, c] = u[d] * across[0, e] - u[e] * across[0, d]
     A5 = np.empty((5, n))
-    A5[:3] = A[:3]
-    for i in range(2):
-        for j in range(n):
-            A5[3 + i, j] = across[i, 0] * A[3, j] + across[i, 1] * A[4, j] + across[i, 2] * A[5, j]
+    for c in range(n):
+        for d in range(3):
+            A5[d, c] = A[d, c]
+        for d in range(2):
+            A5[3 + d, c] = across[d, 0] * A[3, c] + across[d, 1] * A[4, c] + across[d, 2] * A[5, c]
     return A5, across
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
+from moc_opt.control.dense import cholesky, dot, gram, solve_factored, solve_in_place, times, transpose_times
 from moc_opt.control.feedforward import independent_rows
 from moc_opt.errors import ControlError
 
@@ -60,7 +60,10 @@ def box_limits(
 @njit(cache=True, nogil=True)
 def consistent_wrist_velocity(v_tip: Array, v_wrist: Array, u: Array) -> Array:
     """v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
-    consistent: Array = v_wrist + dot(u, v_tip - v_wrist) * u
+    gap = dot(u, v_tip) - dot(u, v_wrist)
+    consistent = np.empty(3)
+    for i in range(3):
+        consistent[i] = v_wrist[i] + gap * u[i]
     return consistent
 
 
@@ -72,22 +75,31 @@ def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
     than the kernel does, whatever sign a fresh decomposition would have chosen. The dependent
     wrist row along u is left out. False near a singularity: start again from a decomposition.
     """
-    r = Z.shape[0]
+    r, n = Z.shape
     A5, _ = independent_rows(A, u)
     S = gram(A5)
     factor = cholesky(S)
     for i in range(5):  # also catches NaN
         if not factor[i, i] * factor[i, i] > 1e-9 * S[i, i]:
             return False
+    off = np.empty(5)
     for i in range(r):
         for _ in range(2):  # twice is enough for orthogonality to rounding
-            Z[i] -= transpose_times(A5, solve_factored(factor, times(A5, Z[i])))
+            for k in range(5):
+                off[k] = dot(A5[k], Z[i])
+            solve_in_place(factor, off)
+            for j in range(n):
+                for k in range(5):
+                    Z[i, j] -= A5[k, j] * off[k]
             for k in range(i):
-                Z[i] -= dot(Z[k], Z[i]) * Z[k]
+                along = dot(Z[k], Z[i])
+                for j in range(n):
+                    Z[i, j] -= along * Z[k, j]
             length = np.sqrt(dot(Z[i], Z[i]))
             if not length > 0.5:
                 return False
-            Z[i] /= length
+            for j in range(n):
+                Z[i, j] /= length
     return True
 
 
@@ -105,10 +117,10 @@ def null_space(A: Array, like: Array | None = None) -> Array:
 def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
     """M Z^T (Z M Z^T)^-1 Z push, (n,) [Nm]."""
     r, n = Z.shape
-    MZ = np.empty((r, n))
+    MZ, inertia = np.empty((r, n)), np.empty((r, r))
     for i in range(r):
-        MZ[i] = times(M, Z[i])
-    inertia = np.empty((r, r))
+        for j in range(n):
+            MZ[i, j] = dot(M[j], Z[i])
     for i in range(r):
         for j in range(r):
             inertia[i, j] = dot(Z[i], MZ[j])

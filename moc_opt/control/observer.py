@@ -12,8 +12,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import COLUMNS, VECTOR, Entry
-from moc_opt.control.dense import times, transpose_times
+from moc_opt.compiled import VECTOR, Entry
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.model_kernels import state_views
@@ -24,8 +23,8 @@ Array = NDArray[np.float64]
 @njit(cache=True, nogil=True)
 def momentum_residual(
     M: Array,
-    C: Array,
-    h: Array,
+    energy_slope: Array,
+    gravity: Array,
     v: Array,
     tau: Array,
     gain: float,
@@ -33,27 +32,25 @@ def momentum_residual(
     integral: Array,
     r: Array,
 ) -> None:
-    """One step of the observer, in place on integral (n,) and r (n,).
-
-    C^T v - g is written as C^T v + C v - h, so that gravity needs no call of its own.
-    """
-    p = times(M, v)
-    known = tau + transpose_times(C, v) + times(C, v) - h
+    """One step of the observer, in place on integral (n,) and r (n,); C^T v is the slope of the kinetic energy."""
     for i in range(r.shape[0]):
-        integral[i] += (known[i] + r[i]) * period
-        r[i] = gain * (p[i] - integral[i])
+        p = 0.0
+        for j in range(r.shape[0]):
+            p += M[i, j] * v[j]
+        integral[i] += (tau[i] + energy_slope[i] - gravity[i] + r[i]) * period
+        r[i] = gain * (p - integral[i])
 
 
 @njit(cache=True, nogil=True)
 def observe(
-    record: Array, n: int, C: Array, tau: Array, gain: float, period: float, integral: Array, r: Array
+    record: Array, n: int, tau: Array, gain: float, period: float, integral: Array, r: Array
 ) -> None:
     """``momentum_residual`` on a flat state record."""
     s = state_views(record, n)
-    momentum_residual(s.M, C, s.h, s.v, tau, gain, period, integral, r)
+    momentum_residual(s.M, s.energy_slope, s.gravity, s.v, tau, gain, period, integral, r)
 
 
-_OBSERVE = Entry(observe, VECTOR, int64, COLUMNS, VECTOR, float64, float64, VECTOR, VECTOR)
+_OBSERVE = Entry(observe, VECTOR, int64, VECTOR, float64, float64, VECTOR, VECTOR)
 
 
 class MomentumObserver:
@@ -81,6 +78,5 @@ class MomentumObserver:
 
     def update(self, state: RobotState, tau: Array) -> Array:
         """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
-        C = self._robot.coriolis_view(state)
-        self._observe(state.record, state.n, C, tau, self._gain, self._period, self._integral, self.external_torque)
+        self._observe(state.record, state.n, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

@@ -26,12 +26,17 @@ def desired_wrist(
 
     dN_d = dX + L de/dt,  de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
     """
-    to_trocar = trocar - tip
-    distance = np.sqrt(dot(to_trocar, to_trocar))
-    e = to_trocar / distance
-    slip = trocar_velocity - tip_velocity
-    turn = (slip - dot(e, slip) * e) / distance
-    return tip + span * e, tip_velocity + span * turn
+    e, slip, square = np.empty(3), np.empty(3), 0.0
+    for i in range(3):
+        e[i], slip[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
+        square += e[i] * e[i]
+    distance = np.sqrt(square)
+    along = dot(e, slip) / square
+    wrist, velocity = np.empty(3), np.empty(3)
+    for i in range(3):
+        wrist[i] = tip[i] + span * e[i] / distance
+        velocity[i] = tip_velocity[i] + span * (slip[i] - along * e[i]) / distance
+    return wrist, velocity
 
 
 @njit(cache=True, nogil=True)

@@ -14,10 +14,11 @@ from time import perf_counter_ns
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit
+from numba import int64, njit
 from numpy.typing import NDArray
 from pydantic import Field
 
+from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.control.dense import dot
 from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError
@@ -91,10 +92,12 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     clip(-c2 g / rho). Where the elbow swivel is the only freedom this line is the whole feasible set.
 
     Returns:
-        |A x - b|_inf; box violation; natural residual along the line with the cost divided by
-        c2 |grad_mu|_inf and the best duals (``moc_opt.optimality``'s, where the line is all there is);
-        distance from the optimum and from the opposite optimum [rad/s].
+        |A x - b|_inf, NaN where x is not finite; box violation; natural residual along the line with the cost
+        divided by c2 |grad_mu|_inf and the best duals (``moc_opt.optimality``'s, where the line is all there
+        is); distance from the optimum and from the opposite optimum [rad/s].
     """
+    if not all_finite(x):
+        return np.nan, np.nan, np.nan, np.nan, np.nan
     o = 6 * n
     grad_mu = row[o + 6 : o + 6 + n]
     lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
@@ -137,15 +140,28 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     return primal, outside, min(abs(slope) / total, room), abs(best), abs(worst)
 
 
+_RESIDUALS = Entry(answer_residuals, VECTOR, int64, MATRIX, VECTOR)
+_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+_SOLVED, _NO_FAULT = Status.SOLVED, Fault.NONE
+
+
 def well_formed(solution: object, n: int) -> Solution:
-    """The answer as it is, or one without an x where a solver hands back something else than a Solution."""
+    """The answer as it is, or one without an x where a solver hands back something else than a Solution.
+
+    The x of the result is an array (n,) of float64, without gaps in memory.
+    """
     if not isinstance(solution, Solution) or not isinstance(solution.status, Status):
         return no_answer(n, Status.NUMERICAL)
     x, y, status, iterations = solution
-    right = isinstance(x, np.ndarray) and x.shape == (n,) and x.dtype == np.float64
-    if right and (y is None or (isinstance(y, np.ndarray) and y.shape == (6,))) and type(iterations) is int:
+    right = isinstance(x, np.ndarray) and x.shape == (n,) and x.dtype == _DOUBLE
+    if (
+        right
+        and x.strides == _CLOSE
+        and (y is None or (isinstance(y, np.ndarray) and y.shape == (6,)))
+        and type(iterations) is int
+    ):
         return solution
-    x = x if right else np.full(n, np.nan)
+    x = np.array(x) if right else np.full(n, np.nan)
     y = y if isinstance(y, np.ndarray) and y.shape == (6,) else None
     return Solution(x, y, status, iterations if isinstance(iterations, int) else 0)
 
@@ -168,6 +184,13 @@ class Supervisor:
     ) -> None:
         self.settings, self._fallback, self._times = settings, fallback, times_us
         self._rest = np.zeros(n)
+        self._residuals = _RESIDUALS.code
+        # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
+        self._check, self._stop_late = settings.check, settings.late == "iterate"
+        self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
+        self._limits = (
+            settings.box_limit, settings.primal_limit, settings.relative_limit, settings.opposite_limit
+        )  # fmt: skip
         self.forget()
 
     def forget(self) -> None:
@@ -178,7 +201,6 @@ class Supervisor:
 
     def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
         """Run what is compiled, so that no compiler runs in the loop."""
-        answer_residuals(qp.row, qp.n, Z, self._rest)
         if self._fallback == "least-violation":
             self._least_violation(qp)
         self._retreat(qp, Z)
@@ -199,38 +221,40 @@ class Supervisor:
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
         solution = well_formed(solution, qp.n)
-        if self.settings.late == "iterate" and self._late:
+        if self._stop_late and self._late:
             solution = well_formed(self._stopped(session, qp, solution), qp.n)
         self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
-        if self.fault is Fault.NONE:
+        if self.fault is _NO_FAULT:
             # A copy: the solver may write its next answer, or none, into the same memory.
-            self._good, self._age = np.array(solution.x), 0
+            self._good, self._age = solution.x.copy(), 0
             return solution, self._good
         self.counts[self.fault.label] += 1
         return solution, self._replace(solution, qp, Z)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
-        settings, status = self.settings, solution.status
-        if status is Status.INFEASIBLE:
-            return Fault.INFEASIBLE
-        if status not in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
-            return Fault.FAILED
-        if not all_finite(solution.x):
+        status = solution.status
+        if status is not _SOLVED:
+            if status is Status.INFEASIBLE:
+                return Fault.INFEASIBLE
+            if status is not Status.MAX_ITER and status is not Status.TIME_LIMIT:
+                return Fault.FAILED
+        primal, outside, relative, off, opposite = self._residuals(qp.row, qp.n, Z, solution.x)
+        if primal != primal:
             return Fault.NOT_FINITE
-        if settings.check:
-            primal, outside, relative, off, opposite = answer_residuals(qp.row, qp.n, Z, solution.x)
-            if status is not Status.SOLVED:
-                if outside > settings.box_limit:
+        if self._check:
+            box, claim, natural, turned = self._limits
+            if status is not _SOLVED:
+                if outside > box:
                     return Fault.OUTSIDE
-            elif max(primal, outside) > settings.primal_limit:
+            elif primal > claim or outside > claim:
                 return Fault.OUTSIDE
-            elif relative > settings.relative_limit or (off > settings.opposite_limit and opposite < off):
+            elif relative > natural or (off > turned and opposite < off):
                 return Fault.LIED
-        return Fault.LATE if self._late else Fault.NONE
+        return Fault.LATE if self._late else _NO_FAULT
 
     @property
     def _late(self) -> bool:
-        return self.settings.budget_us is not None and self.solve_us > self.settings.budget_us
+        return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
         """What the solver has when its budget ends: its iterations are taken to last equally long.
@@ -239,7 +263,7 @@ class Supervisor:
         """
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:
             return solution
-        share = (self.settings.budget_us or 0.0) / self.solve_us
+        share = self._budget_us / self.solve_us
         try:
             return session.truncated(qp, max(1, int(share * solution.iterations)))
         except Exception:  # noqa: BLE001 - as in solve

@@ -16,7 +16,7 @@ from moc_opt.control.manipulability import (
     velocity_damper,
 )
 from moc_opt.control.rcm import desired_wrist, project_dynamic, project_printed, project_static
-from moc_opt.model_kernels import state_views
+from moc_opt.model_kernels import StateViews, state_views
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,13 @@ def tracking_torque(
         projector: DYNAMIC, STATIC or PRINTED.
         feedforward: add the accelerations of tip and desired wrist.
     """
-    s = state_views(record, n)
+    return _tracking(state_views(record, n), tip_ref, trocar, gains, projector, feedforward)
+
+
+@njit(cache=True, nogil=True)
+def _tracking(
+    s: StateViews, tip_ref: Array, trocar: Array, gains: Array, projector: int, feedforward: bool
+) -> Array:
     J_tip, J_wrist = s.A[:3], s.A[3:]
     tip_velocity, wrist_velocity = times(J_tip, s.v), times(J_wrist, s.v)
     M_factor = cholesky(s.M)
@@ -70,16 +76,25 @@ def fill_subproblem(
     v_T = dX_d, and v_W is the velocity of the desired wrist for that tip velocity, made
     consistent with the rigid tool. ``limits`` (3, n) rows q_min, q_max, v_max.
     """
-    s = state_views(record, n)
+    _fill(state_views(record, n), tip_ref, trocar, limits, weights, k0, row)
+
+
+@njit(cache=True, nogil=True)
+def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array) -> None:
+    n = s.q.shape[0]
     o = 6 * n
     for i in range(6):
         for j in range(n):
             row[i * n + j] = s.A[i, j]
     v_tip = tip_ref[1]
     _, v_wrist = desired_wrist(s.tip, v_tip, trocar[0], trocar[1], s.scalars[1])
-    row[o : o + 3] = v_tip
-    row[o + 3 : o + 6] = consistent_wrist_velocity(v_tip, v_wrist, s.u)
-    row[o + 6 : o + 6 + n] = s.grad_mu
+    consistent = consistent_wrist_velocity(v_tip, v_wrist, s.u)
+    for i in range(3):
+        row[o + i], row[o + 3 + i] = v_tip[i], consistent[i]
+    for i in range(n):
+        row[o + 6 + i], row[o + 10 + 3 * n + i] = s.grad_mu[i], s.q[i]
+    for i in range(4):
+        row[o + 6 + 3 * n + i] = weights[i]
     velocity_damper(
         s.q,
         limits[0],
@@ -89,8 +104,6 @@ def fill_subproblem(
         row[o + 6 + n : o + 6 + 2 * n],
         row[o + 6 + 2 * n : o + 6 + 3 * n],
     )
-    row[o + 6 + 3 * n : o + 10 + 3 * n] = weights
-    row[o + 10 + 3 * n :] = s.q
 
 
 @njit(cache=True, nogil=True)
@@ -123,8 +136,10 @@ def before_solver(
     Z (r, n) follows. Returns False where Z could not follow.
     """
     s = state_views(record, n)
-    tau[:] = tracking_torque(record, n, tip_ref, trocar, gains, projector, feedforward)
-    fill_subproblem(record, n, tip_ref, trocar, limits, weights, k0, row)
+    found = _tracking(s, tip_ref, trocar, gains, projector, feedforward)
+    for i in range(n):
+        tau[i] = found[i]
+    _fill(s, tip_ref, trocar, limits, weights, k0, row)
     return follow_null_space(s.A, s.u, Z)
 
 

@@ -8,8 +8,9 @@ the active joints (Goodnight, The American Statistician 33, 1979): row p then sa
 joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
-All numbers lie in one array M, a row of n each: views into it would cost more than the arithmetic on them. Below the
-rows that are named here come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
+All numbers lie in one array M: views into it would cost more than the arithmetic on them. A row has n numbers and
+zeros up to m, a multiple of four, so that four can be taken at a time without a rest. Below the rows that are named
+here come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
 """
 
 from __future__ import annotations
@@ -32,86 +33,89 @@ SIZE, INVERSE = 6, 7  # the diagonal of Pi; 1 / |z|^2 of every row z of the basi
 STEP, BEFORE = 8, 9  # scratch for one kernel; what is kept over calls of several
 PI = 10
 
+FAST = {"reassoc", "contract", "nsz"}  # sums in any order, products added at once; NaN and infinity keep their meaning
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def orthogonalise(M: Array, n: int, r: int) -> None:
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
     """Gram-Schmidt on the r rows of the basis, without making them unit vectors."""
     Z = PI + n
     for c in range(r):
         square = 0.0
-        for j in range(n):
+        for j in range(m):
             square += M[Z + c, j] * M[Z + c, j]
         M[INVERSE, c] = 1.0 / square
         for b in range(Z + c + 1, Z + r):
             along = 0.0
-            for j in range(n):
+            for j in range(m):
                 along += M[b, j] * M[Z + c, j]
             along *= M[INVERSE, c]
-            for j in range(n):
+            for j in range(m):
                 M[b, j] -= along * M[Z + c, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def projector(M: Array, n: int, r: int) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def projector(M: Array, n: int, m: int, r: int) -> None:
     """Pi = sum of z z^T / |z|^2 over the basis, not swept."""
     Z = PI + n
     for i in range(n):
-        for j in range(n):
-            M[PI + i, j] = 0.0
-        for c in range(r):
+        scale = M[Z, i] * M[INVERSE, 0]
+        for j in range(m):
+            M[PI + i, j] = scale * M[Z, j]
+        for c in range(1, r):
             scale = M[Z + c, i] * M[INVERSE, c]
-            for j in range(n):
+            for j in range(m):
                 M[PI + i, j] += scale * M[Z + c, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def sweep(M: Array, n: int, p: int, sign: float) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def sweep(M: Array, n: int, m: int, p: int, sign: float) -> None:
     """Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1)."""
     inverse = 1.0 / M[PI + p, p]
-    for j in range(n):
+    for j in range(m):
         M[STEP, j] = M[PI + p, j]
     for i in range(n):
         scale = M[STEP, i] * inverse
-        for j in range(n):
+        for j in range(m):
             M[PI + i, j] -= scale * M[STEP, j]
     for j in range(n):
         M[PI + p, j] = M[PI + j, p] = sign * inverse * M[STEP, j]
     M[PI + p, p] = -inverse
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def settle(M: Array, n: int, r: int) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def settle(M: Array, n: int, m: int, r: int) -> None:
     """Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds."""
     Z = PI + n
-    for j in range(n):
+    for j in range(m):
         M[STEP, j] = 0.0
     for c in range(r):
         along = 0.0
-        for j in range(n):
+        for j in range(m):
             along += M[Z + c, j] * M[S, j]
         along *= M[INVERSE, c]
-        for j in range(n):
+        for j in range(m):
             M[STEP, j] += along * M[Z + c, j]
-    for j in range(n):
+    for j in range(m):
         M[S, j] = M[STEP, j]
     for a in range(n):
         if M[SIDE, a] != 0.0:
             bound = M[LOW, a] if M[SIDE, a] > 0.0 else M[HIGH, a]
             gap = bound - M[STEP, a]
-            for j in range(n):
+            for j in range(m):
                 M[S, j] += gap * (1.0 - abs(M[SIDE, j])) * M[PI + a, j]
             M[S, a] = bound
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def project(M: Array, n: int, r: int, tolerance: float) -> int:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+def project(M: Array, n: int, m: int, r: int, tolerance: float) -> int:
     """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi, which is not swept yet.
 
     Afterwards s - s_start = Pi FORCE; FORCE is above zero at a lower bound, below at an upper one, zero elsewhere.
     Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
     """
     count = 0
-    for j in range(n):
+    for j in range(m):
         M[FORCE, j] = M[SIDE, j] = 0.0
     for _ in range(20 * n):
         p, worst = -1, tolerance
@@ -121,7 +125,7 @@ def project(M: Array, n: int, r: int, tolerance: float) -> int:
             p = j if beyond > worst else p
             worst = beyond if beyond > worst else worst
         if p < 0:
-            settle(M, n, r)
+            settle(M, n, m, r)
             return OK
         side = 1.0 if M[S, p] < M[LOW, p] else -1.0
         bound = M[LOW, p] if side > 0.0 else M[HIGH, p]
@@ -141,23 +145,23 @@ def project(M: Array, n: int, r: int, tolerance: float) -> int:
                 return EMPTY
             length = side * min(step, full)
             move = length if full < np.inf else 0.0
-            for j in range(n):
+            for j in range(m):
                 active = abs(M[SIDE, j])
                 M[FORCE, j] -= length * active * M[PI + p, j]
                 M[S, j] += move * (1.0 - active) * M[PI + p, j]
             M[FORCE, p] += length
             if full <= step:
-                sweep(M, n, p, 1.0)
+                sweep(M, n, m, p, 1.0)
                 M[S, p], M[SIDE, p] = bound, side
                 count += 1
                 break
             M[FORCE, drop] = M[SIDE, drop] = 0.0
             count -= 1
-            sweep(M, n, drop, -1.0)
+            sweep(M, n, m, drop, -1.0)
     return STUCK
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
 def maximise_over_box(
     W: Array, n: int, rank: int, order: Indices, r: int, row: Array, x: Array, w: int
 ) -> int:
@@ -171,17 +175,18 @@ def maximise_over_box(
     """
     g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
     c2, rho = row[9 * n + 8], row[9 * n + 9]
-    M, Z = np.empty((PI + n + r, n)), PI + n
+    m = (n + 3) // 4 * 4
+    M, Z = np.empty((PI + n + r, m)), PI + n
     for c in range(r):
         free = order[rank + c]
-        for j in range(n):
+        for j in range(m):
             M[Z + c, j] = 0.0
         M[Z + c, free] = 1.0
         for k in range(rank):
             M[Z + c, order[k]] = -W[6 * free + k]
-    orthogonalise(M, n, r)
-    projector(M, n, r)
-    for j in range(n):
+    orthogonalise(M, n, m, r)
+    projector(M, n, m, r)
+    for j in range(m):
         M[BEFORE, j] = M[PULL, j] = M[S, j] = 0.0
     for c in range(r):
         along, uphill = 0.0, 0.0
@@ -189,7 +194,7 @@ def maximise_over_box(
             along += M[Z + c, j] * x[j]
             uphill += M[Z + c, j] * row[g + j]
         along, uphill = M[INVERSE, c] * along, c2 * M[INVERSE, c] * uphill
-        for j in range(n):
+        for j in range(m):
             M[BEFORE, j] += along * M[Z + c, j]
             M[PULL, j] += uphill * M[Z + c, j]
     largest, width = 0.0, 0.0
@@ -206,9 +211,9 @@ def maximise_over_box(
     if rho > 0.0 and largest <= FAR * width * rho:
         for j in range(n):
             M[S, j] = M[PULL, j] / rho
-        status = project(M, n, r, small)
+        status = project(M, n, m, r, small)
     else:
-        status = project(M, n, r, small)
+        status = project(M, n, m, r, small)
         weight = 0.0
         base = 10.0 * max(width, 1e-6) / largest if largest > 0.0 else 0.0
         # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
@@ -221,8 +226,8 @@ def maximise_over_box(
                 for j in range(n):
                     M[BEFORE, j] = M[S, j]
                     M[S, j] = (M[S, j] + step * M[PULL, j]) / (1.0 + rho * step)
-                projector(M, n, r)
-                status = project(M, n, r, small * max(1.0, 1e-3 * scale))
+                projector(M, n, m, r)
+                status = project(M, n, m, r, small * max(1.0, 1e-3 * scale))
                 weight = rho + 1.0 / step
                 moved = 0.0
                 for j in range(n):
