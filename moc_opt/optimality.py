@@ -23,6 +23,7 @@ RANK_TOLERANCE = 1e-12  # singular values of A below this fraction of the larges
 # Singular values that may be divided by to bring x onto A x = b: near a straight elbow the smallest would
 # blow a residual of rounding size up to a rad/s.
 PROJECTION_TOLERANCE = 1e-6
+A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
 
 
 class Residuals(NamedTuple):
@@ -189,5 +190,5 @@ def _self_motion_loss(problem: Problem, x: Array, Z: Array, slack: Array) -> Arr
     middle = 0.5 * (low + high)
     best = np.where(slope == 0.0, 0.0, np.clip(free, np.minimum(low, middle), np.maximum(high, middle)))
     room = np.maximum(np.abs(high - best), np.abs(best - low))
-    loss = np.where(room > 1e-12, np.abs(best) / np.where(room > 1e-12, room, 1.0), 0.0)
+    loss = np.where(room > A_POINT, np.abs(best) / np.where(room > A_POINT, room, 1.0), 0.0)
     return np.where(high < low - 1e-6, 1.0, np.minimum(loss, 1.0))

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 
+from benchmarks.speeds.solve import random_problems
 from moc_opt.errors import SolverError
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.subproblem import NullSpaceQP, judge
 from tests.problems import infeasible_problem, random_problem
 
 
@@ -63,6 +64,18 @@ def test_infeasible_agrees_with_highs():
         assert np.isnan(solution.x).all() == (solution.status is Status.INFEASIBLE)
         verdicts.append(solution.status)
     assert len(set(verdicts)) == 2
+
+
+@pytest.mark.parametrize("n", [7, 8, 9, 12])
+def test_thousands_of_arms_without_structure(n):
+    # At a vertex the self-motion that raises mu has no room: what rounding leaves of it must not count as a loss.
+    rows = np.array([qp.row for qp in random_problems(n, 3000, np.random.default_rng(1))])
+    x, y, status = Exact().solve_batch(rows)
+    assert set(status) == {Status.SOLVED}
+    found = judge(rows, x, y)
+    assert found.verified().all()
+    assert found.primal.max() < 1e-13
+    assert found.natural.max() < 1e-13
 
 
 def test_inconsistent_references_are_infeasible():

@@ -23,9 +23,11 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 OK, EMPTY, STUCK = 0, 1, 2
+NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
 UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of length one: below it, it does not
-DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by the active joints, joint j cannot be pushed
+DELICATE = 1e-6  # of Pi[j, j]: after pushing a joint with less than that left by the active ones, rounding shows
+DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
 
 S, LOW, HIGH, PULL = 0, 1, 2, 3  # s and its bounds [rad/s]; c2 Pi g
 SIDE, FORCE = 4, 5  # +1 at an active lower bound, -1 at an upper one, 0 elsewhere; multiplier of that bound
@@ -108,10 +110,11 @@ def settle(M: Array, n: int, m: int, r: int) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def project(M: Array, n: int, m: int, r: int, tolerance: float) -> int:
+def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> int:
     """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi, which is not swept yet.
 
     Afterwards s - s_start = Pi FORCE; FORCE is above zero at a lower bound, below at an upper one, zero elsewhere.
+    Where the start is ``far``, the rounding of the way is taken out at the end.
     Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
     """
     count = 0
@@ -125,7 +128,8 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float) -> int:
             p = j if beyond > worst else p
             worst = beyond if beyond > worst else worst
         if p < 0:
-            settle(M, n, m, r)
+            if far:
+                settle(M, n, m, r)
             return OK
         side = 1.0 if M[S, p] < M[LOW, p] else -1.0
         bound = M[LOW, p] if side > 0.0 else M[HIGH, p]
@@ -151,6 +155,7 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float) -> int:
                 M[S, j] += move * (1.0 - active) * M[PI + p, j]
             M[FORCE, p] += length
             if full <= step:
+                far |= gives < DELICATE * M[SIZE, p]
                 sweep(M, n, m, p, 1.0)
                 M[S, p], M[SIDE, p] = bound, side
                 count += 1
@@ -211,9 +216,9 @@ def maximise_over_box(
     if rho > 0.0 and largest <= FAR * width * rho:
         for j in range(n):
             M[S, j] = M[PULL, j] / rho
-        status = project(M, n, m, r, small)
+        status = project(M, n, m, r, small, largest > NEAR * width * rho)
     else:
-        status = project(M, n, m, r, small)
+        status = project(M, n, m, r, small, True)
         weight = 0.0
         base = 10.0 * max(width, 1e-6) / largest if largest > 0.0 else 0.0
         # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
@@ -227,7 +232,7 @@ def maximise_over_box(
                     M[BEFORE, j] = M[S, j]
                     M[S, j] = (M[S, j] + step * M[PULL, j]) / (1.0 + rho * step)
                 projector(M, n, m, r)
-                status = project(M, n, m, r, small * max(1.0, 1e-3 * scale))
+                status = project(M, n, m, r, small * max(1.0, 1e-3 * scale), True)
                 weight = rho + 1.0 / step
                 moved = 0.0
                 for j in range(n):
