@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
+from moc_opt.state import RobotState
 from moc_opt.subproblem import row_length
 
 Array = NDArray[np.float64]
@@ -19,8 +20,12 @@ class Driver:
 
     def __init__(self, controller: Controller) -> None:
         self.controller, self._robot = controller, controller.robot
-        self.tip: Array = np.zeros(3)
-        """Where the last tick saw the tip (3,) [m]."""
+        self._state: RobotState | None = None
+
+    @property
+    def tip(self) -> Array:
+        """Where the last tick saw the tip (3,) [m]; zero before the first one."""
+        return np.zeros(3) if self._state is None else self._state.tip
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """See ``sim.loop.Brain``; one tick is run for nothing, so that no compiler runs in the loop."""
@@ -31,8 +36,7 @@ class Driver:
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """See ``sim.loop.Brain``."""
-        state = self._robot.state(q, v)
-        self.tip = state.tip
+        self._state = state = self._robot.state(q, v)
         return self.controller.tick(state, tip_ref, trocar)
 
     def sent(self, tau: Array) -> None:

@@ -28,6 +28,7 @@ _FILL_STATE = Entry(
 )
 _TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+_bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -78,8 +79,8 @@ class RobotModel:
         position = self._vector("q", q)
         velocity = self._rest if v is None else self._vector("v", v)
         model, data, record = self._pin, self._pin_data, np.empty(self._size)
-        pin.nonLinearEffects(model, data, position, velocity)
-        pin.crba(model, data, position, pin.Convention.WORLD)  # in the world: axes and places too
+        _bias_forces(model, data, position, velocity)
+        _inertia(model, data, position, _IN_THE_WORLD)  # there, axes and places come with it
         code = self._fill_state(
             record,
             position,

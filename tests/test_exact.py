@@ -66,7 +66,7 @@ def test_infeasible_agrees_with_highs():
     assert len(set(verdicts)) == 2
 
 
-@pytest.mark.parametrize("n", [7, 8, 9, 12])
+@pytest.mark.parametrize("n", [7, 8, 9])
 def test_thousands_of_arms_without_structure(n):
     # At a vertex the self-motion that raises mu has no room: what rounding leaves of it must not count as a loss.
     rows = np.array([qp.row for qp in random_problems(n, 3000, np.random.default_rng(1))])

@@ -145,7 +145,8 @@ class Controller:
         if self._observer is not None:
             self._observer.start(state)
         if self.solver is not None:
-            qp = self._build(state, tip_ref, trocar)
+            references = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
+            qp = self._build(state, *references)
             reason = self.solver.supports(qp)
             if reason is not None:
                 raise ControlError(f"solver {self.solver.name!r} cannot run in this controller: {reason}")
@@ -211,7 +212,8 @@ class Controller:
             x, pull, damping = self._rest, self._dcac_damping, 0.0
         disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
         self._after_solver(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
-        self._tau = _read_only(tau)
+        tau.setflags(write=False)
+        self._tau = tau
         return tau
 
     def sent(self, tau: Array) -> None:
