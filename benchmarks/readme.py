@@ -1,6 +1,8 @@
-"""The figures of the README, from results: python -m benchmarks.readme [--solvers DIR] [--paper DIR] [--readme FILE].
+"""The figures of the README, from results.
 
-What stands between ``<!-- solvers -->`` and ``<!-- /solvers -->`` is written anew, and the same with ``paper``.
+python -m benchmarks.readme [--solvers DIR] [--paper DIR] [--speed DIR] [--readme FILE]
+
+What stands between ``<!-- solvers -->`` and ``<!-- /solvers -->`` is written anew, and the same with the others.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.output import write_atomically
+from benchmarks.speeds.goals import GOALS
 from benchmarks.study.closed_loop import BASELINE
 from moc_opt.errors import MocOptError
 
@@ -51,7 +54,6 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
             counts = [f"{given['verified_solved']}/{given['solves']}", str(given["silently_wrong"])]
             figures = [*_figures(given, OPEN), *_figures(closed.get(name, {}), CLOSED)]
             lines.append(_row([f"`{name}`{star}", *counts, *figures]))
-    machine = environment["machine"]
     wrong = {
         name.removesuffix("@default"): row["silently_wrong"]
         for name, row in summary.get("testsets", {}).items()
@@ -59,9 +61,8 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
     }
     listed = ", ".join(f"{name} {count}" for name, count in sorted(wrong.items(), key=lambda item: -item[1]))
     asked = max((row["solves"] for row in summary.get("testsets", {}).values()), default=0)
-    where = f"{machine['cores']} cores, {machine['processor']}, one thread, load {machine['load_1min']:.1f}"
     return f"""\
-`python -m benchmarks.solvers` ({where}, Python {machine['python']}, seed {environment['seed']}): on the left
+`python -m benchmarks.solvers` ({_where(environment)}): on the left
 a 500 Hz sequence of recorded subproblems solved warm, on the right the same trials in the realistic plant.
 
 {chr(10).join(lines)}
@@ -85,6 +86,30 @@ def paper_section(summary: Summary, environment: Summary) -> str:
     return f"`python -m benchmarks.paper` (seed {environment['seed']}), preset `tuned`:\n\n" + "\n".join(lines)
 
 
+def speed_section(summary: Summary, environment: Summary) -> str:
+    """What everything costs beside what was wanted, and the ticks of others in the same run."""
+    lines = [_row(["", "measured", "wanted"]), "|---|---|---|"]
+    for goal in (summary["goals"][key] for key in GOALS if key in summary["goals"]):
+        unit = f" [{goal['unit']}]" if goal["unit"] else ""
+        found = "not measured" if goal["value"] is None else f"{goal['value']:.3g}"
+        mark = " (not reached)" if goal["reached"] == "no" else ""
+        lines.append(_row([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"]))
+    own = _medians(summary["tick"])
+    others = _medians({f"{name} ({row['level']})": row for name, row in summary["peers"].items()})
+    return f"""\
+`python -m benchmarks.speed` ({_where(environment)}), all in one run:
+
+{chr(10).join(lines)}
+
+Median of our tick by solver, and in C [us]: {own}.
+Median of other libraries' ticks at the same job [us]: {others or "none is installed"}."""
+
+
+def _medians(rows: Mapping[str, Mapping[str, float]]) -> str:
+    ordered = sorted(rows.items(), key=lambda item: item[1]["tick_p50_us"])
+    return ", ".join(f"{name} {row['tick_p50_us']:.1f}" for name, row in ordered)
+
+
 def filled(readme: str, name: str, text: str) -> str:
     """The README with a section replaced.
 
@@ -102,9 +127,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = argparse.ArgumentParser(prog="python -m benchmarks.readme", description=__doc__)
     options.add_argument("--solvers", type=Path, help="results of benchmarks.solvers")
     options.add_argument("--paper", type=Path, help="results of benchmarks.paper")
+    options.add_argument("--speed", type=Path, help="results of benchmarks.speed")
     options.add_argument("--readme", type=Path, default=Path("README.md"))
     given = options.parse_args(arguments)
-    makers = {"solvers": solvers_section, "paper": paper_section}
+    makers = {"solvers": solvers_section, "paper": paper_section, "speed": speed_section}
     try:
         text = given.readme.read_text(encoding="utf-8")
         for name, make in makers.items():
@@ -117,6 +143,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def _where(environment: Summary) -> str:
+    machine = environment["machine"]
+    what = f"{machine['cores']} cores, {machine['processor']}, one thread, load {machine['load_1min']:.1f}"
+    return f"{what}, Python {machine['python']}, seed {environment['seed']}"
 
 
 def _read(path: Path) -> Summary:

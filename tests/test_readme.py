@@ -9,7 +9,8 @@ import pytest
 
 from benchmarks import readme
 
-README = "before\n<!-- solvers -->\nold\n<!-- /solvers -->\nbetween\n<!-- paper -->\nold\n<!-- /paper -->\nafter\n"
+NAMES = ("solvers", "paper", "speed")
+README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
 MACHINE = {"cores": 2, "processor": "a processor", "python": "3.11", "load_1min": 0.4}
 OPEN = {
     "verified_solved": 9, "solves": 10, "silently_wrong": 1, "primal_max": 2e-9, "loss_max": 0.3, "solve_p50_us": 1.74,
@@ -32,9 +33,20 @@ GOALS = [
 ]  # fmt: skip
 
 
+SPEED = {
+    "goals": {
+        "tick_p50": dict(what="tick: median", unit="us", goal=25.0, kind="at most", value=13.42, reached="yes"),
+        "peers": dict(what="a peer over ours", unit="", goal=4.0, kind="at least", value=0.9, reached="no"),
+        "c_tick": dict(what="tick in C", unit="us", goal=5.0, kind="at most", value=None, reached="not measured"),
+    },
+    "tick": {"exact": {"tick_p50_us": 13.42}, "c": {"tick_p50_us": 2.51}},
+    "peers": {"tsid": {"tick_p50_us": 12.64, "level": "torque"}},
+}  # fmt: skip
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name, summary in (("solvers", SOLVERS), ("paper", {"goals": GOALS})):
+    for name, summary in (("solvers", SOLVERS), ("paper", {"goals": GOALS}), ("speed", SPEED)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "summary.json").write_text(json.dumps(summary))
         (tmp_path / name / "environment.json").write_text(json.dumps({"machine": MACHINE, "seed": 4}))
@@ -51,8 +63,8 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert readme.main(arguments(folder, "solvers", "paper")) == 0
     text = (folder / "README.md").read_text()
     assert text.startswith("before\n<!-- solvers -->\n")
-    assert text.endswith("<!-- /paper -->\nafter\n")
-    assert "old" not in text
+    assert text.endswith("<!-- speed -->\nold\n<!-- /speed -->\nafter\n")
+    assert text.count("old") == 1
     assert "between" in text
     assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 7 |" in text
     assert "`nlp-sqp`*" in text
@@ -64,6 +76,20 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert "| mean of rcm_error_mean_mm | at most 0.5 | 0.6 (not reached) |  |" in text
     assert readme.main(arguments(folder, "solvers", "paper")) == 0
     assert (folder / "README.md").read_text() == text
+
+
+def test_what_everything_costs(folder):
+    assert readme.main(arguments(folder, "speed")) == 0
+    text = (folder / "README.md").read_text()
+    assert "| tick: median [us] | 13.4 | at most 25 |" in text
+    assert "| a peer over ours | 0.9 (not reached) | at least 4 |" in text
+    assert "| tick in C [us] | not measured | at most 5 |" in text
+    assert "[us]: c 2.5, exact 13.4." in text
+    assert "[us]: tsid (torque) 12.6." in text
+    alone = {**SPEED, "peers": {}}
+    (folder / "speed" / "summary.json").write_text(json.dumps(alone))
+    assert readme.main(arguments(folder, "speed")) == 0
+    assert "none is installed" in (folder / "README.md").read_text()
 
 
 def test_a_section_without_results_stays(folder):

@@ -26,7 +26,7 @@ _STATUS = {
     piqp.PIQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
     piqp.PIQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
-_HAS_X = (Status.SOLVED, Status.MAX_ITER)
+_HAS_X, _TROUBLE = (Status.SOLVED, Status.MAX_ITER), Status.NUMERICAL
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,12 @@ class PIQPSession:
         """Answer one subproblem."""
         self.update(qp)
         core = self._core
-        status = _STATUS.get(core.solve(), Status.NUMERICAL)
+        status = _STATUS.get(core.solve(), _TROUBLE)
         result = core.result
+        iterations = result.info.iter
         if status not in _HAS_X:
-            return no_answer(qp.n, status, result.info.iter)
-        y = self._load.lifted(result.y, self._back)
-        return Solution(np.array(result.x), y, status, result.info.iter)
+            return no_answer(qp.n, status, iterations)
+        return Solution(result.x.copy(), self._load.lifted(result.y, self._back), status, iterations)
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
         """The iterate after so many iterations: an interior-point method always begins anew."""

@@ -27,6 +27,7 @@ _STATUS = {
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
 _NO_X = (Status.INFEASIBLE, Status.NUMERICAL)
+_SOLVED, _TROUBLE = Status.SOLVED, Status.NUMERICAL
 _GUESS = proxqp.InitialGuess
 _COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
@@ -120,21 +121,21 @@ class ProxQPSession:
         core.solve()
         result = core.results
         info = result.info
-        status = _STATUS.get(info.status, Status.NUMERICAL)
+        status = _STATUS.get(info.status, _TROUBLE)
         iterations = info.iter
-        if status is not Status.SOLVED and self._warm:
+        if status is not _SOLVED and self._warm:
             # A stale start must not decide that a problem has no answer: ask again from scratch. The
             # data go in again because a failed run leaves the box scaled.
             self._guess(False)
             core.update(*self._data)
             core.solve()
-            status = _STATUS.get(info.status, Status.NUMERICAL)
+            status = _STATUS.get(info.status, _TROUBLE)
             iterations += info.iter
-        if self._settings.warm and self._warm is not (status is Status.SOLVED):
-            self._guess(status is Status.SOLVED)
-        if status in _NO_X:
+        if self._settings.warm and self._warm is not (status is _SOLVED):
+            self._guess(status is _SOLVED)
+        if status is not _SOLVED and status in _NO_X:
             return no_answer(qp.n, status, iterations)
-        return Solution(np.array(result.x), self._load.lifted(result.y, self._back), status, iterations)
+        return Solution(result.x.copy(), self._load.lifted(result.y, self._back), status, iterations)
 
     def _guess(self, warm: bool) -> None:
         self._core.settings.initial_guess = _WARM if warm else _COLD
