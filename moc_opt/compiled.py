@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
-from numba import bool_, float64, int64
+from numba import bool_, float64, int64, types
+from numba.core import cgutils
+from numba.extending import intrinsic, overload
 
 VECTOR, MATRIX = float64[::1], float64[:, ::1]
 """Contiguous arrays of one and two dimensions."""
@@ -35,3 +37,31 @@ class Entry:
         self._kernel.compile(self._kinds)
         code: Callable[..., Any] = self._kernel.get_overload(self._kinds)
         return code
+
+
+Lent = TypeVar("Lent")
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _lend(typing_context: Any, array: Any) -> Any:
+    def lend(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        made = context.make_array(signature.return_type)(context, builder, given[0])
+        made.meminfo = cgutils.get_null_value(made.meminfo.type)
+        return made._getvalue()
+
+    return array(array), lend
+
+
+def borrowed(array: Lent) -> Lent:
+    """The same array for use inside a kernel, without a share in its memory; in Python, the array itself.
+
+    A kernel counts references to every array that it is given, views or hands on, each time with a locked
+    instruction: an eighth of a whole tick. What is borrowed, and every view of it, is not counted. Its owner has to
+    outlive it: borrow arguments, which the caller holds, and never hand a borrowed array back.
+    """
+    return array
+
+
+@overload(borrowed, strict=False)
+def _borrowed(array: Any) -> Callable[..., Any] | None:
+    return (lambda array: _lend(array)) if isinstance(array, types.Array) else None

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.compiled import borrowed
+
 Array = NDArray[np.float64]
 
 OK, BAD_Q, BAD_V = 0, 1, 2
@@ -306,6 +308,8 @@ def fill_state(
         inertia, bias: M (n,n) and h (n,).
     """
     n = axes.shape[0]
+    record, q, v, axes, places = borrowed(record), borrowed(q), borrowed(v), borrowed(axes), borrowed(places)
+    bodies, field, offsets, moves = borrowed(bodies), borrowed(field), borrowed(offsets), borrowed(moves)
     if not all_finite(q):
         return BAD_Q
     if not all_finite(v):

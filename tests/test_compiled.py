@@ -1,10 +1,13 @@
 """The short way into compiled kernels: the same numbers, compiled late, and objects of another kind refused."""
 
+import sys
+
 import numpy as np
 import pytest
 from numba import float64, njit
+from numba.core.errors import TypingError
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry, borrowed
 
 
 def scaled_sums():
@@ -39,3 +42,40 @@ def test_read_only_memory_is_read():
 def test_another_kind_is_refused(wrong):
     with pytest.raises(TypeError):
         Entry(scaled_sums(), MATRIX, float64, VECTOR).code(wrong, 1.0, np.empty(2))
+
+
+def test_what_is_borrowed_is_the_array_and_is_not_counted():
+    @njit
+    def doubled(A, out):
+        lent = borrowed(A)
+        for i in range(A.shape[0]):
+            row = lent[i]
+            out[i] = 2.0 * row.sum()
+
+    A, out = np.arange(12.0).reshape(3, 4), np.empty(3)
+    before = sys.getrefcount(A)
+    for _ in range(100):
+        doubled(A, out)
+    np.testing.assert_array_equal(out, 2.0 * A.sum(axis=1))
+    assert sys.getrefcount(A) == before
+    assert borrowed(A) is A
+
+
+def test_writing_to_what_is_borrowed_writes_to_its_owner():
+    @njit
+    def fill(out):
+        lent = borrowed(out)
+        lent[1:] = 5.0
+
+    out = np.zeros(4)
+    fill(out)
+    np.testing.assert_array_equal(out, [0.0, 5.0, 5.0, 5.0])
+
+
+def test_only_arrays_are_lent():
+    @njit
+    def wrong(number):
+        return borrowed(number)
+
+    with pytest.raises(TypingError):
+        wrong(1.0)

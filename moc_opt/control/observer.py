@@ -12,7 +12,7 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import VECTOR, Entry
+from moc_opt.compiled import VECTOR, Entry, borrowed
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.model_kernels import state_views
@@ -46,7 +46,7 @@ def observe(
     record: Array, n: int, tau: Array, gain: float, period: float, integral: Array, r: Array
 ) -> None:
     """``momentum_residual`` on a flat state record."""
-    s = state_views(record, n)
+    s = state_views(borrowed(record), n)
     momentum_residual(s.M, s.energy_slope, s.gravity, s.v, tau, gain, period, integral, r)
 
 

@@ -18,7 +18,7 @@ from numba import int64, njit
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
+from moc_opt.compiled import MATRIX, VECTOR, Entry, borrowed
 from moc_opt.control.dense import dot
 from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError
@@ -96,6 +96,7 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
         divided by c2 |grad_mu|_inf and the best duals (``moc_opt.optimality``'s, where the line is all there
         is); distance from the optimum and from the opposite optimum [rad/s].
     """
+    row, Z, x = borrowed(row), borrowed(Z), borrowed(x)
     if not all_finite(x):
         return np.nan, np.nan, np.nan, np.nan, np.nan
     o = 6 * n

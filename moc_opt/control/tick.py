@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.compiled import borrowed
 from moc_opt.control.compliance import compliance_force, task_inertia
 from moc_opt.control.dense import cholesky, times, transpose_times
 from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
@@ -135,7 +136,9 @@ def before_solver(
     Args are those of ``tracking_torque`` and ``fill_subproblem``; tau (n,) and row (10 n + 10,) are written,
     Z (r, n) follows. Returns False where Z could not follow.
     """
-    s = state_views(record, n)
+    s, Z, tau, row = state_views(borrowed(record), n), borrowed(Z), borrowed(tau), borrowed(row)
+    tip_ref, trocar, gains = borrowed(tip_ref), borrowed(trocar), borrowed(gains)
+    limits, weights = borrowed(limits), borrowed(weights)
     found = _tracking(s, tip_ref, trocar, gains, projector, feedforward)
     for i in range(n):
         tau[i] = found[i]
@@ -156,6 +159,8 @@ def after_solver(
     tau: Array,
 ) -> None:
     """Add the third level to tau (n,), take the observer's disturbance (n,) out, and cut at tau_max (n,)."""
+    record, Z, x, tau = borrowed(record), borrowed(Z), borrowed(x), borrowed(tau)
+    disturbance, tau_max = borrowed(disturbance), borrowed(tau_max)
     third = third_level(record, n, Z, x, gain, damping)
     for i in range(n):
         tau[i] = tau[i] + third[i] - disturbance[i]
