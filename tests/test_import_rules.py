@@ -21,8 +21,8 @@ ROOMS = {
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality"],
     "robots": ["moc_opt.robots"],
     "model": [
-        "moc_opt.model", "moc_opt.model_kernels", "moc_opt.state", "moc_opt.kinematics", "moc_opt.selfmotion",
-        "moc_opt.selfmotion_kernels", "moc_opt.travel", "moc_opt.placing",
+        "moc_opt.model", "moc_opt.model_kernels", "moc_opt.link_kernels", "moc_opt.state", "moc_opt.kinematics",
+        "moc_opt.selfmotion", "moc_opt.selfmotion_kernels", "moc_opt.travel", "moc_opt.placing",
     ],
     "tasks": ["moc_opt.tasks"],
     "trace": ["moc_opt.trace", "moc_opt.trace_file"],

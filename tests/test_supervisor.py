@@ -8,14 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.answers import answer_residuals, well_formed
 from moc_opt.control.manipulability import null_space
-from moc_opt.control.supervisor import (
-    Fault,
-    Supervisor,
-    SupervisorSettings,
-    answer_residuals,
-    well_formed,
-)
+from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.solvers import available

@@ -16,8 +16,8 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.reliability.fuzz_inputs import good_trace
+from moc_opt.control.answers import answer_residuals
 from moc_opt.control.manipulability import null_space
-from moc_opt.control.supervisor import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
 from moc_opt.metrics import summarize
 from moc_opt.model import load_robot
