@@ -60,7 +60,7 @@ def record_size(n: int) -> int:
     return n * n + 12 * n + 17
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def state_views(record: Array, n: int) -> StateViews:
     """The named views of a flat record; for use inside other kernels, and in Python through `.py_func`."""
     a = 2 * n + 9
