@@ -13,19 +13,26 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
+def mass_moment(places: Array, bodies: Array, k: int) -> tuple[float, float, float]:
+    """Mass of link k times its centre of mass in the world [kg m]."""
+    m, a, b, c = bodies[k, 0], bodies[k, 1], bodies[k, 2], bodies[k, 3]
+    x = m * places[k, 9] + places[k, 0] * a + places[k, 3] * b + places[k, 6] * c
+    y = m * places[k, 10] + places[k, 1] * a + places[k, 4] * b + places[k, 7] * c
+    z = m * places[k, 11] + places[k, 2] * a + places[k, 5] * b + places[k, 8] * c
+    return x, y, z
+
+
+@njit(cache=True)
 def link_momentum(places: Array, bodies: Array, k: int, twist: Array, out: Array) -> None:
     """Momentum of link k into out[k], linear and angular at the world origin [kg m/s], [kg m^2/s].
 
     ``twist`` (6,) is its velocity [m/s], [rad/s] there.
     """
-    m, a, b, c = bodies[k, 0], bodies[k, 1], bodies[k, 2], bodies[k, 3]
+    m, (cx, cy, cz) = bodies[k, 0], mass_moment(places, bodies, k)
     xx, yx, zx = places[k, 0], places[k, 1], places[k, 2]  # the link's axes in the world
     xy, yy, zy = places[k, 3], places[k, 4], places[k, 5]
     xz, yz, zz = places[k, 6], places[k, 7], places[k, 8]
     vx, vy, vz, wx, wy, wz = twist[0], twist[1], twist[2], twist[3], twist[4], twist[5]
-    cx = m * places[k, 9] + xx * a + xy * b + xz * c
-    cy = m * places[k, 10] + yx * a + yy * b + yz * c
-    cz = m * places[k, 11] + zx * a + zy * b + zz * c
     px, py, pz = m * vx + wy * cz - wz * cy, m * vy + wz * cx - wx * cz, m * vz + wx * cy - wy * cx
     # About the centre of mass, in the link's axes; then what the linear part adds at the origin.
     x, y, z = xx * wx + yx * wy + zx * wz, xy * wx + yy * wy + zy * wz, xz * wx + yz * wy + zz * wz
@@ -78,11 +85,8 @@ def gravity_torque(axes: Array, places: Array, bodies: Array, field: Array, out:
     mass = cx = cy = cz = 0.0
     fx, fy, fz = field[0], field[1], field[2]
     for k in range(axes.shape[0] - 1, -1, -1):
-        m, a, b, c = bodies[k, 0], bodies[k, 1], bodies[k, 2], bodies[k, 3]
-        mass += m
-        cx += m * places[k, 9] + places[k, 0] * a + places[k, 3] * b + places[k, 6] * c
-        cy += m * places[k, 10] + places[k, 1] * a + places[k, 4] * b + places[k, 7] * c
-        cz += m * places[k, 11] + places[k, 2] * a + places[k, 5] * b + places[k, 8] * c
+        x, y, z = mass_moment(places, bodies, k)
+        mass, cx, cy, cz = mass + bodies[k, 0], cx + x, cy + y, cz + z
         out[k] = -(
             mass * (axes[k, 0] * fx + axes[k, 1] * fy + axes[k, 2] * fz)
             + axes[k, 3] * (cy * fz - cz * fy)

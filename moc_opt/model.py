@@ -26,7 +26,7 @@ __all__ = ["RobotModel", "RobotState", "load_robot"]
 _FILL_STATE = Entry(
     kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
-_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS)
+_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
@@ -54,8 +54,6 @@ class RobotModel:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
         # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
         self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
-        last = self._pin_data.oMi[n]
-        self._last_rotation_t, self._last_origin = last.rotation.T, last.translation
         self._places = _places(self._pin_data, n)
         self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
         self._field = np.array(self._pin.gravity.linear)
@@ -106,9 +104,7 @@ class RobotModel:
         mu = np.empty(len(poses))
         for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
             pin.computeJointJacobians(self._pin, self._pin_data, q)
-            mu[k] = self._tip_manipulability(
-                self._axes, self._last_rotation_t, self._last_origin, self._offsets, self._moves
-            )
+            mu[k] = self._tip_manipulability(self._axes, self._places, self._offsets, self._moves)
         return mu
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:

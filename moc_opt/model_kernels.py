@@ -192,11 +192,11 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
 
 
 @njit(cache=True)
-def tip_manipulability(axes: Array, rotation_t: Array, origin: Array, offsets: Array, moves: Array) -> float:
+def tip_manipulability(axes: Array, places: Array, offsets: Array, moves: Array) -> float:
     """mu of the tip, from the arguments of `fill_state`."""
     n = axes.shape[0]
     tip, jacobian, grad = np.empty(3), np.empty((3, n)), np.empty(n)
-    point_in_world(rotation_t, origin, offsets[0], tip)
+    point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[0], tip)
     point_jacobian(axes, tip, moves[0], jacobian)
     return float(manipulability(axes, jacobian, grad))
 

@@ -133,7 +133,7 @@ class ProxQPSession:
             iterations += info.iter
         if self._settings.warm and self._warm is not (status is _SOLVED):
             self._guess(status is _SOLVED)
-        if status is not _SOLVED and status in _NO_X:
+        if status in _NO_X:
             return no_answer(qp.n, status, iterations)
         return Solution(result.x.copy(), self._load.lifted(result.y, self._back), status, iterations)
 
