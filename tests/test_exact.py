@@ -78,6 +78,36 @@ def test_thousands_of_arms_without_structure(n):
     assert found.natural.max() < 1e-13
 
 
+@pytest.mark.parametrize("damping", [0.0, 1e-8, 1e-5, 1.0])
+@pytest.mark.parametrize("n", [7, 8, 9])
+def test_a_plane_that_only_touches_the_box(n, damping):
+    # Some of these have one feasible point and nothing around it: rounding alone must not call them infeasible.
+    rng = np.random.default_rng(18)
+    for i in range(40):
+        qp = random_problem(rng, n, structured=bool(i % 2), damping=damping)
+        corner = np.where(rng.random(n) < 0.5, qp.lower, qp.upper)
+        touching = NullSpaceQP(
+            qp.J_tip, qp.J_wrist, qp.J_tip @ corner, qp.J_wrist @ corner, qp.grad_mu, qp.lower, qp.upper,
+            damping=damping,
+        )  # fmt: skip
+        solution = solve(touching)
+        assert solution.status is Status.SOLVED
+        assert touching.residuals(solution.x, solution.y).verified()
+
+
+@pytest.mark.parametrize("n", [16, 17, 70, 200])
+def test_arms_wider_than_one_piece_and_than_the_frame(n):
+    rng = np.random.default_rng(19)
+    for damping in (1e-5, 1.0):
+        qp = random_problem(rng, n, damping=damping)
+        solution = solve(qp)
+        assert solution.status is Status.SOLVED
+        # By hand: the judge's loss takes the facets of a polytope in n - 5 dimensions, which are too many here.
+        slope = qp.P @ solution.x + qp.p + qp.A.T @ solution.y
+        np.testing.assert_allclose(qp.A @ solution.x, qp.b, atol=1e-12)
+        np.testing.assert_allclose(np.clip(solution.x - slope, qp.lower, qp.upper), solution.x, atol=1e-11)
+
+
 def test_inconsistent_references_are_infeasible():
     qp = random_problem(np.random.default_rng(13))
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]

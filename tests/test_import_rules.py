@@ -17,7 +17,7 @@ ROOMS = {
     "command line": ["moc_opt.__main__"],
     "errors": ["moc_opt.errors"],
     "settings": ["moc_opt.settings"],
-    "compiled": ["moc_opt.compiled"],
+    "compiled": ["moc_opt.compiled", "moc_opt.lanes"],
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality"],
     "robots": ["moc_opt.robots"],
     "model": [
@@ -88,7 +88,7 @@ SAME_FLOOR = {("solvers", "protocol")}
 ONLY = {
     "errors": set(),
     "settings": {"pydantic"},
-    "compiled": {"numba"},
+    "compiled": {"numba", "llvmlite"},
     "subproblem": {"numpy"},
     "tasks": {"numpy"},
     "metrics": {"numpy"},

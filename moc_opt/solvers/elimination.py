@@ -1,15 +1,34 @@
 """The equalities of one subproblem eliminated, and the closed form where one freedom (the elbow swivel) is left.
 
-W = [A | b] is held column by column, six numbers each, so that every row operation is the same six steps on each
-column. All kernels follow Golub and Van Loan, Matrix Computations, 3.4.8 (complete pivoting) and take numbers as
-they are: a division by zero gives infinity, as numpy's does.
+All kernels take rows in pieces of eight numbers (``moc_opt.lanes``). They follow Golub and Van Loan, Matrix
+Computations, 3.4.8 (complete pivoting), and take numbers as they are: a division by zero gives infinity, as numpy's
+does. They are compiled into their caller: to hand a matrix over costs as much as to add two rows, and where the
+caller knows how wide a row is, no loop over it is left.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from moc_opt.lanes import (
+    above,
+    first,
+    keep,
+    larger,
+    largest,
+    least,
+    lesser,
+    load,
+    magnitude,
+    part,
+    store,
+    total,
+    unit,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -18,103 +37,104 @@ PIVOT_TOLERANCE = 1e-12  # relative to the largest pivot: below it a row repeats
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
 OK, EMPTY, STUCK = 0, 1, 2
+OPEN, B = 6, 6  # row of W that has 1 for every row of A that is no pivot yet; place of b behind A
+X, Z, FORCE, REACH = (
+    0,
+    1,
+    2,
+    3,
+)  # rows of V: x; how it moves along the plane; w = P x + p + A^T y; largest of a column
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def eliminate(W: Array, n: int, order: Indices) -> int:
-    """Gauss-Jordan with complete pivoting on the columns of [A | b] in W (6 (n + 2),), in place; returns the rank.
+class Plane(NamedTuple):
+    """A x = b while it is eliminated.
 
-    Row k of the result reads x[order[k]] + sum_free W[6 j + k] x[j] = W[6 n + k]; the free columns are order[rank:],
-    ascending. The pivots' own columns, which would be those of the identity, hold the row operations instead, as in
-    an inversion in place: W[6 order[m] + k] is what row order[n + m] of A contributed to row k. The last
-    six numbers of W are scratch.
+    Attributes:
+        W: (7, m + 8) rows of A, and from column m on the row operations, the identity at first, and b.
+        order: (n + 1,) pivot columns, then the free ones that move tip or wrist, ascending.
+        pivots: (6,) rows of the pivots.
+        n, m: joints; m is the multiple of eight that they fit into.
     """
-    for j in range(n):
-        order[j] = j
+
+    W: Array
+    order: Indices
+    pivots: Indices
+    n: int
+    m: int
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def eliminate(plane: Plane, row: Array) -> int:
+    """Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
+
+    Afterwards row pivots[k] of W reads x[order[k]] + sum_free W[., j] x[j] = b, for k < rank.
+    """
+    W, n, m = plane.W, plane.n, plane.m
     for i in range(6):
-        order[n + i] = i
-    first, largest = 0.0, 6 * n + 6
+        for c in range(0, m, 8):
+            store(W, i, c, part(row, i * n + c, n - c))
+        store(W, i, m, unit(i) + unit(B) * row[6 * n + i])
+    store(W, OPEN, 0, 1.0)
+    start = 0.0
     for k in range(6):
-        # The largest entry of each row without a branch (its guess would be wrong too often), then the place.
+        most = unit(-1)
         for i in range(6):
-            W[largest + i] = 0.0
-        for p in range(k, n):
-            column = 6 * order[p]
-            for i in range(6):
-                entry = abs(W[column + i])
-                W[largest + i] = entry if entry > W[largest + i] else W[largest + i]
-        size, row, place = W[largest + k], k, k
-        for i in range(k + 1, 6):
-            if W[largest + i] > size:
-                size, row = W[largest + i], i
-        if k == 0:
-            first = size
-        if size <= PIVOT_TOLERANCE * first:
+            for c in range(0, m, 8):
+                most = larger(magnitude(load(W, i, c)) * W[OPEN, i], most)
+        size = largest(most)
+        start = size if k == 0 else start
+        if not size > PIVOT_TOLERANCE * start:
             return k
-        while abs(W[6 * order[place] + row]) != size:
-            place += 1
-        pivot = order[place]
-        for p in range(place, k, -1):
-            order[p] = order[p - 1]
-        order[k] = pivot
-        if row != k:
-            order[n + k], order[n + row] = order[n + row], order[n + k]
-            for j in range(n + 1):
-                W[6 * j + k], W[6 * j + row] = W[6 * j + row], W[6 * j + k]
-        column = 6 * pivot
-        f0, f1, f2, f3, f4, f5 = (
-            W[column], W[column + 1], W[column + 2], W[column + 3], W[column + 4], W[column + 5],
-        )  # fmt: skip
-        inverse = 1.0 / W[column + k]
+        inverse = 1.0 / size  # its sign is seen to when the pivot is found: the division takes as long
+        pivot, column = 0, 0
         for i in range(6):
-            W[column + i] = 0.0
-        W[column + k] = 1.0  # of the identity beside A, which is not stored
-        for j in range(n + 1):
-            c = 6 * j
-            t = W[c + k] * inverse
-            W[c] -= f0 * t
-            W[c + 1] -= f1 * t
-            W[c + 2] -= f2 * t
-            W[c + 3] -= f3 * t
-            W[c + 4] -= f4 * t
-            W[c + 5] -= f5 * t
-            W[c + k] = t
+            for c in range(0, m, 8):
+                place = first(magnitude(load(W, i, c)) * W[OPEN, i], size)
+                pivot = i if place < 8 else pivot
+                column = c + place if place < 8 else column
+        inverse = inverse if W[pivot, column] > 0.0 else -inverse
+        plane.order[k], plane.pivots[k], W[OPEN, pivot] = column, pivot, 0.0
+        for i in range(6):
+            scale = W[i, column] * inverse if i != pivot else 0.0
+            for c in range(0, m + 8, 8):
+                store(W, i, c, load(W, i, c) - scale * load(W, pivot, c))
+        for c in range(0, m + 8, 8):
+            store(W, pivot, c, load(W, pivot, c) * inverse)
     return 6
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def swivel(
-    W: Array, n: int, rank: int, order: Indices, row: Array, tolerance: float, x: Array, w: int
-) -> int:
-    """One freedom: x + s z with z[free] = 1; the ratio test gives the interval of s, then its best point.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
+    """Row z of M: how all joints move along A x = b when joint ``free`` moves by one."""
+    for c in range(0, plane.m, 8):
+        store(M, z, c, 0.0)
+    for k in range(rank):
+        M[z, plane.order[k]] = -plane.W[plane.pivots[k], free]
+    M[z, free] = 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
+    """One freedom: x + s z; the ratio test gives the interval of s, then its best point.
 
     Args:
-        W, order: as `eliminate` leaves them; order[rank] is the joint that is left.
+        V: rows X (a point of the plane, moved to the optimum), Z and FORCE (the active bound's is written).
         row: flat record (10 n + 10,).
-        x: (n,) particular solution, moved to the optimum.
-        w: where in W the n numbers P x + p + A^T y stand; the active bound's is written.
     """
     g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
     c2, rho = row[9 * n + 8], row[9 * n + 9]
-    free = order[rank]
-    low, high = row[lo + free], row[up + free]
-    low_joint, high_joint = free, free
-    zz, zx, zg = 1.0, 0.0, row[g + free]
-    for k in range(rank):
-        j = order[k]
-        z = -W[6 * free + k]
-        zz += z * z
-        zx += z * x[j]
-        zg += z * row[g + j]
-        if abs(z) <= IDLE_COLUMN:
-            continue
-        at_lower, at_upper = (row[lo + j] - x[j]) / z, (row[up + j] - x[j]) / z
-        if z < 0.0:
-            at_lower, at_upper = at_upper, at_lower
-        if at_lower > low:
-            low, low_joint = at_lower, j
-        if at_upper < high:
-            high, high_joint = at_upper, j
+    low, high, low_joint, high_joint = -np.inf, np.inf, 0, 0
+    zz, zx, zg = 0.0, 0.0, 0.0
+    for c in range(0, m, 8):
+        x, z = load(V, X, c), load(V, Z, c)
+        zz, zx, zg = zz + total(z * z), zx + total(z * x), zg + total(z * part(row, g + c, n - c))
+        at_lower, at_upper = (part(row, lo + c, n - c) - x) / z, (part(row, up + c, n - c) - x) / z
+        starts = above(magnitude(z), IDLE_COLUMN, lesser(at_lower, at_upper), -np.inf)
+        ends = above(magnitude(z), IDLE_COLUMN, larger(at_lower, at_upper), np.inf)
+        start, end = largest(starts), least(ends)
+        low_joint = c + first(starts, start) if start > low else low_joint
+        high_joint = c + first(ends, end) if end < high else high_joint
+        low, high = max(low, start), min(high, end)
     if low > high + tolerance:
         return EMPTY
     if rho > 0.0:
@@ -128,16 +148,35 @@ def swivel(
         best, joint = high, high_joint
     elif best < low:
         best, joint = low, low_joint
-    x[free] = best
-    slope = rho * best - c2 * row[g + free]
-    lever = 1.0
-    for k in range(rank):
-        j = order[k]
-        z = -W[6 * free + k]
-        x[j] += best * z
-        slope += z * (rho * x[j] - c2 * row[g + j])
-        if j == joint:
-            lever = z
+    slope = 0.0
+    for c in range(0, m, 8):
+        z = load(V, Z, c)
+        x = load(V, X, c) + best * z
+        store(V, X, c, x)
+        slope += total(z * (rho * x - c2 * part(row, g + c, n - c)))
     if joint >= 0:
-        W[w + joint] = slope / lever
+        V[FORCE, joint] = slope / V[Z, joint]
     return OK
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def answer(plane: Plane, rank: int, V: Array, row: Array, x: Array, y: Array) -> float:
+    """Write x (n,) and y (6,) from rows X and FORCE of V; returns by how much x had to be put into its box [rad/s].
+
+    A^T y = w - (rho x - c2 grad_mu), and the row operations turn A^T into the identity on the pivots.
+    """
+    n, m = plane.n, plane.m
+    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
+    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    beyond = 0.0
+    for c in range(0, m, 8):
+        lower, upper, point = part(row, lo + c, n - c), part(row, up + c, n - c), load(V, X, c)
+        beyond = max(beyond, largest(larger(lower - point, point - upper)))
+        point = lesser(larger(point, lower), upper)
+        keep(x, c, n - c, point)
+        store(V, FORCE, c, load(V, FORCE, c) - rho * point + c2 * part(row, g + c, n - c))
+    multipliers = unit(-1)
+    for k in range(rank):
+        multipliers = multipliers + load(plane.W, plane.pivots[k], m) * V[FORCE, plane.order[k]]
+    keep(y, 0, 6, multipliers)
+    return beyond

@@ -16,83 +16,107 @@ from sys import getrefcount
 from typing import ClassVar
 
 import numpy as np
-from numba import float64, njit
+from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import VECTOR, Entry
+from moc_opt.compiled import VECTOR, Entry, borrowed
 from moc_opt.errors import SolverError
+from moc_opt.lanes import larger, load, magnitude, stack, stack_indices, store, unit, width
+from moc_opt.solvers import elimination
 from moc_opt.solvers.base import Solution, Status, no_answer
-from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, STUCK, eliminate, swivel
+from moc_opt.solvers.elimination import (
+    EMPTY,
+    FORCE,
+    OK,
+    OPEN,
+    REACH,
+    STUCK,
+    B,
+    Plane,
+    X,
+    Z,
+    answer,
+    direction,
+)
 from moc_opt.solvers.polytope import maximise_over_box
 from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9  # of the largest entry of grad_mu
+ANOTHER_SIZE = 3
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rest(V: Array, row: Array, n: int) -> None:
+    """Joints that move neither tip nor wrist go where the cost alone takes them."""
+    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
+    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    largest_grad = 0.0
+    for j in range(n):
+        largest_grad = max(largest_grad, abs(row[g + j]))
+    for j in range(n):
+        if 0.0 <= V[REACH, j] <= elimination.IDLE_COLUMN:
+            # a gradient at rounding level must not throw an idle joint to its bound
+            pull = c2 * row[g + j] if abs(row[g + j]) > ROUNDING * largest_grad else 0.0
+            wish = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
+            V[X, j] = min(max(wish, row[lo + j]), row[up + j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> int:
+    """``solve_row`` with m >= n numbers to a row, m a multiple of eight."""
+    n = x.shape[0]
+    V, W = stack(4, m), stack(7, m + 8)
+    plane = Plane(W, stack_indices(n + 1), stack_indices(6), n, m)
+    rank = elimination.eliminate(plane, row)
+    for i in range(6):
+        if W[OPEN, i] * abs(W[i, m + B]) > tolerance:
+            return EMPTY  # a repeated row asks for another velocity than its twin
+
+    # Particular solution, and the free columns that move the tip or the wrist.
+    for c in range(0, m, 8):
+        reach = unit(-1)
+        for i in range(6):
+            reach = larger(reach, (1.0 - W[OPEN, i]) * magnitude(load(W, i, c)))
+        store(V, REACH, c, reach)
+        store(V, X, c, 0.0)
+        store(V, FORCE, c, 0.0)
+    for k in range(rank):
+        V[X, plane.order[k]], V[REACH, plane.order[k]] = W[plane.pivots[k], m + B], -1.0
+    freedoms = int64(0)
+    for j in range(n):
+        plane.order[rank + freedoms] = j
+        freedoms += V[REACH, j] > elimination.IDLE_COLUMN
+    if rank + freedoms < n:
+        rest(V, row, n)
+
+    status = OK
+    if freedoms == 1:
+        direction(plane, rank, plane.order[rank], V, Z)
+        status = elimination.swivel(V, row, n, m, tolerance)
+    elif freedoms > 1:
+        status = maximise_over_box(plane, rank, freedoms, V, row, tolerance)
+    beyond = answer(plane, rank, V, row, x, y)
+    return EMPTY if status == OK and beyond > tolerance else status
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_row(row: Array, tolerance: float, x: Array, y: Array) -> int:
-    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK."""
+    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK.
+
+    A record of another length than x asks for is left alone: ANOTHER_SIZE.
+    """
     n = x.shape[0]
-    b, g, lo, up = 6 * n, 6 * n + 6, 7 * n + 6, 8 * n + 6
-    c2, rho = row[9 * n + 8], row[9 * n + 9]
-    # One block each for numbers and indices: at this size, asking for memory costs as much as the elimination, and
-    # so do views. W is A and b by columns, then scratch, then w = P x + p + A^T y.
-    W, order, w, rows = np.empty(7 * n + 12), np.empty(n + 6, dtype=np.int64), 6 * n + 12, n
-    for i in range(6):
-        for j in range(n):
-            W[6 * j + i] = row[i * n + j]
-        W[6 * n + i] = row[b + i]
-    rank = eliminate(W, n, order)
-    for i in range(rank, 6):
-        if abs(W[6 * n + i]) > tolerance:
-            return EMPTY  # a repeated row asks for another velocity than its twin
-
-    # Particular solution, and the free columns that move the tip or the wrist.
-    largest_grad = 0.0
-    for j in range(n):
-        x[j] = W[w + j] = 0.0  # w is >= 0 at a lower bound, <= 0 at an upper one
-        largest_grad = max(largest_grad, abs(row[g + j]))
-    for k in range(rank):
-        x[order[k]] = W[6 * n + k]
-    count = 0
-    for p in range(rank, n):
-        j = order[p]
-        largest = 0.0
-        for k in range(rank):
-            largest = max(largest, abs(W[6 * j + k]))
-        if largest > IDLE_COLUMN:
-            order[rank + count] = j
-            count += 1
-        else:
-            # a gradient at rounding level must not throw an idle joint to its bound
-            pull = c2 * row[g + j] if abs(row[g + j]) > ROUNDING * largest_grad else 0.0
-            wish = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
-            x[j] = min(max(wish, row[lo + j]), row[up + j])
-            W[w + j] = rho * x[j] - pull
-
-    status = OK
-    if count == 1:
-        status = swivel(W, n, rank, order, row, tolerance, x, w)
-    elif count > 1:
-        status = maximise_over_box(W, n, rank, order, count, row, x, w)
-    for j in range(n):
-        if x[j] < row[lo + j] - tolerance or x[j] > row[up + j] + tolerance:
-            return EMPTY if status == OK else status
-        x[j] = min(max(x[j], row[lo + j]), row[up + j])
-
-    # A^T y = w - (rho x - c2 grad_mu): row operations turn A^T into the identity on the pivots.
-    for k in range(rank):
-        j = order[k]
-        W[w + j] = W[w + j] - rho * x[j] + c2 * row[g + j]
-    for i in range(6):
-        total = 0.0
-        if i < rank:
-            for k in range(rank):
-                total += W[6 * order[i] + k] * W[w + order[k]]
-        y[order[rows + i]] = total
-    return status
+    if row.shape[0] != 10 * n + 10:
+        return ANOTHER_SIZE
+    row, x, y = borrowed(row), borrowed(x), borrowed(y)
+    # int64(8) is a constant to LLVM alone; numba would compile everything once more for 8.
+    if n <= 8:
+        return solve_within(row, tolerance, x, y, int64(8))
+    if n <= 16:
+        return solve_within(row, tolerance, x, y, int64(16))
+    return solve_within(row, tolerance, x, y, width(n))
 
 
 @njit(cache=True, nogil=True)
@@ -181,10 +205,13 @@ class ExactSession:
         """Answer one subproblem."""
         entry = self._spare
         answer, x, y = entry
-        if getrefcount(answer) + getrefcount(x) + getrefcount(y) != self._unheld or len(x) != qp.n:
+        if getrefcount(answer) + getrefcount(x) + getrefcount(y) != self._unheld:
             entry = answer, x, y = _blank(qp.n)
         self._spare, self._last = self._last, entry
         code = self._kernel(qp.row, self.tolerance, x, y)
+        if code == ANOTHER_SIZE:
+            self._last = answer, x, y = _blank(qp.n)
+            code = self._kernel(qp.row, self.tolerance, x, y)
         return answer if code == OK else no_answer(qp.n, _STATUS[code])
 
     def _count(self) -> int:

@@ -8,9 +8,8 @@ the active joints (Goodnight, The American Statistician 33, 1979): row p then sa
 joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
-All numbers lie in one array M: views into it would cost more than the arithmetic on them. A row has n numbers and
-zeros up to m, a multiple of four, so that four can be taken at a time without a rest. Below the rows that are named
-here come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
+All numbers lie in one array M, n to a row and zeros up to m, a multiple of eight. Below the rows that are named here
+come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
 """
 
 from __future__ import annotations
@@ -19,97 +18,149 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.lanes import (
+    above,
+    first,
+    larger,
+    largest,
+    least,
+    load,
+    magnitude,
+    part,
+    stack,
+    store,
+    total,
+    unit,
+)
+from moc_opt.solvers.elimination import EMPTY, OK, STUCK, Plane, X, direction
+from moc_opt.solvers.elimination import FORCE as TOTAL
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-OK, EMPTY, STUCK = 0, 1, 2
 NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
 UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of length one: below it, it does not
-DELICATE = 1e-6  # of Pi[j, j]: after pushing a joint with less than that left by the active ones, rounding shows
+DELICATE = (
+    1e-6  # of Pi[j, j]: after pushing a joint with less than that left by the active ones, rounding shows
+)
 DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
 
 S, LOW, HIGH, PULL = 0, 1, 2, 3  # s and its bounds [rad/s]; c2 Pi g
 SIDE, FORCE = 4, 5  # +1 at an active lower bound, -1 at an upper one, 0 elsewhere; multiplier of that bound
 SIZE, INVERSE = 6, 7  # the diagonal of Pi; 1 / |z|^2 of every row z of the basis
-STEP, BEFORE = 8, 9  # scratch for one kernel; what is kept over calls of several
-PI = 10
+STEP, BEFORE, TARGET = 8, 9, 10  # scratch for one kernel; s before a proximal step; what is projected
+PI = 11
+ON_STACK = 64  # joints whose matrices go there: some hundred kilobytes
 
-FAST = {"reassoc", "contract", "nsz"}  # sums in any order, products added at once; NaN and infinity keep their meaning
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def along(M: Array, m: int, a: int, b: int) -> float:
+    """Inner product of two rows."""
+    product = unit(-1)
+    for c in range(0, m, 8):
+        product = product + load(M, a, c) * load(M, b, c)
+    return float(total(product))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def add(M: Array, m: int, to: int, scale: float, what: int) -> None:
+    """A multiple of one row onto another."""
+    for c in range(0, m, 8):
+        store(M, to, c, load(M, to, c) + scale * load(M, what, c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
     """Gram-Schmidt on the r rows of the basis, without making them unit vectors."""
-    Z = PI + n
-    for c in range(r):
-        square = 0.0
-        for j in range(m):
-            square += M[Z + c, j] * M[Z + c, j]
-        M[INVERSE, c] = 1.0 / square
-        for b in range(Z + c + 1, Z + r):
-            along = 0.0
-            for j in range(m):
-                along += M[b, j] * M[Z + c, j]
-            along *= M[INVERSE, c]
-            for j in range(m):
-                M[b, j] -= along * M[Z + c, j]
+    for a in range(PI + n, PI + n + r):
+        inverse = 1.0 / along(M, m, a, a)
+        M[INVERSE, a - PI - n] = inverse
+        for b in range(a + 1, PI + n + r):
+            add(M, m, b, -inverse * along(M, m, a, b), a)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def projector(M: Array, n: int, m: int, r: int) -> None:
     """Pi = sum of z z^T / |z|^2 over the basis, not swept."""
     Z = PI + n
     for i in range(n):
-        scale = M[Z, i] * M[INVERSE, 0]
-        for j in range(m):
-            M[PI + i, j] = scale * M[Z, j]
-        for c in range(1, r):
-            scale = M[Z + c, i] * M[INVERSE, c]
-            for j in range(m):
-                M[PI + i, j] += scale * M[Z + c, j]
+        for c in range(0, m, 8):
+            row = unit(-1)
+            for k in range(r):
+                row = row + M[Z + k, i] * M[INVERSE, k] * load(M, Z + k, c)
+            store(M, PI + i, c, row)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def sweep(M: Array, n: int, m: int, p: int, sign: float) -> None:
     """Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1)."""
     inverse = 1.0 / M[PI + p, p]
-    for j in range(m):
-        M[STEP, j] = M[PI + p, j]
+    for c in range(0, m, 8):
+        here = unit(p - c)
+        store(M, STEP, c, load(M, PI + p, c) * (1.0 - here) - sign * here)
     for i in range(n):
-        scale = M[STEP, i] * inverse
-        for j in range(m):
-            M[PI + i, j] -= scale * M[STEP, j]
-    for j in range(n):
-        M[PI + p, j] = M[PI + j, p] = sign * inverse * M[STEP, j]
-    M[PI + p, p] = -inverse
+        scale = M[PI + i, p] * inverse
+        for c in range(0, m, 8):
+            store(M, PI + i, c, load(M, PI + i, c) * (1.0 - unit(p - c)) - scale * load(M, STEP, c))
+    for c in range(0, m, 8):
+        here = unit(p - c)
+        store(M, PI + p, c, (sign * (1.0 - here) * load(M, STEP, c) - here) * inverse)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def settle(M: Array, n: int, m: int, r: int) -> None:
     """Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds."""
-    Z = PI + n
-    for j in range(m):
-        M[STEP, j] = 0.0
-    for c in range(r):
-        along = 0.0
-        for j in range(m):
-            along += M[Z + c, j] * M[S, j]
-        along *= M[INVERSE, c]
-        for j in range(m):
-            M[STEP, j] += along * M[Z + c, j]
-    for j in range(m):
-        M[S, j] = M[STEP, j]
+    onto_basis(M, n, m, r, S, STEP, 1.0)
+    for c in range(0, m, 8):
+        store(M, S, c, load(M, STEP, c))
     for a in range(n):
         if M[SIDE, a] != 0.0:
             bound = M[LOW, a] if M[SIDE, a] > 0.0 else M[HIGH, a]
             gap = bound - M[STEP, a]
-            for j in range(m):
-                M[S, j] += gap * (1.0 - abs(M[SIDE, j])) * M[PI + a, j]
+            for c in range(0, m, 8):
+                yielding = (1.0 - magnitude(load(M, SIDE, c))) * load(M, PI + a, c)
+                store(M, S, c, load(M, S, c) + gap * yielding)
             M[S, a] = bound
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def onto_basis(M: Array, n: int, m: int, r: int, what: int, to: int, scale: float) -> None:
+    """Row ``to`` = scale * Pi of row ``what``, through the basis."""
+    for c in range(0, m, 8):
+        store(M, to, c, 0.0)
+    for k in range(r):
+        z = PI + n + k
+        add(M, m, to, scale * M[INVERSE, k] * along(M, m, z, what), z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def furthest_out(M: Array, m: int, tolerance: float) -> int:
+    """The joint that is furthest beyond its bounds; -1 where none is by more than the tolerance."""
+    joint, most = -1, tolerance
+    for c in range(0, m, 8):
+        s = load(M, S, c)
+        beyond = larger(load(M, LOW, c) - s, s - load(M, HIGH, c))
+        worst = largest(beyond)
+        joint = c + first(beyond, worst) if worst > most else joint
+        most = max(worst, most)
+    return joint
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def first_to_let_go(M: Array, m: int, p: int, side: float) -> tuple[int, float]:
+    """The active bound whose multiplier is the first to vanish when joint p is pushed, and after how much push."""
+    joint, step = -1, np.inf
+    for c in range(0, m, 8):
+        fading = side * load(M, SIDE, c) * load(M, PI + p, c)
+        until = above(fading, 1e-12, magnitude(load(M, FORCE, c)) / fading, np.inf)
+        shortest = least(until)
+        joint = c + first(until, shortest) if shortest < step else joint
+        step = min(shortest, step)
+    return joint, step
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> int:
     """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi, which is not swept yet.
 
@@ -118,15 +169,11 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
     Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
     """
     count = 0
-    for j in range(m):
-        M[FORCE, j] = M[SIDE, j] = 0.0
+    for c in range(0, m, 8):
+        store(M, FORCE, c, 0.0)
+        store(M, SIDE, c, 0.0)
     for _ in range(20 * n):
-        p, worst = -1, tolerance
-        for j in range(n):
-            below, above = M[LOW, j] - M[S, j], M[S, j] - M[HIGH, j]
-            beyond = below if below > above else above
-            p = j if beyond > worst else p
-            worst = beyond if beyond > worst else worst
+        p = furthest_out(M, m, tolerance)
         if p < 0:
             if far:
                 settle(M, n, m, r)
@@ -135,13 +182,7 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
         bound = M[LOW, p] if side > 0.0 else M[HIGH, p]
         while True:
             # How far joint p can be pushed: until an active bound lets go (step), or until it is there (full).
-            for j in range(n):
-                fading = side * M[SIDE, j] * M[PI + p, j]
-                M[STEP, j] = abs(M[FORCE, j]) / fading if fading > 1e-12 else np.inf
-            drop, step = -1, np.inf
-            for j in range(n):
-                drop = j if M[STEP, j] < step else drop
-                step = M[STEP, j] if M[STEP, j] < step else step
+            drop, step = first_to_let_go(M, m, p, side)
             full, gives = np.inf, M[PI + p, p]
             if count < r and gives > DEPENDENT * M[SIZE, p]:
                 full = side * (bound - M[S, p]) / gives
@@ -149,11 +190,11 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
                 return EMPTY
             length = side * min(step, full)
             move = length if full < np.inf else 0.0
-            for j in range(m):
-                active = abs(M[SIDE, j])
-                M[FORCE, j] -= length * active * M[PI + p, j]
-                M[S, j] += move * (1.0 - active) * M[PI + p, j]
-            M[FORCE, p] += length
+            for c in range(0, m, 8):
+                push, active = load(M, PI + p, c), magnitude(load(M, SIDE, c))
+                force = load(M, FORCE, c) - length * active * push + length * unit(p - c)
+                store(M, FORCE, c, force)
+                store(M, S, c, load(M, S, c) + move * (1.0 - active) * push)
             if full <= step:
                 far |= gives < DELICATE * M[SIZE, p]
                 sweep(M, n, m, p, 1.0)
@@ -166,80 +207,96 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
     return STUCK
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def maximise_over_box(
-    W: Array, n: int, rank: int, order: Indices, r: int, row: Array, x: Array, w: int
-) -> int:
-    """Move x (n,) along the plane to the optimum.
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def nearest(M: Array, n: int, m: int, r: int, slack: float, tolerance: float, far: bool) -> int:
+    """``project`` to within the slack; where rounding decides whether there is such a point, a tenth of the tolerance.
+
+    The plane may touch the box in one point only.
+    """
+    for c in range(0, m, 8):
+        store(M, TARGET, c, load(M, S, c))
+    while True:
+        status = project(M, n, m, r, slack, far)
+        if status != EMPTY or slack >= 0.1 * tolerance:
+            return status
+        slack = 0.1 * tolerance
+        projector(M, n, m, r)
+        for c in range(0, m, 8):
+            store(M, S, c, load(M, TARGET, c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def approach(
+    M: Array, n: int, m: int, r: int, rho: float, slack: float, tolerance: float, base: float
+) -> tuple[int, float]:
+    """The proximal point iteration, from a point of the box: status, and the weight of the multipliers."""
+    # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
+    # at the vertex and takes the rounding of the long ones out.
+    status, weight = OK, 0.0
+    for scale in (1e8, 1e4, 1.0):
+        step = scale * base
+        for _ in range(50):
+            for c in range(0, m, 8):
+                s = load(M, S, c)
+                store(M, BEFORE, c, s)
+                store(M, S, c, (s + step * load(M, PULL, c)) / (1.0 + rho * step))
+            projector(M, n, m, r)
+            status = nearest(M, n, m, r, slack * max(1.0, 1e-3 * scale), tolerance, True)
+            weight = rho + 1.0 / step
+            moved = 0.0
+            for c in range(0, m, 8):
+                if status != OK:  # there is a point in the box, but its rounding is too large from here
+                    store(M, S, c, load(M, BEFORE, c))
+                moved = max(moved, largest(magnitude(load(M, S, c) - load(M, BEFORE, c))))
+            if moved <= slack * scale:
+                break
+    return OK if status == OK else STUCK, weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tolerance: float) -> int:
+    """Move row X of V along the plane to the optimum; the active bounds' multipliers are added to row TOTAL.
 
     Args:
-        W, order: as ``elimination.eliminate`` leaves them, the r free joints that move tip or wrist first.
+        plane: eliminated; its r free joints move tip or wrist.
+        V: X is any point of the plane; joints that do not move along it stay.
         row: flat record (10 n + 10,).
-        x: any point of the plane; joints that do not move along it stay.
-        w: where in W the n numbers P x + p + A^T y stand; the active bounds' multipliers are added.
+        tolerance: violation of the box that still counts as feasible [rad/s].
     """
+    n, m = plane.n, plane.m
     g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
     c2, rho = row[9 * n + 8], row[9 * n + 9]
-    m = (n + 3) // 4 * 4
-    M, Z = np.empty((PI + n + r, m)), PI + n
-    for c in range(r):
-        free = order[rank + c]
-        for j in range(m):
-            M[Z + c, j] = 0.0
-        M[Z + c, free] = 1.0
-        for k in range(rank):
-            M[Z + c, order[k]] = -W[6 * free + k]
+    M = stack(PI + n + r, m) if m <= ON_STACK else np.empty((PI + n + r, m))
+    for k in range(r):
+        direction(plane, rank, plane.order[rank + k], M, PI + n + k)
     orthogonalise(M, n, m, r)
     projector(M, n, m, r)
-    for j in range(m):
-        M[BEFORE, j] = M[PULL, j] = M[S, j] = 0.0
-    for c in range(r):
-        along, uphill = 0.0, 0.0
-        for j in range(n):
-            along += M[Z + c, j] * x[j]
-            uphill += M[Z + c, j] * row[g + j]
-        along, uphill = M[INVERSE, c] * along, c2 * M[INVERSE, c] * uphill
-        for j in range(m):
-            M[BEFORE, j] += along * M[Z + c, j]
-            M[PULL, j] += uphill * M[Z + c, j]
-    largest, width = 0.0, 0.0
+    for c in range(0, m, 8):
+        store(M, S, c, load(V, X, c))
+        store(M, STEP, c, part(row, g + c, n - c))
+        store(M, SIZE, c, 0.0)
+    onto_basis(M, n, m, r, S, BEFORE, 1.0)
+    onto_basis(M, n, m, r, STEP, PULL, c2)
     for j in range(n):
-        x[j] -= M[BEFORE, j]
-        M[SIZE, j], M[LOW, j], M[HIGH, j] = M[PI + j, j], row[lo + j] - x[j], row[up + j] - x[j]
-        largest += M[PULL, j] * M[PULL, j]
-        if M[SIZE, j] > UNMOVED:
-            width = max(width, row[up + j] - row[lo + j])
-        else:
-            M[LOW, j], M[HIGH, j] = -np.inf, np.inf
-    largest = np.sqrt(largest)
-    small, weight = 1e-14 * max(1.0, width), rho
-    if rho > 0.0 and largest <= FAR * width * rho:
-        for j in range(n):
-            M[S, j] = M[PULL, j] / rho
-        status = project(M, n, m, r, small, largest > NEAR * width * rho)
-    else:
-        status = project(M, n, m, r, small, True)
+        M[SIZE, j] = M[PI + j, j]
+    pull, room = np.sqrt(along(M, m, PULL, PULL)), 0.0
+    for c in range(0, m, 8):
+        x, size = load(V, X, c) - load(M, BEFORE, c), load(M, SIZE, c)
+        lower, upper = part(row, lo + c, n - c), part(row, up + c, n - c)
+        store(V, X, c, x)
+        store(M, LOW, c, above(size, UNMOVED, lower - x, -np.inf))
+        store(M, HIGH, c, above(size, UNMOVED, upper - x, np.inf))
+        room = max(room, largest(above(size, UNMOVED, upper - lower, 0.0)))
+    direct = rho > 0.0 and pull <= FAR * room * rho
+    slack = 1e-14 * max(1.0, room)
+    for c in range(0, m, 8):
+        store(M, S, c, load(M, PULL, c) / (rho if direct else np.inf))
+    status, weight = nearest(M, n, m, r, slack, tolerance, not direct or pull > NEAR * room * rho), rho
+    if not direct:
         weight = 0.0
-        base = 10.0 * max(width, 1e-6) / largest if largest > 0.0 else 0.0
-        # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
-        # at the vertex and takes the rounding of the long ones out.
-        for scale in (1e8, 1e4, 1.0):
-            step = scale * base
-            for _ in range(50):
-                if status != OK or step == 0.0:
-                    break
-                for j in range(n):
-                    M[BEFORE, j] = M[S, j]
-                    M[S, j] = (M[S, j] + step * M[PULL, j]) / (1.0 + rho * step)
-                projector(M, n, m, r)
-                status = project(M, n, m, r, small * max(1.0, 1e-3 * scale), True)
-                weight = rho + 1.0 / step
-                moved = 0.0
-                for j in range(n):
-                    moved = max(moved, abs(M[S, j] - M[BEFORE, j]))
-                if moved <= small * scale:
-                    break
-    for j in range(n):
-        x[j] += M[S, j]
-        W[w + j] += weight * M[FORCE, j]
+        if status == OK and pull > 0.0:
+            status, weight = approach(M, n, m, r, rho, slack, tolerance, 10.0 * max(room, 1e-6) / pull)
+    for c in range(0, m, 8):
+        store(V, X, c, load(V, X, c) + load(M, S, c))
+        store(V, TOTAL, c, load(V, TOTAL, c) + weight * load(M, FORCE, c))
     return status
