@@ -8,6 +8,8 @@ the active joints (Goodnight, The American Statistician 33, 1979): row p then sa
 joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
+Kernels are compiled into their caller, as in ``moc_opt.solvers.elimination``; the proximal point iteration is not.
+
 All numbers lie in one array M, n to a row and zeros up to m, a multiple of eight. Below the rows that are named here
 come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
 """
@@ -41,9 +43,7 @@ Indices = NDArray[np.int64]
 NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
 UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of length one: below it, it does not
-DELICATE = (
-    1e-6  # of Pi[j, j]: after pushing a joint with less than that left by the active ones, rounding shows
-)
+DELICATE = 1e-6  # of Pi[j, j]: pushing a joint with less than that left by the active ones makes rounding show
 DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
 
 S, LOW, HIGH, PULL = 0, 1, 2, 3  # s and its bounds [rad/s]; c2 Pi g
