@@ -96,7 +96,7 @@ PARTS = {
     "- null space": "Z carried on, called alone",
     "- subproblem": "its record filled, called alone",
     "solver": "`exact`, from Python",
-    "observer": "Coriolis matrix and momentum residual",
+    "observer": "momentum residual",
     "level 3 and limits": "one compiled call",
 }
 """Part of a tick -> what it is; those that begin with a dash lie inside the one above."""
