@@ -12,10 +12,13 @@ from __future__ import annotations
 
 import itertools
 from functools import lru_cache
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from moc_opt.errors import SubproblemError
 
 Array = NDArray[np.float64]
 
@@ -24,6 +27,7 @@ RANK_TOLERANCE = 1e-12  # singular values of A below this fraction of the larges
 # blow a residual of rounding size up to a rad/s.
 PROJECTION_TOLERANCE = 1e-6
 A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
+MOST_FACETS = 200_000  # some ten seconds for a problem that has not been seen yet; 25 joints
 
 
 class Residuals(NamedTuple):
@@ -68,6 +72,9 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
 
     Rows of ``x`` that are not finite are infinitely wrong (loss 1); rows of ``y`` that are not
     finite count as "no dual given".
+
+    Raises:
+        SubproblemError: more freedoms than the best multipliers can be found for (see ``_best_natural``).
     """
     shape = x.shape[:-1]
     n = x.shape[-1]
@@ -161,6 +168,11 @@ def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
     Z = np.frombuffer(null_spaces).reshape(shape)
     if r == 1:
         return [np.ones((k, 1))]
+    if comb(n, r - 1) > MOST_FACETS:
+        raise SubproblemError(
+            f"n: {n} joints with {r} freedoms have {comb(n, r - 1)} directions that an answer is judged along; "
+            "judge arms of up to 25 joints, or A x - b and x - clip(x - (P x + p + A^T y)) by hand"
+        )
     return [np.linalg.svd(Z[:, list(rows), :])[2][:, -1, :] for rows in itertools.combinations(range(n), r - 1)]
 
 

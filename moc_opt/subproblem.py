@@ -244,7 +244,8 @@ class NullSpaceQP:
         """Judge an answer x (n,) with its duals y (6,); see ``moc_opt.optimality.Residuals``.
 
         Raises:
-            SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
+            SubproblemError: when a shape is wrong, or the arm has too many joints to be judged (25 are not too many).
+                NaN in x is a bad answer, not an error.
         """
         x = np.asarray(x, dtype=float)
         if x.shape != (self.n,):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from moc_opt.errors import SubproblemError
 from moc_opt.solvers.exact import Exact
 from tests.problems import random_problem
 
@@ -108,3 +109,9 @@ def test_relative_measures_against_the_gradient():
 
 def random_with(qp, **changes):
     return type(qp)(qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, qp.lower, qp.upper, **changes)
+
+
+def test_more_freedoms_than_can_be_judged_are_refused_at_once():
+    qp = random_problem(np.random.default_rng(9), 48)
+    with pytest.raises(SubproblemError, match=r"48 joints with 43 freedoms .* up to 25 joints"):
+        qp.residuals(*optimum(qp))
