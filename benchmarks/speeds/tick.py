@@ -90,12 +90,12 @@ def spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
 
 
 PARTS = {
-    "model state": "pinocchio's terms, Jacobians, manipulability and its gradient (`RobotModel.state`)",
+    "model state": "pinocchio's terms, Jacobians, manipulability and its gradient (RobotModel.state)",
     "before the solver": "one compiled call: the next four rows",
     "- levels 1 and 2": "tip and RCM torque, called alone",
     "- null space": "Z carried on, called alone",
     "- subproblem": "its record filled, called alone",
-    "solver": "`exact`, from Python",
+    "solver": "exact, from Python",
     "observer": "momentum residual",
     "level 3 and limits": "one compiled call",
 }
