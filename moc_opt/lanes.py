@@ -129,6 +129,12 @@ def stack_indices(typing_context: Any, count: Any) -> Typed:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def zeros(typing_context: Any) -> Typed:
+    """Eight zeros."""
+    return LANES(), lambda context, builder, signature, given: _constant([0.0] * COUNT)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def unit(typing_context: Any, k: Any) -> Typed:
     """1 at place k, 0 elsewhere; all 0 where k is not one of 0 to 7."""
 

@@ -96,13 +96,14 @@ def test_parts_end_where_they_are_told_to(count):
 def units(out):
     for k in range(-1, 9):
         lanes.store(out, k + 1, 0, lanes.unit(k))
+    lanes.store(out, 10, 0, lanes.zeros())
 
 
-def test_units():
-    out = np.empty((10, 8))
+def test_units_and_zeros():
+    out = np.empty((11, 8))
     units(out)
     np.testing.assert_array_equal(out[1:9], np.eye(8))
-    np.testing.assert_array_equal(out[[0, 9]], 0.0)
+    np.testing.assert_array_equal(out[[0, 9, 10]], 0.0)
 
 
 @njit(cache=True)

@@ -28,6 +28,7 @@ from moc_opt.lanes import (
     store,
     total,
     unit,
+    zeros,
 )
 
 Array = NDArray[np.float64]
@@ -38,12 +39,8 @@ IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wri
 
 OK, EMPTY, STUCK = 0, 1, 2
 OPEN, B = 6, 6  # row of W that has 1 for every row of A that is no pivot yet; place of b behind A
-X, Z, FORCE, REACH = (
-    0,
-    1,
-    2,
-    3,
-)  # rows of V: x; how it moves along the plane; w = P x + p + A^T y; largest of a column
+# Rows of V: x; how it moves along the plane; w = P x + p + A^T y; the largest entry of a column.
+X, Z, FORCE, REACH = 0, 1, 2, 3
 
 
 class Plane(NamedTuple):
@@ -77,7 +74,7 @@ def eliminate(plane: Plane, row: Array) -> int:
     store(W, OPEN, 0, 1.0)
     start = 0.0
     for k in range(6):
-        most = unit(-1)
+        most = zeros()
         for i in range(6):
             for c in range(0, m, 8):
                 most = larger(magnitude(load(W, i, c)) * W[OPEN, i], most)
@@ -175,7 +172,7 @@ def answer(plane: Plane, rank: int, V: Array, row: Array, x: Array, y: Array) ->
         point = lesser(larger(point, lower), upper)
         keep(x, c, n - c, point)
         store(V, FORCE, c, load(V, FORCE, c) - rho * point + c2 * part(row, g + c, n - c))
-    multipliers = unit(-1)
+    multipliers = zeros()
     for k in range(rank):
         multipliers = multipliers + load(plane.W, plane.pivots[k], m) * V[FORCE, plane.order[k]]
     keep(y, 0, 6, multipliers)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from moc_opt.compiled import VECTOR, Entry, borrowed
 from moc_opt.errors import SolverError
-from moc_opt.lanes import larger, load, magnitude, stack, stack_indices, store, unit, width
+from moc_opt.lanes import larger, load, magnitude, stack, stack_indices, store, width, zeros
 from moc_opt.solvers import elimination
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.elimination import (
@@ -76,7 +76,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
 
     # Particular solution, and the free columns that move the tip or the wrist.
     for c in range(0, m, 8):
-        reach = unit(-1)
+        reach = zeros()
         for i in range(6):
             reach = larger(reach, (1.0 - W[OPEN, i]) * magnitude(load(W, i, c)))
         store(V, REACH, c, reach)

@@ -8,10 +8,8 @@ the active joints (Goodnight, The American Statistician 33, 1979): row p then sa
 joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
-Kernels are compiled into their caller, as in ``moc_opt.solvers.elimination``; the proximal point iteration is not.
-
-All numbers lie in one array M, n to a row and zeros up to m, a multiple of eight. Below the rows that are named here
-come Pi (n rows from PI on) and an orthogonal basis of ker A (r rows).
+Pi and all else lie in one matrix M, see ``moc_opt.solvers.projector``. Kernels are compiled into their caller, as in
+``moc_opt.solvers.elimination``; the proximal point iteration is not.
 """
 
 from __future__ import annotations
@@ -20,25 +18,29 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.lanes import (
-    above,
-    first,
-    larger,
-    largest,
-    least,
-    load,
-    magnitude,
-    part,
-    stack,
-    store,
-    total,
-    unit,
-)
+from moc_opt.lanes import above, first, larger, largest, least, load, magnitude, part, stack, store, unit
 from moc_opt.solvers.elimination import EMPTY, OK, STUCK, Plane, X, direction
 from moc_opt.solvers.elimination import FORCE as TOTAL
+from moc_opt.solvers.projector import (
+    BEFORE,
+    FORCE,
+    HIGH,
+    LOW,
+    PI,
+    PULL,
+    SIDE,
+    SIZE,
+    STEP,
+    TARGET,
+    S,
+    along,
+    onto_basis,
+    orthogonalise,
+    projector,
+    sweep,
+)
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
@@ -46,66 +48,7 @@ UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of len
 DELICATE = 1e-6  # of Pi[j, j]: pushing a joint with less than that left by the active ones makes rounding show
 DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
 
-S, LOW, HIGH, PULL = 0, 1, 2, 3  # s and its bounds [rad/s]; c2 Pi g
-SIDE, FORCE = 4, 5  # +1 at an active lower bound, -1 at an upper one, 0 elsewhere; multiplier of that bound
-SIZE, INVERSE = 6, 7  # the diagonal of Pi; 1 / |z|^2 of every row z of the basis
-STEP, BEFORE, TARGET = 8, 9, 10  # scratch for one kernel; s before a proximal step; what is projected
-PI = 11
 ON_STACK = 64  # joints whose matrices go there: some hundred kilobytes
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def along(M: Array, m: int, a: int, b: int) -> float:
-    """Inner product of two rows."""
-    product = unit(-1)
-    for c in range(0, m, 8):
-        product = product + load(M, a, c) * load(M, b, c)
-    return float(total(product))
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def add(M: Array, m: int, to: int, scale: float, what: int) -> None:
-    """A multiple of one row onto another."""
-    for c in range(0, m, 8):
-        store(M, to, c, load(M, to, c) + scale * load(M, what, c))
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
-    """Gram-Schmidt on the r rows of the basis, without making them unit vectors."""
-    for a in range(PI + n, PI + n + r):
-        inverse = 1.0 / along(M, m, a, a)
-        M[INVERSE, a - PI - n] = inverse
-        for b in range(a + 1, PI + n + r):
-            add(M, m, b, -inverse * along(M, m, a, b), a)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def projector(M: Array, n: int, m: int, r: int) -> None:
-    """Pi = sum of z z^T / |z|^2 over the basis, not swept."""
-    Z = PI + n
-    for i in range(n):
-        for c in range(0, m, 8):
-            row = unit(-1)
-            for k in range(r):
-                row = row + M[Z + k, i] * M[INVERSE, k] * load(M, Z + k, c)
-            store(M, PI + i, c, row)
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def sweep(M: Array, n: int, m: int, p: int, sign: float) -> None:
-    """Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1)."""
-    inverse = 1.0 / M[PI + p, p]
-    for c in range(0, m, 8):
-        here = unit(p - c)
-        store(M, STEP, c, load(M, PI + p, c) * (1.0 - here) - sign * here)
-    for i in range(n):
-        scale = M[PI + i, p] * inverse
-        for c in range(0, m, 8):
-            store(M, PI + i, c, load(M, PI + i, c) * (1.0 - unit(p - c)) - scale * load(M, STEP, c))
-    for c in range(0, m, 8):
-        here = unit(p - c)
-        store(M, PI + p, c, (sign * (1.0 - here) * load(M, STEP, c) - here) * inverse)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -122,16 +65,6 @@ def settle(M: Array, n: int, m: int, r: int) -> None:
                 yielding = (1.0 - magnitude(load(M, SIDE, c))) * load(M, PI + a, c)
                 store(M, S, c, load(M, S, c) + gap * yielding)
             M[S, a] = bound
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def onto_basis(M: Array, n: int, m: int, r: int, what: int, to: int, scale: float) -> None:
-    """Row ``to`` = scale * Pi of row ``what``, through the basis."""
-    for c in range(0, m, 8):
-        store(M, to, c, 0.0)
-    for k in range(r):
-        z = PI + n + k
-        add(M, m, to, scale * M[INVERSE, k] * along(M, m, z, what), z)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
