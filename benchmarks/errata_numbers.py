@@ -27,7 +27,8 @@ Array = NDArray[np.float64]
 POSES = 50
 PAPER = ControlSettings.paper()
 K = 0.1  # gain of the network, as printed
-K_N2 = 80.0
+K_N2 = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0])
+"""(7,) Table I [N m s/rad]"""
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def torque_of_mu(arm: Arm) -> float:
                 session = printed.start(qp)
                 session.observe(v)  # type: ignore[attr-defined]
                 x = session.solve(qp).x
-                torques.append(tick.third_level(s.record, arm.robot.n, null_space(s.A), x, K_N2, 0.0))
+                torques.append(tick.third_level(s.record, arm.robot.n, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
             share = max(share, float(np.abs(torques[0] - torques[1]).max()))
     return share
 

@@ -19,11 +19,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("docs") / "pictures")
     given = parser.parse_args(arguments)
     trial = Scenario(seed=1, start={"swivel": "random"}, control={"preset": "tuned"}, bound_samples=40)
-    gains = {name: getattr(trial.control, name) for name in ("K_X", "D_X", "K_N", "D_N")}
     runs = {
-        "dcac, same gains": trial.change(
-            control={"law": "dcac", "gains": trial.control.gains or "moc", **gains}
-        ),
+        "dcac, same gains": trial.change(control=trial.control.matched_dcac()),
         "moc, exact": trial,
         "moc, rnn": trial.change(solver={"name": "rnn", "settings": {}}),
         "moc, rnn-printed": trial.change(solver={"name": "rnn-printed", "settings": {}}),

@@ -9,7 +9,7 @@ import moc_opt as mo
 
 first, second = [*sys.argv[1:], "exact", "rnn"][:2]
 trial = mo.Scenario(seed=1, start={"swivel": "random"})
-baseline = mo.run(trial.change(control={"law": "dcac", "gains": "moc"}))
+baseline = mo.run(trial.change(control={"law": "dcac"}))
 results = [
     mo.summarize(mo.run(trial.change(solver={"name": name, "settings": {}})), baseline)
     for name in (first, second)

@@ -18,7 +18,7 @@ trial = mo.Scenario(start={"swivel": 0.15}, bound_samples=60)
 runs = {
     "MOC, exact": mo.run(trial),
     "MOC, rnn-printed": mo.run(trial.change(solver={"name": "rnn-printed", "settings": {}})),
-    "DCAC, same gains": mo.run(trial.change(control={"law": "dcac", "gains": "moc"})),
+    "DCAC, same gains": mo.run(trial.change(control={"law": "dcac"})),
 }
 robot, styles = mo.load_robot(trial.robot.name), Styles(runs)
 pair = {name: runs[name] for name in ("MOC, exact", "DCAC, same gains")}

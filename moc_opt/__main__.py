@@ -90,8 +90,7 @@ def run_scenario(
         print(f"{scenario.name}: {trace.meta['ended']}", file=sys.stderr)
     baseline = None
     if scenario.control.law == "moc":
-        matched = {"law": "dcac", "gains": scenario.control.gains or "moc"}
-        baseline = run(scenario.change(control=matched, bound_samples=0))
+        baseline = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0))
     metrics = summarize(trace, baseline)
     if trace_to is not None:
         trace.save(trace_to)

@@ -29,7 +29,7 @@ def test_trials_are_one_per_task_and_seed():
 
 def test_the_baseline_has_the_gains_of_the_others(trial):
     base = variant(trial, BASELINE)
-    assert (base.control.law, base.control.gains) == ("dcac", "moc")
+    assert (base.control.law, base.control.gains) == ("dcac", "default")
     assert variant(trial, "osqp", {"eps": 1e-3}).solver.settings == {"eps": 1e-3}
 
 

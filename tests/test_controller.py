@@ -70,10 +70,32 @@ def test_torque_is_the_sum_of_the_levels(robot, regular_poses):
         assert np.linalg.norm(top) > 1e-3
 
 
+def test_gains_of_the_third_level_are_one_per_joint(robot, regular_poses):
+    """Joint by joint before the projection: tau_mu = M Z^T (Z M Z^T)^-1 Z (K_N2 * (x - v) - D_N2 * v)."""
+    K, D = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0]), np.array([6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0])
+    rng = np.random.default_rng(1)
+    for q in regular_poses(4):
+        state = robot.state(q, rng.uniform(-0.3, 0.3, 7))
+        Z, M = null_space(state.A), state.M
+        for solver, extra in ((EXACT, {"K_N2": K.tolist(), "D_N2": D.tolist()}), (None, {"dcac_damping": D.tolist()})):
+            controller, _, tip_ref, trocar = started(robot, solver, state, **{**QUIET, **extra})
+            plain, *_ = started(robot, None, state, **QUIET)
+            found = controller.tick(state, tip_ref, trocar) - plain.tick(state, tip_ref, trocar)
+            wish = -D * state.v if solver is None else K * (controller.answer - state.v) - D * state.v
+            wanted = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ wish
+            np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-8)
+
+
+@pytest.mark.parametrize("extra", [{"K_N2": [1.0, 2.0]}, {"law": "dcac", "dcac_damping": [1.0, 2.0]}])
+def test_a_gain_for_each_of_too_few_joints(robot, extra):
+    with pytest.raises(ControlError, match=r"(K_N2|dcac_damping) = \(1.0, 2.0\) has 2 entries for 7 joints"):
+        Controller(robot, ControlSettings(**extra), None if "law" in extra else EXACT)
+
+
 def test_dcac_is_the_two_lower_levels(robot):
     controller, state, tip_ref, trocar = started(robot, solver=None, **QUIET)
     tau = controller.tick(state, tip_ref, trocar)
-    gains = np.array([2000.0, 80.0, 600.0, 60.0])
+    gains = np.array([3000.0, 80.0, 800.0, 60.0])
     np.testing.assert_array_equal(
         tau, tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, False)
     )
@@ -87,7 +109,7 @@ def test_third_level_adds_no_acceleration_of_tip_or_wrist(robot, regular_poses):
     for q in regular_poses(8):
         state = robot.state(q, np.full(7, 0.1))
         moc, _, tip_ref, trocar = started(robot, state=state, **QUIET)
-        dcac, *_ = started(robot, None, state, gains="moc", **QUIET)
+        dcac, *_ = started(robot, None, state, **QUIET)
         difference = moc.tick(state, tip_ref, trocar) - dcac.tick(state, tip_ref, trocar)
         assert np.linalg.norm(difference) > 1e-2
         scale = np.linalg.norm(state.A @ np.linalg.inv(state.M), 2) * np.linalg.norm(difference)
@@ -101,7 +123,7 @@ def test_projector_is_a_setting(projector, robot):
     trocar = trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])
     number = ("dynamic", "static", "printed").index(projector)
     wanted = tick.tracking_torque(
-        state.record, 7, tip_ref, trocar, np.array([2000.0, 80.0, 600.0, 60.0]), number, False
+        state.record, 7, tip_ref, trocar, np.array([3000.0, 80.0, 800.0, 60.0]), number, False
     )
     np.testing.assert_array_equal(controller.tick(state, tip_ref, trocar), wanted)
 
@@ -120,7 +142,7 @@ def test_third_level_fades_in(robot):
     state = robot.state(robot.data.q_home)
     whole, _, tip_ref, trocar = started(robot, state=state, **QUIET)
     faded, *_ = started(robot, state=state, **{**QUIET, "ramp_s": 0.02})
-    dcac, *_ = started(robot, None, state, gains="moc", **QUIET)
+    dcac, *_ = started(robot, None, state, **QUIET)
     low = dcac.tick(state, tip_ref, trocar)
     top = whole.tick(state, tip_ref, trocar) - low
     for _ in range(2):
@@ -167,7 +189,7 @@ def test_a_margin_that_leaves_no_room_is_refused(robot):
 def test_the_two_halves_of_a_tick_are_their_parts(robot, regular_poses, form):
     before, after = (k if form == "compiled" else k.py_func for k in (tick.before_solver, tick.after_solver))
     rng = np.random.default_rng(1)
-    gains, weights = np.array([3000.0, 80.0, 800.0, 60.0, 80.0, 1.0]), np.array([0.01, 0.01, 0.001, 1e-5])
+    gains, weights = np.array([3000.0, 80.0, 800.0, 60.0]), np.array([0.01, 0.01, 0.001, 1e-5])
     box = np.array([robot.q_min, robot.q_max, robot.v_max])
     for q in regular_poses(3):
         state = robot.state(q, rng.uniform(-0.2, 0.2, 7))
@@ -182,11 +204,12 @@ def test_the_two_halves_of_a_tick_are_their_parts(robot, regular_poses, form):
         np.testing.assert_allclose(tau, low, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(row, wanted, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(Z, kept, atol=1e-12)
-        x, disturbance, limit = rng.normal(size=7), rng.normal(size=7), np.full(7, 20.0)
-        after(state.record, 7, Z, x, 80.0, 1.0, disturbance, limit, tau)
-        free = low + tick.third_level(state.record, 7, Z, x, 80.0, 1.0) - disturbance
-        assert (np.abs(free) > 20.0).any()
-        np.testing.assert_allclose(tau, np.clip(free, -20.0, 20.0), rtol=1e-9, atol=1e-8)
+        x, disturbance, limit = rng.normal(size=7), rng.normal(size=7), np.full(7, 10.0)
+        third = (rng.uniform(10.0, 120.0, 7), rng.uniform(0.0, 5.0, 7), 0.6)
+        after(state.record, 7, Z, x, *third, disturbance, limit, tau)
+        free = low + tick.third_level(state.record, 7, Z, x, *third) - disturbance
+        assert (np.abs(free) > 10.0).any()
+        np.testing.assert_allclose(tau, np.clip(free, -10.0, 10.0), rtol=1e-9, atol=1e-8)
 
 
 def test_answer_belongs_to_the_tick(robot):
@@ -233,7 +256,7 @@ def test_without_an_answer_the_null_space_is_damped(robot):
     assert controller.solution.status is Status.INFEASIBLE
     assert np.isnan(controller.solution.x).all()
     np.testing.assert_array_equal(controller.answer, 0.0)
-    dcac = Controller(robot, ControlSettings(law="dcac", gains="moc", **QUIET))
+    dcac = Controller(robot, ControlSettings(law="dcac", **QUIET))
     dcac.start(state, tip_ref, trocar)
     top = tau - dcac.tick(state, tip_ref, trocar)
     Z = null_space(state.A)
@@ -277,7 +300,7 @@ def test_without_an_answer_the_least_violation_is_taken(robot):
 def test_an_infeasible_subproblem_does_not_shake_the_tip(robot, fallback):
     controller, state, tip_ref, trocar = infeasible(robot, fallback, **QUIET)
     tau = controller.tick(state, tip_ref, trocar)
-    dcac = Controller(robot, ControlSettings(law="dcac", gains="moc", **QUIET))
+    dcac = Controller(robot, ControlSettings(law="dcac", **QUIET))
     dcac.start(state, tip_ref, trocar)
     top = tau - dcac.tick(state, tip_ref, trocar)
     np.testing.assert_allclose(state.A @ np.linalg.solve(state.M, top), 0.0, atol=1e-8)

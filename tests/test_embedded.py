@@ -48,13 +48,13 @@ needs_compiler = pytest.mark.skipif(
 
 LAWS: dict[str, dict[str, Any]] = {
     "moc": {},
-    "dcac": {"law": "dcac", "gains": "moc"},
-    "dcac-damped": {"law": "dcac", "gains": "moc", "dcac_damping": 3.0, "projector": "printed"},
+    "dcac": {"law": "dcac"},
+    "dcac-damped": {"law": "dcac", "dcac_damping": [3.0, 5.0, 2.0, 1.0, 0.5, 0.0, 0.2], "projector": "printed"},
     "paper": {**PAPER, "limit_torque": False},
     "all-else": {
         "projector": "static", "feedforward": True, "fallback": "hold", "speed_fraction": 0.2, "ramp_s": 0.01,
         "limit_margin_rad": 0.4,
-        "damping": 1e-4, "c2": 0.002, "K_N2": 20.0,
+        "damping": 1e-4, "c2": 0.002, "K_N2": [20.0, 30.0, 15.0, 8.0, 5.0, 4.0, 3.0],
     },
 }  # fmt: skip
 
@@ -198,7 +198,7 @@ def test_settings_that_c_cannot_do_are_refused(
 
 def test_an_arm_with_two_freedoms_is_refused_where_the_null_space_is_used(odd_robot: RobotModel) -> None:
     gains = dict.fromkeys(("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2"), 10.0)
-    robot = RobotModel(replace(odd_robot.data, gains={"moc": gains, "dcac": gains}))
+    robot = RobotModel(replace(odd_robot.data, gains={"default": gains}))
     for control in (ControlSettings(), ControlSettings(law="dcac", dcac_damping=1.0)):
         with pytest.raises(ControlError, match=r"\[robot\] name = 'odd': 7 joints"):
             build_tick(robot, control, solver_of(control), PERIOD)

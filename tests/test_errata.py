@@ -22,7 +22,7 @@ from moc_opt.subproblem import NullSpaceQP
 
 PAPER = ControlSettings.paper()  # c0 = c1 = 0.01, c2 = 0.001, rho = 0, k0 = 0.1
 K = 0.1  # the paper's gain of the network
-K_N2 = 80.0
+K_N2 = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0])
 
 
 @pytest.fixture(scope="module")
@@ -223,7 +223,7 @@ def test_torque_of_the_printed_network_cannot_act(robot, states):
                 session = printed.start(qp)
                 session.observe(v)
                 x = session.solve(qp).x
-                torques.append(tick.third_level(s.record, 7, null_space(s.A), x, K_N2, 0.0))
+                torques.append(tick.third_level(s.record, 7, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
             share.append(np.abs(torques[0] - torques[1]).max())
         whole = K_N2 * K * PAPER.c2 * rest.grad_mu  # one projection, h = 1: the most one step can give
         bound.append(np.abs(self_motion_torque(rest.M, null_space(rest.A), whole)).max())

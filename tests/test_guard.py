@@ -144,7 +144,7 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
 
 
 @pytest.mark.parametrize(
-    "control", [{"preset": "tuned"}, {"law": "dcac"}, {"law": "dcac", "gains": "moc"}, {}],
+    "control", [{"preset": "tuned"}, {"law": "dcac"}, {"law": "dcac", "gains": "dcac"}, {}],
 )  # fmt: skip
 def test_ordinary_runs_are_not_touched(control):
     trace = run(Scenario(control=control, **QUICK))

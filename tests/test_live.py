@@ -108,7 +108,7 @@ def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
 @pytest.mark.parametrize("swivel", [0.15, 0.85])
 def test_a_long_way_to_go_does_not_throw_the_tip_off(swivel: float) -> None:
     """The third level has far to go when it comes in."""
-    run = LiveRun(Scenario(start={"swivel": swivel}, control={"law": "dcac", "gains": "moc"}))
+    run = LiveRun(Scenario(start={"swivel": swivel}, control={"law": "dcac"}))
     run.advance(500)
     run.choose("exact")
     run.advance(700)

@@ -291,6 +291,9 @@ def test_following_fails_rather_than_returning_nonsense(robot, regular_poses):
 
 # --- the torque ---
 
+K_N2 = np.array([80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0])
+D_N2 = np.array([6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0])
+
 
 @BOTH
 def test_torque_against_numpy(form, robot, regular_poses):
@@ -298,9 +301,9 @@ def test_torque_against_numpy(form, robot, regular_poses):
     for q in regular_poses(8):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         Z, x = level3.null_space(s.A), rng.normal(size=7)
-        found = of(tick.third_level, form)(s.record, 7, Z, x, 80.0, 1.0)
+        found = of(tick.third_level, form)(s.record, 7, Z, x, K_N2, D_N2, 0.7)
         M = s.M
-        wanted = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (80.0 * (x - s.v) - 1.0 * s.v)
+        wanted = 0.7 * M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (np.diag(K_N2) @ (x - s.v) - np.diag(D_N2) @ s.v)
         np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10)
 
 
@@ -308,7 +311,7 @@ def test_level_three_moves_neither_tip_nor_wrist(robot, regular_poses):
     rng = np.random.default_rng(7)
     for q in regular_poses(30):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
-        tau = tick.third_level(s.record, 7, level3.null_space(s.A), rng.normal(size=7), 80.0, 1.0)
+        tau = tick.third_level(s.record, 7, level3.null_space(s.A), rng.normal(size=7), K_N2, D_N2, 1.0)
         assert np.linalg.norm(tau) > 1.0
         scale = np.linalg.norm(s.A @ np.linalg.inv(s.M), 2) * np.linalg.norm(tau)
         assert np.linalg.norm(s.A @ np.linalg.solve(s.M, tau)) < 1e-10 * scale
@@ -328,9 +331,9 @@ def test_answer_is_followed_along_the_self_motion(robot, regular_poses):
     for q in regular_poses(10):
         s = robot.state(q, rng.uniform(-0.5, 0.5, 7))
         Z, x = level3.null_space(s.A), rng.normal(size=7)
-        gain = tick.third_level(s.record, 7, Z, x, 80.0, 0.0)
+        gain = tick.third_level(s.record, 7, Z, x, np.full(7, 80.0), np.zeros(7), 1.0)
         assert (Z @ np.linalg.solve(s.M, gain)) @ (Z @ (x - s.v)) > 0.0
-        slow = tick.third_level(s.record, 7, Z, np.array(s.v), 80.0, 5.0)
+        slow = tick.third_level(s.record, 7, Z, np.array(s.v), np.full(7, 80.0), np.full(7, 5.0), 1.0)
         assert (Z @ np.linalg.solve(s.M, slow)) @ (Z @ s.v) < 0.0
 
 

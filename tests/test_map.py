@@ -25,7 +25,7 @@ def runs() -> dict[str, Trace]:
         plant={"preset": "nominal"}, start={"swivel": 0.2}, judge=False, bound_samples=0,
         task={"wait_s": 0.5, "hold_s": 0.0, "v_max_m_per_s": 0.05, "a_max_m_per_s2": 0.2},
     )  # fmt: skip
-    dcac = moc.change(control={"law": "dcac", "gains": "moc"})
+    dcac = moc.change(control={"law": "dcac"})
     return {"MOC": mo.run(moc), "DCAC": mo.run(dcac)}
 
 

@@ -109,7 +109,7 @@ def files(robot: object, tmp_path_factory: pytest.TempPathFactory) -> list[Path]
 
     trial = mo.Scenario(duration_s=0.1, judge=False, bound_samples=0)
     folder = tmp_path_factory.mktemp("runs")
-    found = {"moc": trial, "dcac": trial.change(control={"law": "dcac", "gains": "moc"})}
+    found = {"moc": trial, "dcac": trial.change(control={"law": "dcac"})}
     for name, scenario in found.items():
         mo.run(scenario).save(folder / f"{name}.parquet")
     return [folder / f"{name}.parquet" for name in found]

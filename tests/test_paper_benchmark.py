@@ -103,14 +103,14 @@ def test_gains_and_compensation_are_equal_on_both_sides(trial, preset):
         assert dcac.law == "dcac"
         assert dcac.observer_gain_per_s == moc.observer_gain_per_s
         assert (dcac.feedforward, dcac.projector) == (moc.feedforward, moc.projector)
-        ours, theirs = moc.resolve_gains(tables), dcac.resolve_gains(tables)
+        ours, theirs = moc.resolve_gains(tables, 7)._asdict(), dcac.resolve_gains(tables, 7)._asdict()
         for gain in ("K_X", "D_X", "K_N", "D_N"):
             if name == OWN:
                 assert theirs[gain] == tables["dcac"][gain]
             else:
                 assert theirs[gain] == ours[gain]
     assert variant(case, MATCHED).control.dcac_damping == 0.0
-    assert variant(case, DAMPED).control.dcac_damping > 1.0
+    assert min(variant(case, DAMPED).control.dcac_damping) > 1.0
 
 
 def test_a_job_measures_every_controller_in_every_phase(trial):

@@ -45,8 +45,11 @@ def test_lwr4_holds_the_published_numbers() -> None:
 
 def test_gains_are_those_of_table_one() -> None:
     gains = load_data().gains
-    assert {"K_X": 2000.0, "K_N": 600.0}.items() <= gains["dcac"].items()
-    assert {"K_X": 3000.0, "K_N": 800.0, "K_N2": 80.0, "D_N2": 1.0}.items() <= gains["moc"].items()
+    assert gains["dcac"] == {"K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0}
+    assert gains["moc"] == {
+        "K_X": 3000.0, "D_X": 30.0, "K_N": 800.0, "D_N": 10.0,
+        "K_N2": (80.0, 120.0, 60.0, 30.0, 20.0, 10.0, 10.0), "D_N2": (6.0, 10.0, 5.0, 3.0, 2.0, 1.0, 1.0),
+    }  # fmt: skip
 
 
 def test_limits_of_both_files_agree() -> None:
@@ -161,7 +164,7 @@ BAD_TOML = {
     "negative friction": ("coulomb_friction_Nm = [1.0", "coulomb_friction_Nm = [-1.0", "coulomb_friction_Nm"),
     "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
     "home too long": ("q_rad = [0.595", "q_rad = [0.1, 0.595", r"home\.q_rad has 8 entries"),
-    "gain not a number": ("K_N2 = 80.0", 'K_N2 = "eighty"', r"gains\.moc\.K_N2"),
+    "gain not a number": ("K_N2 = 80.0", 'K_N2 = "eighty"', r"gains\.default\.K_N2"),
 }
 
 

@@ -441,7 +441,7 @@ def test_other_seed_other_trace():
 def nominal():
     """Both laws from the same poor swivel, in the plant that equals the model, with matched gains."""
     base = Scenario(
-        duration_s=2.0, start=POOR, plant={"preset": "nominal"}, control={"gains": "moc"}, bound_samples=9
+        duration_s=2.0, start=POOR, plant={"preset": "nominal"}, bound_samples=9
     )
     return {law: run(base.change(control={"law": law})) for law in ("moc", "dcac")}
 
@@ -470,7 +470,7 @@ def test_tip_follows_and_the_shaft_stays_in_the_trocar(nominal):
 
 
 def test_the_observer_takes_friction_and_wrong_masses_out():
-    base = Scenario(duration_s=1.5, task={"wait_s": 0.2}, control={"law": "dcac", "gains": "moc"}, **BARE)
+    base = Scenario(duration_s=1.5, task={"wait_s": 0.2}, control={"law": "dcac"}, **BARE)
     errors = []
     for gain in (20.0, 0.0):
         trace = run(base.change(control={"observer_gain_per_s": gain}))

@@ -152,7 +152,7 @@ def test_the_same_run_is_done_once() -> None:
     points = [plan.point(i) for i in range(6)]
     assert [p.values["solver.settings.eps"] for p in points if p.solver == "dcac"] == [None, None]
     assert plan.scenario(0).control.law == "dcac"
-    assert plan.scenario(0).control.gains == "moc"
+    assert plan.scenario(0).control.gains == "default"
     assert plan.scenario(1).solver.settings == {"eps": 1e-6}
     drawn = {"samples": 50, "fields": {"task.path": {"choice": ["circle", "spiral"]}}}
     assert len(Plan(config(random=drawn, grid={}, seeds=1))) == 2
@@ -165,7 +165,7 @@ def test_without_solvers_the_scenarios_own_is_taken() -> None:
     assert plan.scenario(0).solver.settings == {"eps": 1e-7}
     dcac = Plan(Config(scenario={**TINY, "control": {"law": "dcac"}}))
     assert dcac.point(0).solver == "dcac"
-    assert dcac.scenario(0).control.gains is None
+    assert dcac.scenario(0).control.gains == "default"
 
 
 def test_quick_is_the_same_sweep_on_less() -> None:

@@ -78,7 +78,7 @@ def test_local_candidates_lie_near(config):
 
 def test_rho_follows_the_ratio():
     candidate = tune.Candidate((0.5,), {"rho_over_c2": 0.05})
-    assert candidate.control == {"gains": "moc", "damping": 5e-5}
+    assert candidate.control == {"gains": "default", "damping": 5e-5}
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_the_preset_is_a_point_of_the_space(config):
 
 def test_preset_is_written_as_a_scenario_reads_it():
     found = tune.preset(tune.Score(tune.Candidate((), {"K_N": 2000.0, "rho_over_c2": 0.1}), 0.0, {}))
-    assert found == '[control]\ngains = "moc"\nK_N = 2000.0\ndamping = 0.0001'
+    assert found == '[control]\ngains = "default"\nK_N = 2000.0\ndamping = 0.0001'
 
 
 def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):

@@ -122,11 +122,12 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
         return trial.change(solver={"name": controller, "settings": dict(settings or {})})
     if controller == OWN:
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
-    table: dict[str, Any] = {"law": "dcac", "gains": control.gains or "moc"}
+    table = control.matched_dcac()
     if controller == DAMPED:
         # As much damping as MOC's third level gives where its wish is rest.
-        moc = control.resolve_gains(load_data(trial.robot.name).gains)
-        table = {**table, "dcac_damping": moc["K_N2"] + moc["D_N2"]}
+        data = load_data(trial.robot.name)
+        moc = control.resolve_gains(data.gains, data.n)
+        table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}
     return trial.change(control=table)
 
 

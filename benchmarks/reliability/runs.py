@@ -54,8 +54,7 @@ def jobs(config: Config) -> list[Job]:
         base = config.scenario.change(seed=config.seed + trial)
         for controller in (BASELINE, *config.solvers):
             if controller == BASELINE:
-                law = {"law": "dcac", "gains": base.control.gains or "moc"}
-                scenario = base.change(control=law)
+                scenario = base.change(control=base.control.matched_dcac())
                 cases = {name: case for name, case in config.cases.items() if case.group != "solver"}
             else:
                 scenario, cases = base.change(solver={"name": controller, "settings": {}}), dict(config.cases)

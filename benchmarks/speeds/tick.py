@@ -106,8 +106,8 @@ def parts(
     robot: RobotModel, settings: ControlSettings, solver: Solver, inputs: list[Inputs], period_s: float
 ) -> dict[str, Timed]:
     """The parts of our tick, each on the same states: what the controller calls, called by itself."""
-    n, gains = robot.n, settings.resolve_gains(robot.data.gains)
-    numbers = np.array([gains[name] for name in ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")])
+    n, gains = robot.n, settings.resolve_gains(robot.data.gains, robot.n)
+    numbers = np.array(gains[:4])
     limits = manipulability.box_limits(
         robot.q_min, robot.q_max, robot.v_max,
         margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
@@ -145,7 +145,7 @@ def parts(
 
     def after(item: Any) -> None:
         state, x = item
-        tick.after_solver(state.record, n, Z, x, numbers[4], numbers[5], held, robot.tau_max, tau)
+        tick.after_solver(state.record, n, Z, x, gains.K_N2, gains.D_N2, 1.0, held, robot.tau_max, tau)
 
     calls: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
         "model state": (lambda item: robot.state(item[0], item[1]), inputs),

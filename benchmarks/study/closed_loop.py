@@ -89,7 +89,7 @@ def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[s
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
     """The trial under DCAC (with MOC's gains) or under MOC with the named solver."""
     if controller == BASELINE:
-        return trial.change(control={"law": "dcac", "gains": trial.control.gains or "moc"})
+        return trial.change(control=trial.control.matched_dcac())
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
 
 

@@ -13,7 +13,7 @@ from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.control import manipulability, tick
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
-from moc_opt.control.settings import GAINS, ControlSettings
+from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel, RobotState
@@ -31,7 +31,7 @@ _BEFORE_SOLVER = Entry(
 )  # fmt: skip
 _TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_)
 _AFTER_SOLVER = Entry(
-    tick.after_solver, VECTOR, int64, MATRIX, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR
+    tick.after_solver, VECTOR, int64, MATRIX, VECTOR, VECTOR, VECTOR, float64, VECTOR, VECTOR, VECTOR
 )
 
 
@@ -74,8 +74,8 @@ class Controller:
                 "'moc' needs one, 'dcac' takes none"
             )
         self.robot, self.settings, self.solver = robot, settings, solver
-        found = settings.resolve_gains(robot.data.gains)
-        self._gains = np.array([found[gain] for gain in GAINS])
+        gains = settings.resolve_gains(robot.data.gains, robot.n)
+        self._gains = np.array([gains.K_X, gains.D_X, gains.K_N, gains.D_N])
         self._projector = PROJECTORS.index(settings.projector)
         self._limits = manipulability.box_limits(
             robot.q_min, robot.q_max, robot.v_max,
@@ -84,8 +84,9 @@ class Controller:
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
         self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
-        self._pull, self._damping = found["K_N2"], found["D_N2"]
-        self._dcac_damping = settings.dcac_damping
+        self._pull, self._damping = gains.K_N2, gains.D_N2
+        if settings.law == "dcac":
+            self._damping = per_joint("[control] dcac_damping", settings.dcac_damping, robot.n)
         self._tau_max = np.array(robot.tau_max) if settings.limit_torque else np.full(robot.n, np.inf)
         self._row_length = row_length(robot.n)
         self._observer = (
@@ -93,7 +94,7 @@ class Controller:
             if settings.observer_gain_per_s
             else None
         )
-        self._uses_null_space = solver is not None or settings.dcac_damping > 0.0
+        self._uses_null_space = solver is not None or settings.damps_dcac
         self._started = False
         self._session: Session | None = None
         self._listener: ObservesVelocity | None = None
@@ -202,16 +203,18 @@ class Controller:
                 self._Z = manipulability.null_space(state.A, like=self._Z)
             x = self._answer(self._session, NullSpaceQP.from_row(row), state)
             self._share = min(1.0, self._share + self._fade)
-            pull, damping = self._share * self._pull, self._share * self._damping
+            share = self._share
         else:
             tau = self._tracking_torque(
                 record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
             )
             if self._uses_null_space:
                 self._follow_null_space(state)
-            x, pull, damping = self._rest, self._dcac_damping, 0.0
+            x, share = self._rest, 1.0
         disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
-        self._after_solver(record, robot.n, self._Z, x, pull, damping, disturbance, self._tau_max, tau)
+        self._after_solver(
+            record, robot.n, self._Z, x, self._pull, self._damping, share, disturbance, self._tau_max, tau
+        )
         tau.setflags(write=False)
         self._tau = tau
         return tau

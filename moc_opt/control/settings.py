@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from pydantic import Field
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
@@ -14,11 +16,40 @@ from moc_opt.settings import Settings
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
-GAINS = ("K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2")
+
+def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
+    numbers = value if isinstance(value, list | tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number < float("inf"):
+            raise ValueError("input should be a number of 0 or more, or a list with one for each joint")
+    return float(value) if numbers is not value else tuple(float(number) for number in numbers)
+
+
+PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbers)]
+"""One number for all joints, or one per joint."""
+
 PRESETS = ("paper", "tuned", "robust")
 
-# No observer, no ramp, and a box that goes up to the limits of the joints themselves.
+
+class Gains(NamedTuple):
+    """The gains of the three levels as a controller uses them."""
+
+    K_X: float
+    D_X: float
+    K_N: float
+    D_N: float
+    K_N2: NDArray[np.float64]
+    """(n,) [N m s/rad]"""
+    D_N2: NDArray[np.float64]
+    """(n,) [N m s/rad]"""
+
+
+GAINS = Gains._fields
+
+# Table I: each law has the gains printed for it. No observer, no ramp, and a box that goes up to the limits of the
+# joints themselves.
 PAPER: dict[str, Any] = {
+    "gains": None,
     "k0_per_s": 0.1,
     "damping": 0.0,
     "observer_gain_per_s": 0.0,
@@ -29,7 +60,7 @@ PAPER: dict[str, Any] = {
 
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
 TUNED: dict[str, Any] = {
-    "gains": "moc",
+    "gains": "default",
     "K_N": 1670.0,
     "D_N": 74.2,
     "K_N2": 22.9,
@@ -50,24 +81,24 @@ ROBUST: dict[str, Any] = {**TUNED, "D_X": 50.0, "K_N2": 15.0, "observer_gain_per
 class ControlSettings(Settings):
     """The stack of three levels.
 
-    ``law``: ``dcac`` is tip and RCM alone, ``moc`` adds the third level. ``gains`` names the table
-    of the robot's TOML to start from (``dcac`` or ``moc``; the law's own when None), so that both
-    laws can run with matched gains.
+    ``law``: ``dcac`` is tip and RCM alone, ``moc`` adds the third level. ``gains`` names the table of the robot's
+    TOML to start from: ``default`` serves both laws, ``dcac`` and ``moc`` are Table I of Su et al. (2019), None is
+    the table named like the law. K_N2, D_N2 and ``dcac_damping`` are one number, or one per joint.
     """
 
     KIND: ClassVar[str] = "[control]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     law: Literal["dcac", "moc"] = "moc"
-    gains: str | None = None
+    gains: str | None = "default"
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
     D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]")
-    K_N2: NotNegative | None = Field(default=None, description="third level, on x* - v [N m s/rad]")
-    D_N2: NotNegative | None = Field(default=None, description="third level, on v [N m s/rad]")
-    dcac_damping: NotNegative = Field(
-        default=0.0, description="damping of the self-motion under dcac; 0 as in the paper"
+    K_N2: PerJoint | None = Field(default=None, description="third level, on x* - v [N m s/rad]")
+    D_N2: PerJoint | None = Field(default=None, description="third level, on v [N m s/rad]")
+    dcac_damping: PerJoint = Field(
+        default=0.0, description="damping of the self-motion under dcac [N m s/rad]; 0 as in the paper"
     )
 
     projector: Literal["dynamic", "static", "printed"] = "dynamic"
@@ -124,26 +155,62 @@ class ControlSettings(Settings):
         make: Callable[..., ControlSettings] = getattr(cls, name)
         return make(**changes)
 
-    def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    @property
+    def damps_dcac(self) -> bool:
+        """Whether ``dcac_damping`` acts on any joint."""
+        return bool(np.any(np.asarray(self.dcac_damping) > 0.0))
+
+    def matched_dcac(self) -> dict[str, Any]:
+        """Changes that make these settings DCAC with the gains that they use now: the baseline of a fair comparison."""
+        return {"law": "dcac", "gains": self.gains or self.law}
+
+    def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
         """K_X .. D_N2 as numbers: settings first, then the robot's table.
+
+        Args:
+            tables: the robot's [gains.*].
+            joints: n, to which K_N2 and D_N2 are spread; they are zero under DCAC.
 
         Raises:
             UnknownNameError: ``gains`` names no table of this robot.
-            ControlError: a gain that this law needs stands nowhere, or the robot's is no number of 0 or more.
+            ControlError: a gain that this law needs stands nowhere, is no number of 0 or more, or has another
+                length than the arm has joints.
         """
         name = self.gains or self.law
         if name not in tables:
             raise UnknownNameError("table of gains", name, tables)
-        found = {gain: getattr(self, gain) for gain in GAINS}
-        found = {gain: tables[name].get(gain) if value is None else value for gain, value in found.items()}
-        needed = GAINS if self.law == "moc" else GAINS[:4]
-        for gain in needed:
-            if found[gain] is None:
+        found: dict[str, Any] = {}
+        for gain in GAINS if self.law == "moc" else GAINS[:4]:
+            value, where = getattr(self, gain), ""
+            if value is None:
+                value, where = tables[name].get(gain), f" in [gains.{name}] of the robot"
+            if value is None:
                 raise ControlError(
                     f"{gain}: not set, and [gains.{name}] of the robot has none; give a number"
                 )
-            if not isinstance(found[gain], int | float) or not 0.0 <= found[gain] < float("inf"):
-                raise ControlError(
-                    f"{gain} = {found[gain]!r} in [gains.{name}] of the robot: give one number of 0 or more"
-                )
-        return {gain: float(found[gain]) if gain in needed else 0.0 for gain in GAINS}
+            if gain in GAINS[:4]:
+                found[gain] = _one_number(gain, value, where)
+            else:
+                found[gain] = per_joint(gain, value, joints, where)
+        return Gains(**{"K_N2": np.zeros(joints), "D_N2": np.zeros(joints), **found})
+
+
+def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np.float64]:
+    """One number for all joints, or one per joint, as (n,) numbers of 0 or more.
+
+    Raises:
+        ControlError: another length, or something that is no such number; the message says ``where`` it stands.
+    """
+    numbers = value if isinstance(value, list | tuple) else [value] * joints
+    if len(numbers) != joints:
+        raise ControlError(
+            f"{name} = {value!r}{where} has {len(numbers)} entries for {joints} joints: give one number, "
+            "or one per joint"
+        )
+    return np.array([_one_number(name, number, where) for number in numbers])
+
+
+def _one_number(name: str, value: Any, where: str) -> float:
+    if not isinstance(value, int | float) or not 0.0 <= value < float("inf"):
+        raise ControlError(f"{name} = {value!r}{where}: give one number of 0 or more")
+    return float(value)

@@ -108,10 +108,16 @@ def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: 
 
 
 @njit(cache=True, nogil=True)
-def third_level(record: Array, n: int, Z: Array, x: Array, gain: float, damping: float) -> Array:
-    """tau_mu = M Z^T (Z M Z^T)^-1 Z (gain (x - v) - damping v), (n,) [Nm]."""
+def third_level(record: Array, n: int, Z: Array, x: Array, gain: Array, damping: Array, share: float) -> Array:
+    """tau_mu = share M Z^T (Z M Z^T)^-1 Z (gain * (x - v) - damping * v), (n,) [Nm].
+
+    gain and damping (n,) multiply joint by joint, before the projection.
+    """
     s = state_views(record, n)
-    torque: Array = self_motion_torque(s.M, Z, gain * (x - s.v) - damping * s.v)
+    push = np.empty(n)
+    for i in range(n):
+        push[i] = share * (gain[i] * (x[i] - s.v[i]) - damping[i] * s.v[i])
+    torque: Array = self_motion_torque(s.M, Z, push)
     return torque
 
 
@@ -152,16 +158,17 @@ def after_solver(
     n: int,
     Z: Array,
     x: Array,
-    gain: float,
-    damping: float,
+    gain: Array,
+    damping: Array,
+    share: float,
     disturbance: Array,
     tau_max: Array,
     tau: Array,
 ) -> None:
-    """Add the third level to tau (n,), take the observer's disturbance (n,) out, and cut at tau_max (n,)."""
+    """Add the third level's share to tau (n,), take the observer's disturbance (n,) out, and cut at tau_max (n,)."""
     record, Z, x, tau = borrowed(record), borrowed(Z), borrowed(x), borrowed(tau)
-    disturbance, tau_max = borrowed(disturbance), borrowed(tau_max)
-    third = third_level(record, n, Z, x, gain, damping)
+    gain, damping, disturbance, tau_max = borrowed(gain), borrowed(damping), borrowed(disturbance), borrowed(tau_max)
+    third = third_level(record, n, Z, x, gain, damping, share)
     for i in range(n):
         tau[i] = tau[i] + third[i] - disturbance[i]
         if tau[i] > tau_max[i]:  # a NaN passes: the plant refuses it by name

@@ -100,7 +100,7 @@ def _constants(
     data = robot.data
     limits = {"q_min [rad]": data.q_min, "q_max [rad]": data.q_max, "v_max [rad/s]": data.v_max,
               "tau_max [Nm]": data.tau_max, "rotor inertia [kg m^2]": data.rotor_inertia}  # fmt: skip
-    control = settings.model_dump(exclude={"gains", "backend"}) | settings.resolve_gains(data.gains)
+    control = settings.model_dump(exclude={"gains", "backend"}) | settings.resolve_gains(data.gains, data.n)._asdict()
     order = [*GAINS, *(name for name in control if name not in GAINS)]
     return {
         "joints": ", ".join(data.joint_names),

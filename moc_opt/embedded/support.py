@@ -45,7 +45,7 @@ def check_supported(
             f"[control] observer_gain_per_s = {settings.observer_gain_per_s} at a period of {period} s: "
             f"keep it below {1.0 / period:g}"
         )
-    if moc or settings.dcac_damping > 0.0:
+    if moc or settings.damps_dcac:
         moving = int(robot.moves.any(axis=0).sum())
         if moving != 6:
             raise ControlError(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.manipulability import box_limits
+from moc_opt.control.settings import per_joint
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.layout import Layout, layout
@@ -74,7 +75,7 @@ class _Law:
         s: dict[str, SX],
     ) -> None:
         self.robot, self.settings, self.s = robot, settings, s
-        self.gains = settings.resolve_gains(robot.data.gains)
+        self.gains = settings.resolve_gains(robot.data.gains, robot.n)
         self.arm = arm = Arm.of(robot)
         self.span = float(np.linalg.norm(arm.offsets[0] - arm.offsets[1]))
         frames = dynamics.joint_frames(arm, s["q"])
@@ -90,7 +91,7 @@ class _Law:
         }  # fmt: skip
 
         tau = self._tip_and_rcm()
-        if settings.law == "moc" or settings.dcac_damping > 0.0:
+        if settings.law == "moc" or settings.damps_dcac:
             tau += self._third_level(solver, period)
         if settings.observer_gain_per_s:
             known = s["torque"] + energy_slope - gravity
@@ -119,9 +120,9 @@ class _Law:
         Y = ca.solve(factor, J_tip.T)  # J M^-1 J^T = Y^T Y, M^-1 J^T = factor^-T Y
         mobility = ca.chol(Y.T @ Y)
 
-        force = gains["K_X"] * (X_d - self.at.tip) + gains["D_X"] * (dX_d - dX)
+        force = gains.K_X * (X_d - self.at.tip) + gains.D_X * (dX_d - dX)
         N_d, dN_d = self._desired_wrist(dX)
-        tau_wrist = J_wrist.T @ (gains["K_N"] * (N_d - self.at.wrist) + gains["D_N"] * (dN_d - dN))
+        tau_wrist = J_wrist.T @ (gains.K_N * (N_d - self.at.wrist) + gains.D_N * (dN_d - dN))
         if self.settings.projector == "dynamic":
             at_tip = _solve_factored(mobility, Y.T @ ca.solve(factor, tau_wrist))
         elif self.settings.projector == "static":
@@ -167,9 +168,9 @@ class _Law:
             x = self._subproblem(solver.tolerance, triangle, z, active, *across)
             share = ca.fmin(1, self.s["share"] + period / settings.ramp_s) if settings.ramp_s else ca.SX(1)
             self.results["share"] = share
-            push = share * (self.gains["K_N2"] * (x - v) - self.gains["D_N2"] * v)
+            push = share * (ca.DM(self.gains.K_N2) * (x - v) - ca.DM(self.gains.D_N2) * v)
         else:
-            push = -settings.dcac_damping * v
+            push = -ca.DM(per_joint("[control] dcac_damping", settings.dcac_damping, n)) * v
         Z = ca.SX.zeros(n - len(active) + 1, n)
         Z[0, active] = z.T
         for i, j in enumerate(sorted(set(range(n)) - set(active))):

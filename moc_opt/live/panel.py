@@ -29,8 +29,8 @@ FIELDS = {
     "damping": ("ρ", "weight of |x|² in the subproblem; 0 is the paper's linear problem"),
     "K_X": ("K_X [N/m]", "tip stiffness"),
     "K_N": ("K_N [N/m]", "wrist stiffness"),
-    "K_N2": ("K_N2 [N m s/rad]", "third level, on x* - v"),
-    "D_N2": ("D_N2 [N m s/rad]", "third level, on v"),
+    "K_N2": ("K_N2 [N m s/rad]", "third level, on x* - v; one number, or one per joint"),
+    "D_N2": ("D_N2 [N m s/rad]", "third level, on v; one number, or one per joint"),
     "k0_per_s": ("k0 [1/s]", "velocity damper at the joint limits"),
 }
 """Setting of the control law -> its label and what it does."""
@@ -95,19 +95,26 @@ class Panel:
             self._run.choose(self._solver.value)
 
     def _written(self, name: str) -> str:
-        value = self._run.gains[name] if name in self._run.gains else getattr(self._run.control, name)
-        return f"{value:g}"
+        value = getattr(self._run.gains, name, None)
+        if value is None:
+            value = getattr(self._run.control, name)
+        numbers = [f"{number:g}" for number in np.atleast_1d(value)]
+        return numbers[0] if len(set(numbers)) == 1 else " ".join(numbers)
 
     def _apply(self) -> None:
         """Take all fields at once: half of a change would be another controller."""
-        values = {}
+        values: dict[str, Any] = {}
         for name, field in self._fields.items():
             if field.value.strip() == self._written(name):
                 continue  # what nobody has changed stays what it is, digits that are not shown included
             try:
-                values[name] = float(field.value.replace(",", "."))
-            except ValueError as error:
-                raise LiveError(f"{FIELDS[name][0]} = {field.value!r}: give a number") from error
+                numbers = tuple(float(number) for number in field.value.replace(",", ".").split())
+                values[name] = numbers if len(numbers) > 1 else numbers[0]
+            except (ValueError, IndexError) as error:
+                raise LiveError(
+                    f"{FIELDS[name][0]} = {field.value!r}: give a number (the third level also takes one per joint, "
+                    "with spaces between)"
+                ) from error
         if values:
             self._run.tune(**values)
 

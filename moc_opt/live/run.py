@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.guard import Guard
+from moc_opt.control.settings import Gains
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.live.history import History, thinned
 from moc_opt.live.motion import MovingTrocar, ToAndFro
@@ -98,9 +99,9 @@ class LiveRun:
         return self._name
 
     @property
-    def gains(self) -> dict[str, float]:
+    def gains(self) -> Gains:
         """K_X .. D_N2 as numbers."""
-        return self._control.resolve_gains(self.robot.data.gains)
+        return self._control.resolve_gains(self.robot.data.gains, self.robot.n)
 
     def choose(self, solver: str) -> None:
         """Put another solver, or `DCAC`, into the third level.
@@ -109,9 +110,7 @@ class LiveRun:
             MocOptError: it does not exist, or cannot run here.
         """
         with self._building:
-            law = {"law": "dcac", "gains": self._control.gains or self._control.law}
-            if solver != DCAC:
-                law["law"] = "moc"
+            law = self._control.matched_dcac() if solver == DCAC else {"law": "moc"}
             self._exchange(changed(self._control, **law), solver)
 
     def tune(self, **settings: Any) -> None:
