@@ -94,6 +94,7 @@ def test_a_bad_number_in_the_robot_s_table(gain, value):
         ("dcac_damping", -1.0), ("K_N2", [1.0, -1.0]), ("D_N2", "soft"), ("dcac_damping", [float("nan")]),
         ("law", "both"), ("projector", "kinetic"), ("fallback", "stop"),
         ("limit_torque", "perhaps"), ("feedforward", 3),
+        ("rcm_lambda", 0.0), ("rcm_lambda", 1.1),
         ("speed_fraction", 0.0), ("speed_fraction", 1.5), ("ramp_s", -0.1), ("limit_margin_rad", -0.1),
     ],
 )  # fmt: skip

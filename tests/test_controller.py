@@ -197,9 +197,9 @@ def test_the_two_halves_of_a_tick_are_their_parts(robot, regular_poses, form):
         Z, tau, row, wanted = null_space(state.A), np.empty(7), np.empty(80), np.empty(80)
         kept = Z.copy()
         assert before(
-            state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True, box, weights, 2.0, Z, tau, row
+            state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True, 0.4, box, weights, 2.0, Z, tau, row
         )
-        low = tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True)
+        low = tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True, 0.4)
         tick.fill_subproblem(state.record, 7, tip_ref, trocar, box, weights, 2.0, wanted)
         np.testing.assert_allclose(tau, low, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(row, wanted, rtol=1e-9, atol=1e-12)

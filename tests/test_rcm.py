@@ -175,6 +175,38 @@ def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
     assert d == pytest.approx(factor * np.linalg.norm(wrist - wish), rel=1e-9, abs=1e-12)
 
 
+@BOTH
+@pytest.mark.parametrize("rcm_lambda", [0.5, 0.2])
+def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
+    """F_W = K_N (d / lambda) (N_d - N)/|N_d - N| + D_N (dN_d - dN): the paper's length, our direction."""
+    rng = np.random.default_rng(4)
+    gains, tip_ref = np.array([0.0, 0.0, 800.0, 10.0]), np.zeros((3, 3))
+    for q in regular_poses(10):
+        s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
+        trocar = shifted_trocar(s, rng)
+        torque = of(tick.tracking_torque, form)
+        found = torque(s.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, False, rcm_lambda) - s.h
+        wish, speed = rcm.desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
+        d = np.linalg.norm(np.cross(trocar[0] - s.tip, s.tool_direction))
+        force = 800.0 * d / rcm_lambda * (wish - s.wrist) / np.linalg.norm(wish - s.wrist)
+        force += 10.0 * (speed - s.J_wrist @ s.v)
+        wanted = project("dynamic", s, s.J_wrist.T @ force)
+        np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
+
+
+def test_published_error_is_ours_where_lambda_is_the_true_one(robot):
+    s = robot.state(robot.data.q_home, np.full(7, 0.1))
+    trocar = shifted_trocar(s, np.random.default_rng(2))
+    wish, _ = rcm.desired_wrist(s.tip, s.tip * 0.0, trocar[0], trocar[1], s.tool_span)
+    true = float(shaft_distance(s.tip, s.wrist, trocar[0])) / np.linalg.norm(s.wrist - wish)
+    for number in range(3):
+        ours, theirs = (
+            tick.tracking_torque(s.record, 7, np.zeros((3, 3)), trocar, NO_TIP, number, False, value)
+            for value in (0.0, true)
+        )
+        np.testing.assert_allclose(theirs, ours, rtol=1e-9, atol=1e-9)
+
+
 def test_wrist_is_accelerated_towards_where_it_belongs(robot, regular_poses):
     rng = np.random.default_rng(5)
     for q in regular_poses(20):

@@ -26,10 +26,10 @@ Array = NDArray[np.float64]
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
 
 _BEFORE_SOLVER = Entry(
-    tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, MATRIX, VECTOR, float64, MATRIX, VECTOR,
-    VECTOR,
+    tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64, MATRIX, VECTOR, float64, MATRIX,
+    VECTOR, VECTOR,
 )  # fmt: skip
-_TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_)
+_TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64)
 _AFTER_SOLVER = Entry(
     tick.after_solver, VECTOR, int64, MATRIX, VECTOR, VECTOR, VECTOR, float64, VECTOR, VECTOR, VECTOR
 )
@@ -77,6 +77,7 @@ class Controller:
         gains = settings.resolve_gains(robot.data.gains, robot.n)
         self._gains = np.array([gains.K_X, gains.D_X, gains.K_N, gains.D_N])
         self._projector = PROJECTORS.index(settings.projector)
+        self._rcm_lambda = 0.0 if settings.rcm_lambda is None else settings.rcm_lambda
         self._limits = manipulability.box_limits(
             robot.q_min, robot.q_max, robot.v_max,
             margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
@@ -193,6 +194,7 @@ class Controller:
                 gains,
                 self._projector,
                 self._feedforward,
+                self._rcm_lambda,
                 self._limits,
                 self._weights,
                 self._k0,
@@ -206,7 +208,7 @@ class Controller:
             share = self._share
         else:
             tau = self._tracking_torque(
-                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward
+                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward, self._rcm_lambda
             )
             if self._uses_null_space:
                 self._follow_null_space(state)

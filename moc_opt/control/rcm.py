@@ -3,6 +3,7 @@
 The tip at X and the trocar at P_t fix where the wrist belongs: N_d = X + L e with
 e = (P_t - X)/|P_t - X|. A spring pulls the wrist there, F_W = K_N (N_d - N) + D_N (dN_d - J_W v),
 projected so that it does not move the tip (Su et al. 2019; the consistent form of its projector).
+The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant lambda: ``published_share``.
 """
 
 from __future__ import annotations
@@ -37,6 +38,25 @@ def desired_wrist(
         wrist[i] = tip[i] + span * e[i] / distance
         velocity[i] = tip_velocity[i] + span * (slip[i] - along * e[i]) / distance
     return wrist, velocity
+
+
+@njit(cache=True, nogil=True)
+def published_share(tip: Array, wrist: Array, trocar: Array, span: float, rcm_lambda: float) -> float:
+    """What |N_d - N| has to be multiplied by to become the paper's |e_N1| = d / lambda with a constant lambda.
+
+    d = |P_t - X| sin(theta) is the RCM error and theta the angle between e and the shaft N - X; |N_d - N| is
+    2 L sin(theta/2), hence the true lambda is |P_t - X|/L cos(theta/2). It varies with the tip's depth, and the
+    share is that lambda over the constant one.
+    """
+    square, along = 0.0, 0.0
+    for i in range(3):
+        e = trocar[i] - tip[i]
+        square += e * e
+        along += e * (wrist[i] - tip[i])
+    distance = np.sqrt(square)
+    half = np.sqrt(max(0.0, 0.5 * (1.0 + along / (distance * span))))
+    share: float = distance / span * half / rcm_lambda
+    return share
 
 
 @njit(cache=True, nogil=True)

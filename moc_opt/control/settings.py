@@ -46,10 +46,11 @@ class Gains(NamedTuple):
 
 GAINS = Gains._fields
 
-# Table I: each law has the gains printed for it. No observer, no ramp, and a box that goes up to the limits of the
+# Table I: each law has the gains printed for it, and the error of the RCM is d / lambda. No observer, no ramp, and a box that goes up to the limits of the
 # joints themselves.
 PAPER: dict[str, Any] = {
     "gains": None,
+    "rcm_lambda": 0.5,
     "k0_per_s": 0.1,
     "damping": 0.0,
     "observer_gain_per_s": 0.0,
@@ -101,6 +102,9 @@ class ControlSettings(Settings):
         default=0.0, description="damping of the self-motion under dcac [N m s/rad]; 0 as in the paper"
     )
 
+    rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
+        default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
+    )
     projector: Literal["dynamic", "static", "printed"] = "dynamic"
     feedforward: bool = Field(default=False, description="acceleration feed-forward of tip and wrist")
     observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")

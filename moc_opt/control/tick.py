@@ -16,7 +16,13 @@ from moc_opt.control.manipulability import (
     self_motion_torque,
     velocity_damper,
 )
-from moc_opt.control.rcm import desired_wrist, project_dynamic, project_printed, project_static
+from moc_opt.control.rcm import (
+    desired_wrist,
+    project_dynamic,
+    project_printed,
+    project_static,
+    published_share,
+)
 from moc_opt.model_kernels import StateViews, state_views
 
 Array = NDArray[np.float64]
@@ -26,7 +32,14 @@ DYNAMIC, STATIC, PRINTED = 0, 1, 2
 
 @njit(cache=True, nogil=True)
 def tracking_torque(
-    record: Array, n: int, tip_ref: Array, trocar: Array, gains: Array, projector: int, feedforward: bool
+    record: Array,
+    n: int,
+    tip_ref: Array,
+    trocar: Array,
+    gains: Array,
+    projector: int,
+    feedforward: bool,
+    rcm_lambda: float = 0.0,
 ) -> Array:
     """Levels 1 and 2: tau_tip + tau_rcm, (n,) [Nm].
 
@@ -37,13 +50,20 @@ def tracking_torque(
         gains: K_X, D_X, K_N, D_N, ...
         projector: DYNAMIC, STATIC or PRINTED.
         feedforward: add the accelerations of tip and desired wrist.
+        rcm_lambda: constant lambda of the paper's |e_N1| = d / lambda; 0 takes |N_d - N| itself.
     """
-    return _tracking(state_views(record, n), tip_ref, trocar, gains, projector, feedforward)
+    return _tracking(state_views(record, n), tip_ref, trocar, gains, projector, feedforward, rcm_lambda)
 
 
 @njit(cache=True, nogil=True)
 def _tracking(
-    s: StateViews, tip_ref: Array, trocar: Array, gains: Array, projector: int, feedforward: bool
+    s: StateViews,
+    tip_ref: Array,
+    trocar: Array,
+    gains: Array,
+    projector: int,
+    feedforward: bool,
+    rcm_lambda: float,
 ) -> Array:
     J_tip, J_wrist = s.A[:3], s.A[3:]
     tip_velocity, wrist_velocity = times(J_tip, s.v), times(J_wrist, s.v)
@@ -57,6 +77,10 @@ def _tracking(
         tau += motion_feedforward(s.A, s.u, M_factor, s.drift, tip_ref[2], bend)
 
     wish, wish_velocity = desired_wrist(s.tip, tip_velocity, trocar[0], trocar[1], s.scalars[1])
+    if rcm_lambda > 0.0:
+        share = published_share(s.tip, s.wrist, trocar[0], s.scalars[1], rcm_lambda)
+        for i in range(3):
+            wish[i] = s.wrist[i] + share * (wish[i] - s.wrist[i])
     turn = compliance_force(gains[2], gains[3], wish, wish_velocity, s.wrist, wrist_velocity)
     tau_wrist = transpose_times(J_wrist, turn)
     if projector == DYNAMIC:
@@ -130,6 +154,7 @@ def before_solver(
     gains: Array,
     projector: int,
     feedforward: bool,
+    rcm_lambda: float,
     limits: Array,
     weights: Array,
     k0: float,
@@ -145,7 +170,7 @@ def before_solver(
     s, Z, tau, row = state_views(borrowed(record), n), borrowed(Z), borrowed(tau), borrowed(row)
     tip_ref, trocar, gains = borrowed(tip_ref), borrowed(trocar), borrowed(gains)
     limits, weights = borrowed(limits), borrowed(weights)
-    found = _tracking(s, tip_ref, trocar, gains, projector, feedforward)
+    found = _tracking(s, tip_ref, trocar, gains, projector, feedforward, rcm_lambda)
     for i in range(n):
         tau[i] = found[i]
     _fill(s, tip_ref, trocar, limits, weights, k0, row)

@@ -11,8 +11,8 @@ from moc_opt.solvers.exact import Exact
 # Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself and
 # `supervisor` watching over solvers that are not compiled in.
 OBEYED = frozenset((
-    "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "projector", "feedforward",
-    "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "damping", "fallback",
+    "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
+    "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "damping", "fallback",
     "speed_fraction", "limit_margin_rad", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
 

@@ -122,6 +122,12 @@ class _Law:
 
         force = gains.K_X * (X_d - self.at.tip) + gains.D_X * (dX_d - dX)
         N_d, dN_d = self._desired_wrist(dX)
+        if self.settings.rcm_lambda is not None:
+            e = self.s["trocar"][:3] - self.at.tip
+            distance = ca.norm_2(e)
+            along = ca.dot(e, self.at.wrist - self.at.tip) / (distance * self.span)
+            true_lambda = distance / self.span * ca.sqrt(ca.fmax(0, 0.5 * (1 + along)))
+            N_d = self.at.wrist + true_lambda / self.settings.rcm_lambda * (N_d - self.at.wrist)
         tau_wrist = J_wrist.T @ (gains.K_N * (N_d - self.at.wrist) + gains.D_N * (dN_d - dN))
         if self.settings.projector == "dynamic":
             at_tip = _solve_factored(mobility, Y.T @ ca.solve(factor, tau_wrist))

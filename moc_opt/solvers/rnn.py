@@ -29,11 +29,21 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def integrate(
-    row: Array, x: Array, y: Array, steps: int, h: float, k: float, scale: float, implicit: bool, eps: float
+    row: Array,
+    x: Array,
+    y: Array,
+    steps: int,
+    h_x: float,
+    h_y: float,
+    k: float,
+    scale: float,
+    implicit: bool,
+    eps: float,
 ) -> tuple[int, float]:
     """Advance the state x (n,), y (6,) in place by at most ``steps`` Euler steps on one flat record.
 
-    Stops early where the state moves slower than ``eps``. implicit: the multipliers see the new x.
+    x steps by h_x, the multipliers by h_y. Stops early where the state moves slower than ``eps``.
+    implicit: the multipliers see the new x.
 
     Returns:
         The steps made, and the size |[F_x, F_y]|_inf of the last right-hand side; infinite where the
@@ -63,7 +73,7 @@ def integrate(
             wish = min(max(old[j] - k * force, lower[j]), upper[j])
             move = wish - old[j]
             speed = max(speed, abs(move))
-            x[j] = wish if h == 1.0 else old[j] + h * move
+            x[j] = wish if h_x == 1.0 else old[j] + h_x * move
         for i in range(6):
             speed = max(speed, k * abs(slack[i]))
             if implicit:
@@ -71,18 +81,21 @@ def integrate(
                 for j in range(n):
                     s += row[i * n + j] * x[j]
                 slack[i] = s
-            y[i] += h * k * slack[i]
+            y[i] += h_y * k * slack[i]
     # max() above ignores NaN, a sum does not
     return made, speed if np.isfinite(np.sum(x) + np.sum(y)) else np.inf
 
 
-def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool) -> str | None:
-    """Why Euler steps of this size diverge on ``qp``, or None.
+def unstable(
+    qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None
+) -> str | None:
+    """Why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
 
     On a singular value s of A, away from the bounds, one step has the characteristic polynomial
     of an oscillator with damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit
     steps keep both roots inside the unit circle only where h k < c and (2 h k c - h^2 k^2) s^2 < 4;
-    with the multipliers on the new x only (2 h k c + h^2 k^2) s^2 < 4 remains.
+    with the multipliers on the new x only (2 h k c + h^2 k^2) s^2 < 4 remains. Where x steps by h_x and the
+    multipliers by h, h k < c stays and h h_x takes the place of h^2, h_x that of h before k c.
     """
     c0, c1 = scale * qp.c0, scale * qp.c1
     weak, strong, hk = min(c0, c1), max(c0, c1), h * k
@@ -95,7 +108,8 @@ def unstable(qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool) 
         return "c0 and c1 must be above 0: nothing else damps the multipliers"
     largest = float(np.linalg.norm(qp.A, 2))
     # a product, which may become infinite, where a power would raise
-    stiff = (2.0 * hk * strong + (hk * hk if implicit else -hk * hk)) * largest * largest
+    hk_x = hk if h_x is None else h_x * k
+    stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
     if not stiff < 4.0:
         return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f} of 4): the steps diverge; lower h or k"
     return None
@@ -163,7 +177,7 @@ class RNNSession:
         if not s.warm or qp.n != len(self._x):
             self._rest(qp.n)
         x, y = self._x, self._y
-        steps, speed = integrate(qp.row, x, y, s.steps, s.h, s.k, s.scale, self._implicit, s.eps)
+        steps, speed = integrate(qp.row, x, y, s.steps, s.h, s.h, s.k, s.scale, self._implicit, s.eps)
         if not np.isfinite(speed):
             self._rest(qp.n)
             return no_answer(qp.n, Status.NUMERICAL, steps)
@@ -173,15 +187,18 @@ class RNNSession:
 
 @dataclass(frozen=True)
 class RNNPrinted:
-    """Equation (2) of the paper to the letter: the measured velocity as x, one explicit step a tick.
+    """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
 
-    With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, damping 0) its modes
-    are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
+    The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
+    of which the third level takes x - v. The multipliers, 0 at first, integrate dlambda/dt = k (J v - v_ref) / eps
+    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, damping 0) its
+    modes are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
     joint velocity over before a tick; without it the network goes on from its own last x.
 
     Args:
         k: the paper's gain.
-        h: step size dt/eps; the paper prints no time constant. h k < c0 or the steps diverge.
+        h: step of the multipliers, dt/eps. The paper prints no time constant: 0.002 is eps = 1 s at 500 Hz.
+            h k < c0 or the steps diverge.
         eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
 
     Raises:
@@ -189,17 +206,17 @@ class RNNPrinted:
     """
 
     k: float = 0.1
-    h: float = 0.09
+    h: float = 0.002
     eps: float = 1e-9
     name: ClassVar[str] = "rnn-printed"
 
     def __post_init__(self) -> None:
-        _check_step(self.name, self.h, self.k, 0.1)
+        _check_step(self.name, self.h, self.k, 0.1, 0.002)
         checks.positive(self.name, "eps", self.eps, 1e-9)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """Stable steps only."""
-        return unstable(qp, self.h, self.k, 1.0, False)
+        return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)
 
     def start(self, qp: NullSpaceQP) -> RNNPrintedSession:
         """A network at rest."""
@@ -220,11 +237,11 @@ class RNNPrintedSession:
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """One step of equation (2)."""
+        """x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
         s = self._settings
         if qp.n != len(self._x):
             self._x, self._y = np.zeros(qp.n), np.zeros(6)
-        steps, speed = integrate(qp.row, self._x, self._y, 1, s.h, s.k, 1.0, False, s.eps)
+        steps, speed = integrate(qp.row, self._x, self._y, 1, 1.0, s.h, s.k, 1.0, False, s.eps)
         if not np.isfinite(speed):
             self._x, self._y = np.zeros(qp.n), np.zeros(6)
             return no_answer(qp.n, Status.NUMERICAL, steps)
@@ -232,11 +249,11 @@ class RNNPrintedSession:
         return Solution(self._x.copy(), self._y.copy(), status, steps)
 
 
-def _check_step(solver: str, h: float, k: float, usual: float) -> None:
-    checks.positive(solver, "h", h, 1.0)
+def _check_step(solver: str, h: float, k: float, usual_k: float, usual_h: float = 1.0) -> None:
+    checks.positive(solver, "h", h, usual_h)
     if h > 1.0:
-        raise SolverError(f"{solver}: h = {h!r} is above 1, where x leaves the box; 1 is usual")
-    checks.positive(solver, "k", k, usual)
+        raise SolverError(f"{solver}: h = {h!r} is above 1, where x leaves the box; {usual_h:g} is usual")
+    checks.positive(solver, "k", k, usual_k)
 
 
 def _refuse(solver: str, reason: str | None) -> None:
