@@ -46,8 +46,8 @@ class Gains(NamedTuple):
 
 GAINS = Gains._fields
 
-# Table I: each law has the gains printed for it, and the error of the RCM is d / lambda. No observer, no ramp, and a box that goes up to the limits of the
-# joints themselves.
+# Table I: each law has the gains printed for it, and the wrist's error is d / lambda. No observer, no ramp, and a box
+# that goes up to the limits of the joints themselves.
 PAPER: dict[str, Any] = {
     "gains": None,
     "rcm_lambda": 0.5,
