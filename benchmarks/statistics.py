@@ -67,6 +67,37 @@ def relative_change(
     return _interval([a, b], _change, seed, confidence)
 
 
+def difference_of_changes(
+    treated: ArrayLike,
+    control: ArrayLike,
+    treated_before: ArrayLike,
+    control_before: ArrayLike,
+    *,
+    seed: int = 0,
+    confidence: float = CONFIDENCE,
+) -> Interval:
+    """``relative_change`` of one pair of controllers less that of another [percentage points], on the same k trials.
+
+    Raises:
+        StatisticsError: no trial, different lengths, a number that is not finite, or controls with mean 0.
+    """
+    names = ("treated", "control", "treated_before", "control_before")
+    samples = [
+        _checked(name, given)
+        for name, given in zip(names, (treated, control, treated_before, control_before), strict=True)
+    ]
+    if len({len(sample) for sample in samples}) != 1:
+        raise StatisticsError(f"{', '.join(names)}: {[len(s) for s in samples]} samples: give the same trials")
+    if samples[1].mean() == 0.0 or samples[3].mean() == 0.0:
+        raise StatisticsError("control has mean 0: a change relative to it has no value")
+    return _interval(samples, _difference, seed, confidence)
+
+
+def _difference(a: Array, b: Array, c: Array, d: Array, axis: int = -1) -> Array:
+    found: Array = _change(a, b, axis=axis) - _change(c, d, axis=axis)
+    return found
+
+
 def _mean(samples: Array, axis: int = -1) -> Array:
     found: Array = np.mean(samples, axis=axis)
     return found

@@ -8,6 +8,8 @@ from typing import Any, ClassVar, Self
 from pydantic import Field
 
 from benchmarks.config import Configuration
+from benchmarks.experiment.ablation import Ablation, AblationJob, changed
+from benchmarks.experiment.ablation import jobs as ablation_jobs
 from benchmarks.experiment.procedure import ProcedureJob, ProcedureSettings
 from benchmarks.experiment.trials import BASELINES, Job, seeds, trials
 from moc_opt.errors import ScenarioError, UnknownNameError
@@ -51,6 +53,7 @@ class Config(Configuration):
     best: str = "tuned"
     best_solver: str = "exact"
     groups: dict[str, Group] = Field(default_factory=dict, min_length=1)
+    ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
     procedure: ProcedureSettings = ProcedureSettings()
     scenario: Scenario = Scenario(judge=False)
@@ -73,7 +76,7 @@ class Config(Configuration):
         Raises:
             MocOptError: the first thing that is wrong.
         """
-        for group in (self.best, self.swivel.group):
+        for group in (self.best, self.swivel.group, *([self.ablation.group] if self.ablation.cases else [])):
             if group not in self.groups:
                 raise UnknownNameError("group", group, self.groups)
         if self.best_solver not in self.solvers:
@@ -92,12 +95,17 @@ class Config(Configuration):
         for name in self.groups:
             for _, trial in trials(self.base(name), self.tasks, seeds(self.seed, STREAM, len(self.tasks))):
                 Setup(trial)
+        for case in self.ablation.cases.values():
+            if case.controller not in (*self.solvers, *BASELINES):
+                raise UnknownNameError("controller", case.controller, (*self.solvers, *BASELINES))
+            Setup(changed(self.base(self.ablation.group), case))
 
     def quick(self) -> Self:
         """The same experiment on less data: for a first look and for the tests."""
         less = {
             "tasks": self.tasks[:1], "trials": 2, "swivel": self.swivel.model_copy(update={"starts": 3}),
             "procedure": self.procedure.model_copy(update={"poses": 20, "film": False}),
+            "ablation": self.ablation.quick(),
         }  # fmt: skip
         return self.model_copy(update=less)
 
@@ -120,6 +128,13 @@ class Config(Configuration):
             film = out / "film.webm" if i == 0 and self.procedure.film else None
             jobs.append(ProcedureJob(self.procedure, base.change(seed=seed), task, film))
         return jobs
+
+    def ablation_jobs(self) -> list[AblationJob]:
+        """Every case of the ablation on every trial of every draw; none without cases."""
+        if not self.ablation.cases:
+            return []
+        base = self.base(self.ablation.group)
+        return ablation_jobs(self.ablation, base, self.tasks, self.trials, self.seed, STREAM)
 
     def jobs(self) -> list[Job]:
         """Every group on every trial; the trials are the same for all groups."""
