@@ -21,6 +21,8 @@ from moc_opt.control.settings import ControlSettings
 from moc_opt.model import RobotModel, RobotState, load_robot
 from moc_opt.scenario import Scenario, run
 from moc_opt.subproblem import NullSpaceQP
+from moc_opt.tasks.board import BOARD_TASKS
+from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
 
@@ -122,13 +124,25 @@ def torque_of_mu(arm: Arm) -> float:
     return share
 
 
+def true_lambdas(arm: Arm, off_m: float = 0.002) -> list[float]:
+    """d / |N - N_d| at the depths of the virtual tasks, the trocar a little beside the shaft."""
+    found = []
+    for s in arm.states:
+        across = np.cross(s.tool_direction, np.eye(3)[int(np.argmin(np.abs(s.tool_direction)))])
+        across /= np.linalg.norm(across)
+        for task in BOARD_TASKS.values():
+            trocar = s.tip - task.depth_m * s.tool_direction + off_m * across
+            wish, _ = rcm.desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            distance = float(shaft_distance(s.tip, s.wrist, trocar))
+            found.append(distance / float(np.linalg.norm(s.wrist - wish)))
+    return found
+
+
 def gains_in_mu() -> dict[str, float]:
     """Change of mu in one second at rest in a plant that equals the model, from a poor swivel [percent]."""
     base = Scenario(
         duration_s=1.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, judge=False, bound_samples=0,
-        task={"wait_s": 2.0}, control={
-            "damping": 0.0, "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0
-        },
+        task={"wait_s": 2.0}, control={"preset": "paper"},
     )  # fmt: skip
     found = {}
     for name in ("exact", "rnn-printed"):

@@ -19,6 +19,7 @@ from moc_opt.control.manipulability import (
 from moc_opt.control.settings import ControlSettings
 from moc_opt.scenario import Scenario, run
 from moc_opt.subproblem import NullSpaceQP
+from moc_opt.tasks.board import BOARD_TASKS
 
 PAPER = ControlSettings.paper()  # c0 = c1 = 0.01, c2 = 0.001, rho = 0, k0 = 0.1
 K = 0.1  # the paper's gain of the network
@@ -206,14 +207,34 @@ def test_modes_are_slower_than_fifty_seconds_without_a_time_constant(robot, stat
     assert fastest > 50.0
 
 
-# K_N2 80.. on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
+# e_N1 = d / lambda, lambda = 0.5  ->  |N_d - N|, or rcm_lambda
+
+
+def test_the_true_lambda_is_not_constant(robot, states):
+    """By the formula and by the distances; at the depths of the tasks it misses 0.5 and varies with the depth."""
+    found = []
+    for s in states:
+        across = np.linalg.svd(s.tool_direction[None])[2][1]
+        for depth in (task.depth_m for task in BOARD_TASKS.values()):
+            trocar = s.tip - depth * s.tool_direction + 2e-3 * across
+            wish, _ = rcm.desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            d = np.linalg.norm(np.cross(trocar - s.tip, s.tool_direction))
+            found.append(d / np.linalg.norm(wish - s.wrist))
+            share = rcm.published_share(s.tip, s.wrist, trocar, s.tool_span, PAPER.rcm_lambda)
+            assert share == pytest.approx(found[-1] / PAPER.rcm_lambda, rel=1e-9)
+    print(f"\ntrue lambda: {min(found):.3f} to {max(found):.3f}")
+    assert max(found) > 1.2 * min(found)
+    assert PAPER.rcm_lambda == 0.5
+
+
+# K_N2 = [80, ...] on qdd_d at c2 = 0.001, k = 0.1  ->  kept as rnn-printed
 
 
 def test_torque_of_the_printed_network_cannot_act(robot, states):
-    """The share of mu in the torque: with c2 less without, K_N2 = 80, from rest and in slow motion."""
+    """The share of mu in the torque: with c2 less without, the table's K_N2, from rest and in slow motion."""
     rng = np.random.default_rng(0)
     printed = solvers.create("rnn-printed")
-    share, bound = [], []
+    share, free = [], []
     for rest in states:
         for v in (np.zeros(7), rng.uniform(-0.01, 0.01, 7)):
             s = robot.state(rest.q, v)
@@ -225,23 +246,23 @@ def test_torque_of_the_printed_network_cannot_act(robot, states):
                 x = session.solve(qp).x
                 torques.append(tick.third_level(s.record, 7, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
             share.append(np.abs(torques[0] - torques[1]).max())
-        whole = K_N2 * K * PAPER.c2 * rest.grad_mu  # one projection, h = 1: the most one step can give
-        bound.append(np.abs(self_motion_torque(rest.M, null_space(rest.A), whole)).max())
-    print(f"\ntorque of mu: {max(share):.1e} Nm (h = 0.09), {max(bound):.1e} Nm (h = 1)")
+        whole = K_N2 * K * PAPER.c2 * rest.grad_mu  # where no bound is in the way
+        free.append(np.abs(self_motion_torque(rest.M, null_space(rest.A), whole)).max())
+    print(f"\ntorque of mu: {max(share):.1e} Nm, without bounds {max(free):.1e} Nm")
+    assert max(share) == pytest.approx(max(free), rel=1e-6)
     assert 0.0 < max(share) < 2e-3
-    assert max(bound) < 2e-3
 
 
 def test_printed_network_does_not_raise_the_manipulability():
     """In closed loop, where ``exact`` on the same trial does."""
     base = Scenario(
         duration_s=1.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, judge=False, bound_samples=0,
-        task={"wait_s": 2.0}, control={"damping": 0.0, "observer_gain_per_s": 0.0},
+        task={"wait_s": 2.0}, control={"preset": "paper"},
     )  # fmt: skip
     gain = {}
     for name in ("exact", "rnn-printed"):
         trace = run(base.change(solver={"name": name}))
         gain[name] = trace.mu[-1] / trace.mu[0] - 1.0
     print(f"\ngain in mu over one second: exact {gain['exact']:.1%}, rnn-printed {gain['rnn-printed']:.3%}")
-    assert gain["exact"] > 0.3
-    assert abs(gain["rnn-printed"]) < 1e-3
+    assert gain["exact"] > 0.1  # the paper's k0 = 0.1 keeps the elbow slow
+    assert abs(gain["rnn-printed"]) < 1e-3 * gain["exact"]

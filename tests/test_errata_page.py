@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import errata, errata_numbers
+from moc_opt.tasks.board import BOARD_TASKS
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,13 @@ def test_printed_third_level_is_no_projection(arm):
 def test_printed_modes_are_slow_and_its_torque_is_small(arm):
     assert errata_numbers.time_constants(arm)[0] > 50.0
     assert 0.0 < errata_numbers.torque_of_mu(arm) < 2e-3
+
+
+def test_the_true_lambda_is_where_the_geometry_puts_it(arm):
+    """|P_t - X|/L for a shaft that nearly meets the trocar."""
+    found = np.array(errata_numbers.true_lambdas(arm)).reshape(len(arm.states), -1)
+    wanted = [task.depth_m / arm.states[0].tool_span for task in BOARD_TASKS.values()]
+    np.testing.assert_allclose(found, np.tile(wanted, (len(found), 1)), rtol=1e-3)
 
 
 @pytest.mark.parametrize(
