@@ -3,8 +3,9 @@
 python -m benchmarks.paper [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 DCAC and MOC on three virtual tasks, five trials each, with the paper's parameters and with tuned ones, with its own and
-with matched gains, with every one of its solvers; then the verdict on each claim, the goals, and what the starting
-swivel decides. Several trials run at a time, so no time is reported: that is what ``benchmarks.solvers`` is for.
+with matched gains, with every one of its solvers; then the verdict on each claim, the goals, which entry of the paper's
+Table I decides, and what the starting swivel decides. Several trials run at a time, so no time is reported: that is
+what ``benchmarks.solvers`` is for.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.experiment import figures, look, report, verdict
+from benchmarks.experiment import ablation, figures, look, report, verdict
 from benchmarks.experiment import procedure as paper_procedure
 from benchmarks.experiment import swivel as paper_swivel
 from benchmarks.experiment.config import STREAM, Config
@@ -41,6 +42,12 @@ def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[st
     accuracy = paper_procedure.accuracy(config.procedure, config.scenario.robot.name, config.seed)
     advance()
     return rows, accuracy
+
+
+def run_ablation(config: Config, advance: Any) -> tuple[list[Measurement], list[dict[str, Any]]]:
+    """(every measurement, every run that broke off) of Table I with entries exchanged."""
+    done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance)
+    return [m for found, _ in done for m in found], [entry for _, broken in done for entry in broken]
 
 
 def summarise(
@@ -82,21 +89,25 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
     """Everything, all files; returns the summary."""
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
-    with progress("trials", len(jobs) + config.swivel.starts + 1 + len(config.tasks) + 2) as bar:
+    steps = len(jobs) + len(config.ablation_jobs()) + config.swivel.starts + 1 + len(config.tasks) + 2
+    with progress("trials", steps) as bar:
         step = partial(bar.advance, 1.0)
         outcomes = run_parallel(run_job, jobs, config.processes, step)
+        exchanged, failed = run_ablation(config, step)
         swivel = run_swivel(config, step)
         procedure, accuracy = run_procedure(config, out, step)
         looks = look.looks(config, outcomes)
         step()
     summary, found, broken = summarise(config, outcomes, swivel)
+    summary["ablation"] = ablation.rows(config.ablation, exchanged)
     summary["procedure"] = paper_procedure.summary(procedure)
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["timing"] = f"none: {config.processes} processes at a time shared the machine"
     output.write_json(out / "summary.json", summary)
-    output.write_rows(out / "rows.parquet", [*(m.row() for m in found), *broken, *swivel, *procedure])
+    measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
+    output.write_rows(out / "rows.parquet", [*measured, *broken, *failed, *swivel, *procedure])
     groups = {name: group.about or name for name, group in config.groups.items()}
     best = (config.best, config.best_solver)
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)

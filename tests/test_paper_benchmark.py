@@ -45,6 +45,13 @@ processes = 1
 [groups.tuned]
 about = "few and short trials"
 control = { preset = "tuned" }
+[ablation]
+group = "tuned"
+draws = 1
+[ablation.cases.printed]
+about = "as it is"
+[ablation.cases.softer]
+control = { K_N2 = 5.0 }
 [swivel]
 starts = 2
 [procedure]
@@ -394,7 +401,8 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
     assert {row["claim"] for row in summary["verdict"]} == {claim.name for claim in CLAIMS}
     assert summary["swivel"]["starts"] == 3
     rows = pq.read_table(tmp_path / "a" / "rows.parquet").to_pylist()
-    assert {row["part"] for row in rows} == {"trials", "swivel", "procedure"}
+    assert {row["part"] for row in rows} == {"trials", "ablation", "swivel", "procedure"}
+    assert {row["case"] for row in summary["ablation"]} == {"printed", "softer"}
     assert summary["procedure"]["circle"]["registered"] is True
     assert summary["board_pictures"]["seen"] == 1.0
     environment = json.loads((tmp_path / "a" / "environment.json").read_text())
@@ -407,6 +415,7 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
     html = (tmp_path / "a" / "report.html").read_text()
     assert 'id="map-circle"' in html
     assert 'href="replay.html"' in html
+    assert "Which entry of Table I decides" in html
     assert (tmp_path / "a" / "replay.html").stat().st_size > 10_000
     assert "few and short trials" in html or "Few and short trials" in html
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.statistics import Interval, StatisticsError, mean, relative_change
+from benchmarks.statistics import Interval, StatisticsError, difference_of_changes, mean, relative_change
 
 SAMPLES = st.lists(st.floats(0.1, 10.0), min_size=3, max_size=12)
 
@@ -26,6 +26,22 @@ def test_interval_of_the_mean_is_as_wide_as_the_standard_error_says():
     error = values.std(ddof=1) / np.sqrt(len(values))
     assert found.value == pytest.approx(values.mean())
     assert found.high - found.low == pytest.approx(2 * 1.96 * error, rel=0.1)
+
+
+def test_difference_of_changes_is_resampled_over_all_four_together():
+    """Where both changes are the same in every trial, so is their difference, however the trials differ."""
+    control = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
+    found = difference_of_changes(1.2 * control, control, 0.7 * control, 2.0 * control)
+    assert (found.value, found.low, found.high) == pytest.approx((85.0, 85.0, 85.0))
+    rng = np.random.default_rng(0)
+    a, b, c, d = rng.uniform(1.0, 2.0, (4, 12))
+    noisy = difference_of_changes(a, b, c, d)
+    assert noisy.value == pytest.approx(relative_change(a, b).value - relative_change(c, d).value)
+    assert noisy.low < noisy.value < noisy.high
+    with pytest.raises(StatisticsError, match="give the same trials"):
+        difference_of_changes(a, b, c[:-1], d)
+    with pytest.raises(StatisticsError, match="mean 0"):
+        difference_of_changes(a, b, c, 0.0 * d)
 
 
 def test_pairs_are_resampled_together():

@@ -2,9 +2,8 @@
 
 A case is the paper's parameters with some of them exchanged, on both sides of the comparison. Every case runs the
 same trials, at several seeds of the experiment. The first case is the table as printed; the ``shift`` of another is
-its effect less that of the first, in percentage points, resampled over the trials that both have. A case decides on a
-claim where its effect lies on the other side of the claim's bound and the whole interval of the shift on one side of
-zero, over the trials of all seeds.
+its effect less that of the first, in percentage points, resampled over the trials that both have. ``RULE`` says which
+case decides.
 """
 
 from __future__ import annotations
@@ -27,6 +26,10 @@ from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
 
 ALL = "all"
+RULE = (
+    "A case decides on a claim where its effect lies on the other side of the claim's bound than that of the first "
+    "case, and the 95 % interval of the difference of the two effects leaves out zero, over the trials of all seeds."
+)
 
 
 class Case(Settings):

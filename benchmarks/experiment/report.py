@@ -9,6 +9,7 @@ from typing import Any
 import plotly.graph_objects as go
 from rich.console import Console
 
+from benchmarks.experiment import ablation
 from benchmarks.experiment.figures import titles
 from benchmarks.experiment.verdict import GAINS_ONLY, HOLDS
 from benchmarks.output import save_page
@@ -44,6 +45,17 @@ VERDICT = [
     Column("own", "against DCAC, its own gains", unit="%", help="effect with its 95 % interval"),
     Column("matched", "MOC's gains", unit="%"),
     Column("damped", "MOC's gains, damped", unit="%"),
+]
+ABLATION = [
+    Column("about", "entries"),
+    Column("draw", "seed"),
+    Column("trials", "trials", format="d"),
+    Column("mu", "mu", unit="%", help="effect with its 95 % interval"),
+    Column("tip", "tip", unit="%"),
+    Column("rcm", "RCM", unit="%"),
+    Column("force", "force", unit="%"),
+    Column("holds", "claims confirmed"),
+    Column("decides", "decides on"),
 ]
 PROCEDURE = [
     Column("task", "task"),
@@ -144,6 +156,24 @@ def goal_table(rows: Sequence[Mapping[str, Any]], group: str, solver: str) -> Ta
     return Table(f"Goals: MOC with {solver}, group {group}", GOAL, drawn)
 
 
+def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Table I with entries exchanged: one row a case and draw, the effect on every claim's metric."""
+    drawn: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows:
+        line = drawn.setdefault(
+            (row["case"], row["draw"]),
+            {"about": row["about"], "draw": row["draw"], "trials": row["trials"], "holds": [], "decides": []},
+        )
+        line[row["claim"]] = spread(row, "effect_percent")
+        line["holds"] += [row["claim"]] if row["confirmed"] else []
+        line["decides"] += [row["claim"]] if row.get("decides") else []
+    lines = [
+        {**line, "holds": ", ".join(line["holds"]), "decides": ", ".join(line["decides"])}
+        for line in drawn.values()
+    ]
+    return Table("Table I with entries exchanged, against matched DCAC", ABLATION, lines, ablation.RULE)
+
+
 def procedure_table(summary: Summary) -> Table:
     """From guiding to the end of the task."""
     rows = [{"task": task, **entries} for task, entries in summary["procedure"].items()]
@@ -173,6 +203,7 @@ def headline(summary: Summary, groups: Sequence[str], solver: str) -> list[str]:
             if names
         ]
         found.append(f"Group {group}, MOC with {solver}, of the paper's claims {'; '.join(parts)}.")
+    found += ablation.headline(summary["ablation"])
     goals = summary["goals"]
     missed = [goal["text"] for goal in goals if not goal["reached"]]
     found.append(
@@ -197,6 +228,8 @@ def print_tables(
         screen.print(verdict_table(summary["verdict"], group).to_rich())
     screen.print(phase_table(summary["phases"], best[0]).to_rich())
     screen.print(goal_table(summary["goals"], *best).to_rich())
+    if summary["ablation"]:
+        screen.print(ablation_table(summary["ablation"]).to_rich())
     screen.print(procedure_table(summary).to_rich())
     for sentence in headline(summary, list(groups), best[1]):
         screen.print(sentence)
@@ -231,6 +264,10 @@ def write_page(
                 page.figure(figure, "Distribution over the ticks of all trials, by task.", name=name)
         if f"trial-{group}" in drawn:
             page.figure(drawn[f"trial-{group}"], "The first trial over time.", name=f"trial-{group}")
+    if summary["ablation"]:
+        page.section("Which entry of Table I decides")
+        page.text("The paper's parameters with some entries exchanged, on both sides of the comparison.")
+        page.table(ablation_table(summary["ablation"]))
     look(page)
     page.section("The starting swivel")
     page.text(
