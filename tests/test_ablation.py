@@ -13,6 +13,7 @@ from benchmarks.output import default_config
 from moc_opt import scenario
 from moc_opt.control import ControlSettings
 from moc_opt.errors import PlantError, UnknownNameError
+from moc_opt.metrics import summarize
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 
@@ -55,14 +56,16 @@ def test_every_case_runs_the_same_trials_and_every_draw_others(shipped):
     jobs = shipped.ablation_jobs()
     names = {}
     for job in jobs:
-        names.setdefault(job.case, []).append((job.seed, job.trial.name, job.trial.seed, job.trial.task))
-        assert job.trial.name.startswith(f"{job.seed}/")
+        assert list(job.cases) == list(shipped.ablation.cases)
+        for case, (trial, _) in job.cases.items():
+            names.setdefault(case, []).append((trial.name, trial.seed, trial.task, trial.start, trial.plant))
     assert len({str(value) for value in names.values()}) == 1
-    seeds = [seed for _, _, seed, _ in names["printed"]]
+    seeds = [seed for _, seed, *_ in names["printed"]]
     assert len(set(seeds)) == len(seeds) == shipped.ablation.draws * 15
+    assert len({name for name, *_ in names["printed"]}) == len(seeds)
     of_group = [job.trial.seed for job in shipped.jobs() if job.group == "paper"]
     assert seeds[:15] == of_group
-    assert len(shipped.quick().ablation_jobs()) < len(jobs) / 20
+    assert len(shipped.quick().ablation_jobs()) == 2
 
 
 def test_a_setting_that_does_not_exist_is_refused(shipped):
@@ -76,22 +79,33 @@ def test_a_setting_that_does_not_exist_is_refused(shipped):
 
 
 def test_a_job_measures_both_sides(monkeypatch):
-    made = Ablation(draws=1, cases={"printed": Case(), "soft": Case(control={"K_N2": 5.0})})
-    jobs = ablation.jobs(made, SHORT, ["circle"], 1, 0, 0)
-    done = [ablation.measure(job) for job in jobs]
-    assert [[m.controller for m in found] for found, _ in done] == [[MATCHED, "exact"]] * 2
-    (printed, exact), (again, soft) = (found for found, _ in done)
-    assert printed.metrics == again.metrics  # DCAC has no third level
-    assert exact.metrics != soft.metrics
-    assert set(exact.metrics) == {claim.metric for claim in CLAIMS}
+    cases = {"printed": Case(), "soft": Case(control={"K_N2": 5.0}), "stiff": Case(control={"D_X": 90.0})}
+    [job] = ablation.jobs(Ablation(draws=1, cases=cases), SHORT, ["circle"], 1, 0, 0)
+    run, asked = scenario.run, []
+
+    def counted(case):
+        asked.append(case.control.law)
+        return run(case)
+
+    monkeypatch.setattr(scenario, "run", counted)
+    found, broken = ablation.measure(job)
+    assert broken == []
+    assert [(m.group, m.controller) for m in found] == [(c, name) for c in cases for name in (MATCHED, "exact")]
+    assert (asked.count("dcac"), asked.count("moc")) == (2, 3)  # DCAC has no third level
+    whole = run(variant(job.cases["soft"][0], MATCHED))
+    by_case = {(m.group, m.controller): m.metrics for m in found}
+    assert by_case["soft", MATCHED]["tip_error_mean_mm"] == summarize(whole)["tip_error_mean_mm"]
+    assert by_case["printed", MATCHED] == by_case["soft", MATCHED] != by_case["stiff", MATCHED]
+    assert by_case["printed", "exact"] != by_case["soft", "exact"]
+    assert set(by_case["soft", "exact"]) == {claim.metric for claim in CLAIMS}
 
     def runs_away(case):
         raise PlantError("the arm ran away")
 
     monkeypatch.setattr(scenario, "run", runs_away)
-    found, broken = ablation.measure(jobs[0])
+    found, broken = ablation.measure(job)
     assert found == []
-    assert [entry["error"] for entry in broken] == ["PlantError: the arm ran away"] * 2
+    assert [entry["error"] for entry in broken] == ["PlantError: the arm ran away"] * 6
 
 
 def measured(case, trial, moc, dcac):

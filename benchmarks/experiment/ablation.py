@@ -57,13 +57,10 @@ class Ablation(Settings):
 
 @dataclass(frozen=True)
 class AblationJob:
-    """One trial of one case, under DCAC and under the case's controller."""
+    """One trial under every case: case -> (the trial with what the case exchanges, its controller)."""
 
-    case: str
-    seed: int
     task: str
-    trial: Scenario
-    controller: str
+    cases: Mapping[str, tuple[Scenario, str]]
 
 
 def changed(base: Scenario, case: Case) -> Scenario:
@@ -83,40 +80,55 @@ def changed(base: Scenario, case: Case) -> Scenario:
 def jobs(
     ablation: Ablation, base: Scenario, tasks: Sequence[str], per_task: int, seed: int, stream: int
 ) -> list[AblationJob]:
-    """Every case on every trial of every draw."""
+    """Every trial of every draw, each under all cases."""
+    shared = {name: changed(base, case) for name, case in ablation.cases.items()}
     found = []
-    for name, case in ablation.cases.items():
-        shared = changed(base, case)
-        for draw in range(seed, seed + ablation.draws):
-            for task, trial in trials(shared, tasks, seeds_of(draw, stream, per_task * len(tasks))):
-                named = trial.change(name=f"{draw}/{trial.name}")
-                found.append(AblationJob(name, draw, task, named, case.controller))
+    for draw in range(seed, seed + ablation.draws):
+        drawn = seeds_of(draw, stream, per_task * len(tasks))
+        of_cases = {name: trials(scene, tasks, drawn) for name, scene in shared.items()}
+        for k in range(len(drawn)):
+            cases = {}
+            for name, case in ablation.cases.items():
+                task, trial = of_cases[name][k]
+                cases[name] = (trial.change(name=f"{draw}/{trial.name}"), case.controller)
+            found.append(AblationJob(task, cases))
     return found
 
 
 def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
-    """The claims' metrics of both controllers over the whole trial, and why a run broke off."""
+    """The claims' metrics of both controllers of each case over the whole trial, and why a run broke off."""
     found, broken = [], []
-    for controller in (MATCHED, job.controller):
-        given: dict[str, Any] = {"task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
-        try:
-            trace = scenario.run(variant(job.trial, controller))
-        except MocOptError as error:
-            reason = f"{type(error).__name__}: {error}"
-        else:
-            reason = str(trace.meta.get("ended", "completed"))
-            if reason == "completed":
-                metrics = summarize(trace)
-                kept = {claim.metric: metrics[claim.metric] for claim in CLAIMS}
-                found.append(
-                    Measurement(
-                        job.case, controller, phase="whole", window_of="", metrics=kept, **given
-                    )
-                )
-                continue
-        row = {"part": "ablation broke off", "group": job.case, "controller": controller, **given}
-        broken.append({**row, "error": reason})
+    # DCAC knows no third level: cases that differ there only have the same baseline.
+    baselines: dict[str, dict[str, float] | str] = {}
+    for case, (trial, controller) in job.cases.items():
+        matched = variant(trial, MATCHED).change(control={"K_N2": None, "D_N2": None})
+        same = matched.model_dump_json()
+        if same not in baselines:
+            baselines[same] = _metrics(matched)
+        for name, done in ((MATCHED, baselines[same]), (controller, _metrics(variant(trial, controller)))):
+            if isinstance(done, str):
+                broken.append(
+                    {
+                        "part": "ablation broke off", "group": case, "controller": name, "task": job.task,
+                        "trial": trial.name, "seed": trial.seed, "error": done,
+                    }
+                )  # fmt: skip
+            else:
+                found.append(Measurement(case, name, job.task, trial.name, trial.seed, "whole", "", done))
     return found, broken
+
+
+def _metrics(case: Scenario) -> dict[str, float] | str:
+    """The claims' metrics of one run, or why it broke off."""
+    try:
+        trace = scenario.run(case)
+    except MocOptError as error:
+        return f"{type(error).__name__}: {error}"
+    ended = str(trace.meta.get("ended", "completed"))
+    if ended != "completed":
+        return ended
+    metrics = summarize(trace)
+    return {claim.metric: metrics[claim.metric] for claim in CLAIMS}
 
 
 def rows(ablation: Ablation, found: Sequence[Measurement]) -> list[dict[str, Any]]:
