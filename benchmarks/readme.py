@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.experiment import ablation
 from benchmarks.output import write_atomically
 from benchmarks.speeds.goals import GOALS
 from benchmarks.study.closed_loop import BASELINE
@@ -83,7 +84,31 @@ def paper_section(summary: Summary, environment: Summary) -> str:
         interval = "" if None in ends else f"{ends[0]:.3g} to {ends[1]:.3g}"
         mark = "" if goal["reached"] else " (not reached)"
         lines.append(_row([what, f"{side} {goal['limit']:g}", f"{goal['value']:.3g}{mark}", interval]))
-    return f"`python -m benchmarks.paper` (seed {environment['seed']}), preset `tuned`:\n\n" + "\n".join(lines)
+    goals = f"`python -m benchmarks.paper` (seed {environment['seed']}), preset `tuned`:\n\n" + "\n".join(lines)
+    return "\n\n".join([goals, *_claims(summary)])
+
+
+def _claims(summary: Summary) -> list[str]:
+    """The paper's claims with its own Table I, by solver, and which entry of the table decides."""
+    mine = [row for row in summary.get("verdict", []) if row["group"] == "paper"]
+    if not mine:
+        return []
+    solvers = list(dict.fromkeys(row["controller"] for row in mine))
+    cells = {
+        (row["text"], row["controller"]): f"{row['matched_percent']:+.1f} ({row['matched_percent_low']:+.1f} to "
+        f"{row['matched_percent_high']:+.1f}): {row['verdict']}"
+        for row in mine
+        if None not in (row.get("matched_percent"), row.get("matched_percent_low"))
+    }
+    lines = [_row(["claim", *(f"`{name}` [%]" for name in solvers)]), "|---" * (len(solvers) + 1) + "|"]
+    for text in dict.fromkeys(row["text"] for row in mine):
+        lines.append(_row([text, *(cells.get((text, name), "") for name in solvers)]))
+    said = (
+        "The paper's claims with the paper's parameters (preset `paper`, Table I as printed): change against DCAC with "
+        "the same gains, 95 % interval, verdict by the interval's end."
+    )
+    decided = " ".join(ablation.headline(summary.get("ablation", [])))
+    return [said, "\n".join(lines), *([decided] if decided else [])]
 
 
 def speed_section(summary: Summary, environment: Summary) -> str:

@@ -44,9 +44,27 @@ SPEED = {
 }  # fmt: skip
 
 
+VERDICT = [
+    {"group": group, "controller": name, "text": text, "verdict": verdict, "matched_percent": value,
+     "matched_percent_low": value - 5.0, "matched_percent_high": value + 5.0}
+    for group, name, text, verdict, value in (
+        ("paper", "exact", "tip accuracy is better", "holds", -7.5),
+        ("paper", "exact", "the RCM error is smaller", "does not hold", 3.0),
+        ("paper", "rnn", "tip accuracy is better", "does not hold", -1.0),
+        ("tuned", "exact", "tip accuracy is better", "holds", -77.0),
+    )
+]  # fmt: skip
+ABLATION = [
+    {"case": case, "about": about, "draw": "all", "claim": "tip", "confirmed": case == "printed",
+     "decides": case == "one"}
+    for case, about in (("printed", "as printed"), ("one", "one number"), ("idle", "another lambda"))
+]  # fmt: skip
+PAPER = {"goals": GOALS, "verdict": VERDICT, "ablation": ABLATION}
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name, summary in (("solvers", SOLVERS), ("paper", {"goals": GOALS}), ("speed", SPEED)):
+    for name, summary in (("solvers", SOLVERS), ("paper", PAPER), ("speed", SPEED)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "summary.json").write_text(json.dumps(summary))
         (tmp_path / name / "environment.json").write_text(json.dumps({"machine": MACHINE, "seed": 4}))
@@ -64,7 +82,7 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     text = (folder / "README.md").read_text()
     assert text.startswith("before\n<!-- solvers -->\n")
     assert text.endswith("<!-- speed -->\nold\n<!-- /speed -->\nafter\n")
-    assert text.count("old") == 1
+    assert text.count("\nold\n") == 1
     assert "between" in text
     assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 7 |" in text
     assert "`nlp-sqp`*" in text
@@ -76,6 +94,20 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert "| mean of rcm_error_mean_mm | at most 0.5 | 0.6 (not reached) |  |" in text
     assert readme.main(arguments(folder, "solvers", "paper")) == 0
     assert (folder / "README.md").read_text() == text
+
+
+def test_the_papers_claims_stand_beside_what_decides_on_them(folder):
+    assert readme.main(arguments(folder, "paper")) == 0
+    text = (folder / "README.md").read_text()
+    assert "| claim | `exact` [%] | `rnn` [%] |" in text
+    first = "| tip accuracy is better | -7.5 (-12.5 to -2.5): holds | -1.0 (-6.0 to +4.0): does not hold |"
+    assert first in text
+    assert "| the RCM error is smaller | +3.0 (-2.0 to +8.0): does not hold |  |" in text
+    assert "-77" not in text
+    assert "What decides on a claim: one number (tip)." in text
+    (folder / "paper" / "summary.json").write_text(json.dumps({"goals": GOALS}))
+    assert readme.main(arguments(folder, "paper")) == 0
+    assert "claim" not in (folder / "README.md").read_text()
 
 
 def test_what_everything_costs(folder):
