@@ -58,7 +58,7 @@ class PlantSettings(Settings):
         0.0, description="of the spring between motor and link, one number or one a joint; 0: rigid"
     )
     joint_spring_damping_Nm_s_per_rad: float = Field(
-        4.0, ge=0, le=1e4, description="in parallel with that spring; of no effect where joints are rigid"
+        30.0, ge=0, le=1e4, description="in parallel with it, mostly what the torque feedback of the drive puts there"
     )
     torque_ripple: float = Field(
         0.0, ge=0, le=0.5, description="amplitude, as a share of the joint's largest torque"
