@@ -42,6 +42,9 @@ FIGURES = {
     "tip_error_registered_mean_mm": Column(
         "tip_error_registered_mean_mm", "tip, registered", unit="mm", format=".3f"
     ),
+    "tip_error_model_mean_mm": Column(
+        "tip_error_model_mean_mm", "tip, own kinematics", unit="mm", format=".3f"
+    ),
     "rcm_error_mean_mm": Column("rcm_error_mean_mm", "RCM, true", unit="mm", format=".3f"),
     "rcm_error_registered_mean_mm": Column(
         "rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"
@@ -187,7 +190,8 @@ def write_page(text: str, page: Path = PAGE) -> None:
         ScenarioError: the page has no such marks.
     """
     old = page.read_text(encoding="utf-8")
-    new, found = re.subn(r"(<!-- plant -->\n).*?(<!-- /plant -->)", lambda m: m[1] + text + "\n" + m[2], old, flags=re.S)
+    marks = re.compile(r"(<!-- plant -->\n).*?(<!-- /plant -->)", flags=re.S)
+    new, found = marks.subn(lambda m: m[1] + text + "\n" + m[2], old)
     if not found:
         raise ScenarioError(f"{page}: put <!-- plant --> and <!-- /plant --> where the table goes")
     output.write_atomically(page, new.encode())
@@ -197,7 +201,8 @@ def study(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str
     """Everything, all files; returns the summary."""
     jobs = config.jobs()
     with progress("plants", len(jobs)) as bar:
-        rows = [row for part in run_parallel(run_job, jobs, config.processes, partial(bar.advance, 1.0)) for row in part]
+        parts = run_parallel(run_job, jobs, config.processes, partial(bar.advance, 1.0))
+    rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     output.write_json(out / "summary.json", summary)

@@ -183,6 +183,18 @@ def tip_error_registered_max_mm(trace: Trace) -> float:
 
 
 @metric
+def tip_error_model_mean_mm(trace: Trace) -> float:
+    """Mean distance of the tip from its reference by the robot's own kinematics, which its controller sees [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_model_m").mean())
+
+
+@metric
+def tip_error_model_max_mm(trace: Trace) -> float:
+    """Largest distance of the tip from its reference by the robot's own kinematics [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_model_m").max())
+
+
+@metric
 def rcm_error_mean_mm(trace: Trace) -> float:
     """Mean distance of the shaft's line from the trocar [mm]."""
     return 1e3 * float(_floats(trace, "rcm_error_m").mean())

@@ -175,8 +175,19 @@ class Setup:
         )  # fmt: skip
         if wrong.solver != "none":
             trace = trace.with_columns(injected=self.spoilt()[: len(trace)])
+        trace = self._with_model_error(trace)
         mu = self.robot.mu_along(trace.q_rad)
         return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
+
+    def _with_model_error(self, trace: Trace) -> Trace:
+        """With the tip's error as the robot's own kinematics have it; without, where its encoders see no links."""
+        plant = self.scenario.plant
+        if plant.elastic and plant.encoder_side == "motor":
+            return trace
+        if not self.plant.mismatch.displaces:
+            return trace.with_columns(tip_error_model_m=trace.tip_error_m)
+        tips = self.robot.tip_along(trace.q_rad + self.plant.mismatch.encoder_bias)
+        return trace.with_columns(tip_error_model_m=np.linalg.norm(trace.tip_ref_m - tips, axis=1))
 
     def _mu_bound(self, trace: Trace) -> Array:
         """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""

@@ -53,6 +53,7 @@ class Trace:
             "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J_T J_T^T))"),
             "tip_error_m": Column("m", "(N,)", "|X_d - X|: absolute, in the base frame"),
             "tip_error_registered_m": Column("m", "(N,)", "the same in the frame registered by touch at the start"),
+            "tip_error_model_m": Column("m", "(N,)", "the same by the robot's own kinematics, sensor noise aside"),
             "rcm_error_m": Column("m", "(N,)", "distance of the shaft's line from the trocar"),
             "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
             "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),

@@ -81,11 +81,11 @@ def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantS
 
 @njit(cache=True)
 def _drive(
-    tau: Array, angle: Array, stride: int, amplitude: Array, per_rad: float, phase: Array, out: Array
+    tau: Array, angle: Array, stride: int, amplitude: Array, per_turn: float, phase: Array, out: Array
 ) -> None:
     for i in range(tau.size):
         j = stride * i
-        out[j] = tau[i] + amplitude[i] * math.sin(per_rad * angle[j] + phase[i])
+        out[j] = tau[i] + amplitude[i] * math.sin(per_turn * angle[j] + phase[i])
 
 
 @njit(cache=True)

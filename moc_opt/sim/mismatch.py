@@ -38,7 +38,7 @@ class Mismatch:
 
     @property
     def displaces(self) -> bool:
-        """Whether tip and shaft are elsewhere than the controller's model puts them at the encoders' readings."""
+        """Whether tip and shaft are elsewhere than the model puts them at the encoders' readings."""
         return bool(self.origin_shift.any() or self.origin_turn.any() or self.encoder_bias.any())
 
     @classmethod

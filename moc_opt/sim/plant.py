@@ -193,7 +193,7 @@ class Plant:
         if not (rigid and smooth):
             self._act = partial(
                 DRIVE.code, self._torque, state.qpos, self._stride, settings.torque_ripple * data.tau_max,
-                settings.torque_ripple_per_turn / (2.0 * np.pi), np.array(self.mismatch.ripple_phase),
+                settings.torque_ripple_per_turn, np.array(self.mismatch.ripple_phase),
                 state.qfrc_applied,
             )  # fmt: skip
         self._drives = Drives(data.tau_max, settings.delay_ticks, self._torque)

@@ -64,7 +64,7 @@ class PlantSettings(Settings):
         0.0, ge=0, le=0.5, description="amplitude, as a share of the joint's largest torque"
     )
     torque_ripple_per_turn: float = Field(
-        200.0, gt=0, le=1e5, description="periods of it in one turn of the joint (1 m of a sliding one)"
+        200.0, gt=0, le=1e5, description="periods of it in one turn of the joint"
     )
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0, description="standard deviation, per axis")
