@@ -8,6 +8,7 @@ Every trial is run under DCAC and MOC with the same gains, in the plant without 
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Sequence
@@ -178,9 +179,10 @@ def _cell(row: dict[str, Any], name: str) -> str:
     if name not in row:
         return ""
     spec = FIGURES[name].format
-    if name == "torque_rate_rms_Nm_per_s":
-        return f"{row[name]:{spec}}"
-    return f"{row[name]:{spec}} [{row[f'{name}_low']:{spec}}, {row[f'{name}_high']:{spec}}]"
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    if low is None or not math.isfinite(low) or name == "torque_rate_rms_Nm_per_s":
+        return f"{row[name]:{spec}}"  # of a single trial there is no interval
+    return f"{row[name]:{spec}} [{low:{spec}}, {high:{spec}}]"
 
 
 def write_page(text: str, page: Path = PAGE) -> None:
