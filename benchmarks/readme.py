@@ -33,7 +33,7 @@ COLUMNS = (
     "RCM [mm]", "settled RCM [mm]", "chatter [Nm/s]",
 )  # fmt: skip
 CLOSED = {
-    "mu_mean": ".4f", "mu_gain_percent": ".1f", "tip_error_mean_mm": ".3f", "rcm_error_mean_mm": ".3f",
+    "mu_mean": ".4f", "mu_gain_percent": ".1f", "tip_error_model_mean_mm": ".3f", "rcm_error_mean_mm": ".3f",
     "rcm_error_settled_mean_mm": ".3f", "torque_rate_rms_Nm_per_s": ".0f",
 }  # fmt: skip
 OPEN = {"primal_max": ".0e", "loss_max": ".0e", "solve_p50_us": ".1f", "solve_p99_us": ".1f"}

@@ -160,14 +160,38 @@ def mu_fraction_of_bound(trace: Trace) -> float:
 
 @metric
 def tip_error_mean_mm(trace: Trace) -> float:
-    """Mean distance of the tip from its reference [mm]."""
+    """Mean distance of the tip from its reference in the base frame: absolute accuracy [mm]."""
     return 1e3 * float(_floats(trace, "tip_error_m").mean())
 
 
 @metric
 def tip_error_max_mm(trace: Trace) -> float:
-    """Largest distance of the tip from its reference [mm]."""
+    """Largest distance of the tip from its reference in the base frame: absolute accuracy [mm]."""
     return 1e3 * float(_floats(trace, "tip_error_m").max())
+
+
+@metric
+def tip_error_registered_mean_mm(trace: Trace) -> float:
+    """Mean distance of the tip from its reference, both in the frame registered at the start [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_registered_m").mean())
+
+
+@metric
+def tip_error_registered_max_mm(trace: Trace) -> float:
+    """Largest distance of the tip from its reference, both in the frame registered at the start [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_registered_m").max())
+
+
+@metric
+def tip_error_model_mean_mm(trace: Trace) -> float:
+    """Mean distance of the tip from its reference by the robot's own kinematics, which its controller sees [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_model_m").mean())
+
+
+@metric
+def tip_error_model_max_mm(trace: Trace) -> float:
+    """Largest distance of the tip from its reference by the robot's own kinematics [mm]."""
+    return 1e3 * float(_floats(trace, "tip_error_model_m").max())
 
 
 @metric

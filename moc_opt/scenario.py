@@ -18,7 +18,7 @@ from moc_opt.model import RobotModel
 from moc_opt.scenario_tables import Scenario, TaskTable
 from moc_opt.selfmotion import self_motion
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.loop import Brain, RunAway, Stop, simulate
+from moc_opt.sim.loop import Brain, RunAway, Stop, Touched, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
@@ -63,7 +63,9 @@ class Setup:
         point = state.tip - trocar.depth_m * state.tool_direction
         breathing = (trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction)
         self.registered = Trocar(point, *(breathing if trocar.breathing_known else (0.0,)))
-        self.trocar = Trocar(point + self.plant.mismatch.registration_error, *breathing)
+        self.touched = self._touch(state.tip, point, trocar.depth_m)
+        entry = point + self.touched.trocar
+        self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing)
 
         task = scenario.task
         sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
@@ -75,6 +77,17 @@ class Setup:
                 f"{self.duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
                 f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks"
             )
+
+    def _touch(self, tip: Array, entry: Array, depth: float) -> Touched:
+        """Lay the task where the arm's own tip is: ``tip`` and ``entry``, (3,) [m], are where its model puts the two.
+
+        The incision lies on the shaft as it truly stands, and the path begins at the true tip.
+        """
+        plant = self.plant
+        if not (plant.mismatch.displaces or plant.settings.elastic):
+            return Touched.nothing()  # equal but for rounding
+        shaft = plant.tip - plant.wrist
+        return Touched(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 
     def _start_pose(self, rng: np.random.Generator) -> Array:
         start = self.scenario.start
@@ -157,12 +170,24 @@ class Setup:
             faults.slip(np.stack(self.trocar.at(t), axis=1), t), np.stack(self.registered.at(t), axis=1),
             guard=Guard(self.robot.data, guard, period, self.robot.gravity),
             faults=faults if wrong.around_the_arm else None,
-            stop=Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s), watch=watch, meta=meta,
+            stop=Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s), touched=self.touched,
+            watch=watch, meta=meta,
         )  # fmt: skip
         if wrong.solver != "none":
             trace = trace.with_columns(injected=self.spoilt()[: len(trace)])
+        trace = self._with_model_error(trace)
         mu = self.robot.mu_along(trace.q_rad)
         return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
+
+    def _with_model_error(self, trace: Trace) -> Trace:
+        """With the tip's error as the robot's own kinematics have it; without, where its encoders see no links."""
+        plant = self.scenario.plant
+        if plant.elastic and plant.encoder_side == "motor":
+            return trace
+        if not self.plant.mismatch.displaces:
+            return trace.with_columns(tip_error_model_m=trace.tip_error_m)
+        tips = self.robot.tip_along(trace.q_rad + self.plant.mismatch.encoder_bias)
+        return trace.with_columns(tip_error_model_m=np.linalg.norm(trace.tip_ref_m - tips, axis=1))
 
     def _mu_bound(self, trace: Trace) -> Array:
         """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""

@@ -73,7 +73,7 @@ def trial():
     return trials(SHORT, ["circle"], [5])[0][1]
 
 
-def measured(controller, trial, value, phase="whole", window="", metric="tip_error_mean_mm", **more):
+def measured(controller, trial, value, phase="whole", window="", metric="tip_error_model_mean_mm", **more):
     metrics = {metric: value, "ticks": 100.0, **more}
     return Measurement("g", controller, "circle", trial, 0, phase, window, metrics)
 
@@ -199,14 +199,14 @@ def test_pairs_match_trials_and_leave_out_what_is_missing():
         measured(MATCHED, "a", 10.0), measured("exact", "c", 3.0),
         measured(MATCHED, "a", 99.0, "settled", "rnn"),
     ]  # fmt: skip
-    assert verdict.pairs(found, "g", "exact", MATCHED, "tip_error_mean_mm") == (
+    assert verdict.pairs(found, "g", "exact", MATCHED, "tip_error_model_mean_mm") == (
         [1.0, 2.0],
         [10.0, 20.0],
     )
-    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm").value == pytest.approx(
+    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_model_mean_mm").value == pytest.approx(
         -90.0
     )
-    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled") is None
+    assert verdict.effect(found, "g", "exact", MATCHED, "tip_error_model_mean_mm", "settled") is None
 
 
 def test_phases_are_compared_in_the_windows_of_the_same_moc():
@@ -215,7 +215,7 @@ def test_phases_are_compared_in_the_windows_of_the_same_moc():
         measured(MATCHED, "a", 50.0, "settled", "rnn"), measured("rnn", "a", 100.0, "settled", "rnn"),
     ]  # fmt: skip
     for moc, change in (("exact", -50.0), ("rnn", 100.0)):
-        assert verdict.effect(found, "g", moc, MATCHED, "tip_error_mean_mm", "settled").value == change
+        assert verdict.effect(found, "g", moc, MATCHED, "tip_error_model_mean_mm", "settled").value == change
 
 
 def test_a_trial_counts_by_its_ticks_in_the_phase():
@@ -226,13 +226,14 @@ def test_a_trial_counts_by_its_ticks_in_the_phase():
         measured("exact", "b", 2.0, "settled", "exact", ticks=10.0),
         measured(MATCHED, "b", 1.0, "settled", "exact", ticks=10.0),
     ]
-    change = verdict.effect(found, "g", "exact", MATCHED, "tip_error_mean_mm", "settled")
+    change = verdict.effect(found, "g", "exact", MATCHED, "tip_error_model_mean_mm", "settled")
     assert change.value == pytest.approx(100 * (920 / 1010 - 1))
 
 
 def complete(controller, trial, scale, phase="whole", window="", gain=20.0):
-    metrics = {"tip_error_mean_mm": 0.05 * scale, "rcm_error_mean_mm": 0.4 * scale, "trocar_force_mean_N": 0.3 * scale,
-               "mu_mean": 0.3, "mu_gain_percent": gain, "share_of_ticks": 0.5, "ticks": 100.0}  # fmt: skip
+    metrics = {"tip_error_model_mean_mm": 0.05 * scale, "rcm_error_mean_mm": 0.4 * scale,
+               "trocar_force_mean_N": 0.3 * scale, "mu_mean": 0.3, "mu_gain_percent": gain,
+               "share_of_ticks": 0.5, "ticks": 100.0}  # fmt: skip
     return Measurement("g", controller, "circle", trial, 0, phase, window, metrics)
 
 
@@ -314,7 +315,7 @@ def test_the_procedure_leads_from_the_hand_to_the_task(procedure, tmp_path):
     assert row["hand_force_max_N"] <= procedure.hands_on.hand.force_max_N + 1e-9
     assert row["board_position_mm"] < 2.0
     assert 0.9 < row["waited_s"] < 2.5  # lost for a second, and brakes before and after
-    assert row["tip_error_mean_mm"] < 0.3
+    assert row["tip_error_mean_mm"] < 1.5  # absolute: the arm is half a millimetre off its kinematics
     # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] == len(list((tmp_path / "film").iterdir())) > 10

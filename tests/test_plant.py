@@ -17,6 +17,7 @@ from moc_opt.model import RobotModel
 from moc_opt.robots import load_data
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.mjcf import build_spec, compile_model
+from moc_opt.tasks.pose import rotation_from
 
 DATA = load_data("lwr4")
 MODEL = RobotModel(DATA)
@@ -212,7 +213,7 @@ def test_torque_acts_after_the_delay(delay):
 
 
 def test_the_delay_begins_with_what_holds_the_arm():
-    plant = Plant(DATA, PlantSettings.realistic(delay_ticks=20, friction=0), seed=1)
+    plant = Plant(DATA, PlantSettings.realistic(delay_ticks=20, friction=0, encoder_bias_rad=0), seed=1)
     plant.step(np.full(7, 5.0))
     start = plant.q
     pose = DATA.q_home + 0.2
@@ -223,6 +224,101 @@ def test_the_delay_begins_with_what_holds_the_arm():
     plant.step(np.full(7, 5.0))
     assert np.abs(plant.v).max() > 1e-3
     assert np.abs(start - DATA.q_home).max() < 1e-9
+
+
+KINEMATIC = ("calibration_error_m", "calibration_tilt_rad", "encoder_bias_rad")
+
+
+def tip_of(plant, q):
+    """The plant's true tip at the true pose q."""
+    plant.mj_data.qpos[:] = q
+    mujoco.mj_forward(plant.mj_model, plant.mj_data)
+    return plant.tip
+
+
+def chain_tip(model, mismatch, q):
+    """Tip by hand: the model's joint placements with the shifts and turns that were drawn."""
+    chain = model.chain
+    place, turn = np.zeros(3), np.eye(3)
+    for i in range(model.n):
+        place = place + turn @ (chain.origins[i] + mismatch.origin_shift[i])
+        turn = turn @ rotation_from(mismatch.origin_turn[i]) @ chain.rotations[i] @ rotation_from(q[i] * chain.axes[i])
+    return place + turn @ (chain.offsets[0] + mismatch.origin_shift[-1])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_calibration_error_is_in_the_plant_s_kinematics_alone(seed):
+    plant = Plant(DATA, PlantSettings.nominal(calibration_error_m=4e-4, calibration_tilt_rad=3e-4), seed=seed)
+    mismatch, rng = plant.mismatch, np.random.default_rng(seed)
+    np.testing.assert_allclose(np.linalg.norm(mismatch.origin_shift, axis=1), 4e-4)
+    np.testing.assert_allclose(np.linalg.norm(mismatch.origin_turn, axis=1), 3e-4)
+    for _ in range(5):
+        q = rng.uniform(DATA.q_min, DATA.q_max)
+        tip = tip_of(plant, q)
+        np.testing.assert_allclose(tip, chain_tip(MODEL, mismatch, q), atol=1e-12)
+        assert 1e-5 < np.linalg.norm(tip - MODEL.state(q).tip) < 8 * 4e-4 + 7 * 3e-4 * 1.6
+    # Wrist and tip are points of one straight tool still.
+    assert np.linalg.norm(plant.tip - plant.wrist) == pytest.approx(_HOME.tool_span, abs=1e-12)
+    np.testing.assert_allclose(plant.tip - plant.wrist, _HOME.tool_span * plant.mount_rotation[:, 2], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_encoder_bias_moves_the_tip_by_its_jacobian(seed):
+    plant = Plant(DATA, PlantSettings.nominal(encoder_bias_rad=5e-4), seed=seed)
+    bias = plant.mismatch.encoder_bias
+    np.testing.assert_array_equal(plant.measure().q, DATA.q_home - bias + bias)
+    np.testing.assert_allclose(plant.q, DATA.q_home - bias, atol=1e-15)
+    np.testing.assert_allclose(plant.tip - _HOME.tip, -_HOME.J_tip @ bias, atol=2e-6)
+    hold = plant.applied_torque
+    for _ in range(3):
+        plant.step(hold)
+    np.testing.assert_allclose(plant.measure().q - plant.q, bias, atol=1e-15)
+
+
+def test_half_a_milliradian_of_bias_is_six_tenths_of_a_millimetre():
+    off = [
+        Plant(DATA, PlantSettings.nominal(encoder_bias_rad=5e-4), seed=seed).tip - _HOME.tip for seed in range(60)
+    ]
+    assert 1e3 * np.sqrt(np.mean(np.sum(np.square(off), axis=1))) == pytest.approx(0.62, abs=0.1)
+
+
+def test_the_default_arm_is_as_accurate_as_a_calibrated_one():
+    """Position accuracy over the seeds: tenths of a millimetre, as measured on arms of this size."""
+    settings = PlantSettings.nominal(**{name: getattr(PlantSettings(), name) for name in KINEMATIC})
+    off = [np.linalg.norm(Plant(DATA, settings, seed=seed).tip - _HOME.tip) for seed in range(40)]
+    assert 0.3e-3 < np.mean(off) < 0.8e-3
+
+
+@pytest.mark.parametrize("name", [*KINEMATIC, "torque_ripple", "mass_error", "trocar_registration_error_m"])
+def test_each_error_has_a_stream_of_its_own(name):
+    """Switching one off, or doubling it, leaves all others' numbers as they are."""
+    full, none = Plant(DATA, seed=7).mismatch, Plant(DATA, PlantSettings(**{name: 0.0}), seed=7).mismatch
+    touched = {"calibration_error_m": "origin_shift", "calibration_tilt_rad": "origin_turn", "torque_ripple": "",
+               "encoder_bias_rad": "encoder_bias", "mass_error": "mass_scale",
+               "trocar_registration_error_m": "registration_error"}[name]  # fmt: skip
+    for field in ("viscous_friction", "coulomb_friction", "registration_error", "origin_shift", "origin_turn",
+                  "encoder_bias", "ripple_phase"):  # fmt: skip
+        same = np.array_equal(getattr(full, field), getattr(none, field))
+        assert same is (field != touched), field
+    assert (full.mass_scale == none.mass_scale) is (touched != "mass_scale")
+
+
+def test_ripple_turns_with_the_joint():
+    """The torque that acts less the one commanded: a sine of the joint's angle, with the stated height and period."""
+    plant = Plant(DATA, PlantSettings.nominal(torque_ripple=0.01, torque_ripple_per_turn=50.0), seed=3)
+    other = Plant(DATA, PlantSettings.nominal(torque_ripple=0.01), seed=4)
+    assert np.abs(plant.mismatch.ripple_phase - other.mismatch.ripple_phase).min() > 1e-3
+    turn = 2.0 * np.pi / 50.0
+
+    def ripple(first):
+        plant.reset(np.array([first, *DATA.q_home[1:]]))
+        return (plant.mj_data.qfrc_applied - plant.applied_torque)[0]
+
+    course = np.array([ripple(0.1 + turn * k / 40) for k in range(81)])
+    np.testing.assert_allclose(course[:41], course[40:], atol=1e-9)
+    assert np.abs(course).max() == pytest.approx(0.01 * DATA.tau_max[0], rel=0.01)
+    spectrum = np.abs(np.fft.rfft(course[:80]))
+    assert spectrum[2] > 1e6 * np.delete(spectrum, 2).max()
 
 
 # --- it measures, repeats itself, and shares nothing ---
@@ -242,7 +338,7 @@ def test_realistic_measurement_is_near_the_truth_and_steady():
     run(plant, 50)
     first, second = plant.measure(), plant.measure()
     assert first is second
-    assert 0 < np.abs(first.q - plant.q).max() < 1e-4
+    assert 0 < np.abs(first.q - plant.q - plant.mismatch.encoder_bias).max() < 1e-4
     assert 0 < np.abs(first.v - plant.v).max() < 0.1
     for array in (*first, plant.q, plant.v, plant.tip, plant.wrist, plant.trocar_force, plant.applied_torque):
         assert not array.flags.writeable
@@ -358,6 +454,13 @@ def test_settings_say_what_is_wrong():
         ({"force_noise_N": np.nan}, "force_noise_N = nan: .*finite"),
         ({"substeps": 1}, "substeps = 1 .*2 ms; raise substeps to 2"),
         ({"period_s": 0.01, "substeps": 3}, "raise substeps to 10"),
+        ({"calibration_error_m": -1e-4}, "calibration_error_m = -0.0001: .*greater than"),
+        ({"calibration_tilt_rad": 1.0}, "calibration_tilt_rad = 1.0: .*less than"),
+        ({"encoder_bias_rad": np.inf}, "encoder_bias_rad = inf: .*finite"),
+        ({"torque_ripple": 0.6}, "torque_ripple = 0.6: .*less than"),
+        ({"torque_ripple_per_turn": 0.0}, "torque_ripple_per_turn = 0.0: .*greater than"),
+        ({"joint_stiffness_Nm_per_rad": (1e4, -1.0)}, "joint_stiffness_Nm_per_rad"),
+        ({"encoder_side": "gear"}, "encoder_side = 'gear'"),
         ({"substeps": 0, "friction": -1}, "substeps = 0.*friction = -1"),
     ):
         with pytest.raises(PlantError, match=words):
@@ -381,7 +484,7 @@ def test_presets():
     assert PlantSettings() == PlantSettings.realistic()
     realistic, nominal = PlantSettings().model_dump(), NOMINAL.model_dump()
     for name, value in realistic.items():
-        if re.search("error|noise|friction|delay|cutoff|resolution", name):
+        if re.search("error|tilt|bias|noise|friction|delay|cutoff|resolution", name):
             assert value > 0
             assert nominal[name] == 0
         else:

@@ -16,7 +16,7 @@ OPEN = {
     "verified_solved": 9, "solves": 10, "silently_wrong": 1, "primal_max": 2e-9, "loss_max": 0.3, "solve_p50_us": 1.74,
     "solve_p99_us": 3.1,
 }  # fmt: skip
-CLOSED = {"mu_mean": 0.31, "tip_error_mean_mm": 0.3, "rcm_error_mean_mm": 1.5, "torque_rate_rms_Nm_per_s": 7.2}
+CLOSED = {"mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_mean_mm": 1.5, "torque_rate_rms_Nm_per_s": 7.2}
 SOLVERS = {
     "open_loop_warm": {"exact": OPEN, "nlp-sqp": OPEN, "qpsolvers:daqp": OPEN},
     "closed_loop": {"dcac": CLOSED, "exact": {**CLOSED, "mu_gain_percent": 65.5}},

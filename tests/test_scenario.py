@@ -23,6 +23,7 @@ from moc_opt.trace import Trace
 CLOCK = {"tick_us", "solve_us"}
 BARE = {"judge": False, "bound_samples": 0}
 POOR = {"swivel": 0.15}
+CALIBRATED = {"calibration_error_m": 0.0, "calibration_tilt_rad": 0.0, "encoder_bias_rad": 0.0}
 
 
 def short(duration_s=0.1, **tables):
@@ -200,7 +201,8 @@ def test_the_trace_remembers_its_scenario():
     assert Scenario(**trace.meta["scenario"]) == scenario
     assert trace.meta["deadline_us"] == 1500.0
     assert trace.meta["robot"] == "lwr4"
-    np.testing.assert_array_equal(trace.meta["start_q_rad"], trace.q_rad[0])
+    bias = Setup(scenario).plant.mismatch.encoder_bias
+    np.testing.assert_array_equal(trace.meta["start_q_rad"] - bias, trace.q_rad[0])
 
 
 def test_preset_in_a_file(tmp_path):
@@ -300,7 +302,7 @@ def test_given_pose_and_tool(robot):
     q = robot.data.q_home + 0.1
     setup = Setup(Scenario(start={"q_rad": q.tolist()}, robot={"tool_length_m": 0.4}))
     np.testing.assert_array_equal(setup.q_start, q)
-    np.testing.assert_array_equal(setup.plant.q, q)
+    np.testing.assert_array_equal(setup.plant.q, q - setup.plant.mismatch.encoder_bias)
     assert setup.robot.state(q).tool_span == pytest.approx(0.478)
 
 
@@ -314,15 +316,61 @@ def test_the_shaft_starts_in_the_trocar():
 
 def test_registration_error_is_the_plant_s():
     setup = Setup(Scenario(plant={"trocar_registration_error_m": 0.002}))
-    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0]
+    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0] - setup.touched.trocar
     assert np.linalg.norm(offset) == pytest.approx(0.002)
     np.testing.assert_allclose(offset, setup.plant.mismatch.registration_error, atol=1e-15)
+
+
+def test_what_the_arm_touched_lies_where_it_truly_is():
+    """Kinematics that are off by a millimetre and more: the shaft stands in the incision all the same."""
+    bad = PlantSettings.nominal(calibration_error_m=5e-4, calibration_tilt_rad=5e-4, encoder_bias_rad=5e-4)
+    setup = Setup(Scenario(plant=bad, seed=4, control={"law": "dcac"}, **BARE, duration_s=0.2))
+    plant, state = setup.plant, setup.robot.state(setup.q_start)
+    point = setup.trocar.at(0.0)[0]
+    assert float(shaft_distance(plant.tip, plant.wrist, point)) < 1e-12
+    np.testing.assert_array_equal(setup.registered.at(0.0)[0], state.tip - 0.15 * state.tool_direction)
+    assert np.linalg.norm(plant.tip - state.tip) > 5e-4
+    trace = setup.trace()
+    assert trace.tip_error_m[0] == pytest.approx(np.linalg.norm(plant_tip_off(setup)), abs=1e-12)
+    assert trace.tip_error_m.min() > 4e-4
+    assert trace.tip_error_registered_m.max() < 5e-5
+    assert trace.tip_error_model_m.max() < 5e-5
+    np.testing.assert_allclose(trace.trocar_registered_m, trace.trocar_m, atol=1e-12)
+
+
+def plant_tip_off(setup):
+    """True minus modelled tip at the start, read off the plant."""
+    setup.plant.reset(setup.q_start)
+    return setup.plant.tip - setup.robot.state(setup.q_start).tip
+
+
+RECORDED = {
+    "law": "dcac", "K_X": 2000.0, "D_X": 80.0, "K_N": 600.0, "D_N": 60.0, "observer_gain_per_s": 20.0,
+}  # fmt: skip
+RECORDING = {
+    "q_rad": [0.5950106130093401, -0.890409338843198, -0.9999657883573064, 1.449792586360487, 0.77000691514235,
+              -1.219996968525384, -4.6296816495251985e-09],
+    "tau_Nm": [0.46410431072849306, 34.24100550040869, -9.2592290428106, -10.472008662614645, 0.35821568498270884,
+               0.16421857356958844, -0.00020173614684706846],
+    "tip_m": [0.5803973205249366, -0.0015808106320361669, 0.051146375440902],
+    "trocar_force_N": [0.08613538320375422, 0.352468213948382, -0.00010155474383965113],
+    "force_N": [0.0776055225593431, 0.31083589125043126, 3.0196943571500348],
+}  # fmt: skip
+
+
+def test_without_its_new_errors_the_plant_runs_as_it_did():
+    """Recorded when the plant had neither calibration error, bias, elastic joints nor ripple."""
+    trace = run(Scenario(duration_s=0.4, plant={**CALIBRATED, "torque_ripple": 0.0}, control=RECORDED, **BARE))
+    for name, numbers in RECORDING.items():
+        np.testing.assert_allclose(getattr(trace, name)[-1], numbers, rtol=1e-7, atol=1e-10, err_msg=name)
+    np.testing.assert_array_equal(trace.tip_error_m, trace.tip_error_registered_m)
+    np.testing.assert_array_equal(trace.tip_error_m, trace.tip_error_model_m)
 
 
 def test_reference_starts_at_the_tip_and_waits():
     setup = Setup(Scenario(task={"wait_s": 0.3, "path": "line", "sizes": {"length": 0.02}}))
     x, dx, _ = setup.reference.at(np.array([0.0, 0.29, 0.5, 99.0]))
-    np.testing.assert_allclose(x[0], setup.plant.tip, atol=1e-12)
+    np.testing.assert_allclose(x[0] + setup.touched.tip, setup.plant.tip, atol=1e-12)
     np.testing.assert_array_equal(x[0], x[1])
     assert np.abs(dx[2]).max() > 0.0
     assert np.linalg.norm(x[3] - x[0]) == pytest.approx(0.02)
@@ -470,7 +518,9 @@ def test_tip_follows_and_the_shaft_stays_in_the_trocar(nominal):
 
 
 def test_the_observer_takes_friction_and_wrong_masses_out():
-    base = Scenario(duration_s=1.5, task={"wait_s": 0.2}, control={"law": "dcac"}, **BARE)
+    base = Scenario(
+        duration_s=1.5, task={"wait_s": 0.2}, control={"law": "dcac"}, plant=CALIBRATED, **BARE
+    )
     errors = []
     for gain in (20.0, 0.0):
         trace = run(base.change(control={"observer_gain_per_s": gain}))
@@ -482,7 +532,7 @@ def test_the_observer_takes_friction_and_wrong_masses_out():
 
 
 def test_observer_helps_moc_too():
-    base = Scenario(duration_s=2.0, seed=2, start=POOR, **BARE)
+    base = Scenario(duration_s=2.0, seed=2, start=POOR, plant=CALIBRATED, **BARE)
     tips = [
         run(base.change(control={"observer_gain_per_s": g})).tip_error_m[800:].mean() for g in (20.0, 0.0)
     ]

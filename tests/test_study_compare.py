@@ -17,7 +17,7 @@ NAMES = [f"solver {i}" for i in range(8)]
 
 def tables(primal, mu, tip):
     opened = {name: {"primal_p50": x} for name, x in zip(NAMES, primal, strict=True)}
-    closed = {name: {"mu_mean": a, "tip_error_mean_mm": b} for name, a, b in zip(NAMES, mu, tip, strict=True)}
+    closed = {name: {"mu_mean": a, "tip_error_model_mean_mm": b} for name, a, b in zip(NAMES, mu, tip, strict=True)}
     return opened, closed
 
 
@@ -25,7 +25,7 @@ def test_what_is_better_in_both_correlates_by_one():
     residual = 10.0 ** np.arange(-9.0, -1.0)
     found = correlations(*tables(residual, -residual, -residual))
     assert found["primal_p50 ~ mu_mean"]["rank_correlation"] == pytest.approx(1.0)
-    assert found["primal_p50 ~ tip_error_mean_mm"]["rank_correlation"] == pytest.approx(-1.0)
+    assert found["primal_p50 ~ tip_error_model_mean_mm"]["rank_correlation"] == pytest.approx(-1.0)
     said = verdict(found)
     assert "anipulability follows" in said
     assert "goes against" in said

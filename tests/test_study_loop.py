@@ -112,7 +112,7 @@ def test_a_narrow_box_is_infeasible_and_the_share_is_counted():
 
 
 def test_costs_begin_where_a_metric_leaves_its_last_value():
-    points = {f"eps={v:g}": {"mu_mean": m, "tip_error_mean_mm": 1.0} for v, m in
+    points = {f"eps={v:g}": {"mu_mean": m, "tip_error_model_mean_mm": 1.0} for v, m in
               ((1e-1, 0.2), (1e-2, 0.30), (1e-3, 0.299), (1e-4, 0.3))}  # fmt: skip
     found = beginning_of_cost(points)
-    assert found == {"mu_mean": "eps=0.01", "tip_error_mean_mm": "eps=0.1"}
+    assert found == {"mu_mean": "eps=0.01", "tip_error_model_mean_mm": "eps=0.1"}

@@ -21,7 +21,8 @@ Summary = Mapping[str, Any]
 FIGURES = {
     "mu_mean": ("mu", "m^3", 4),
     "mu_gain_percent": ("gain", "%", 3),
-    "tip_error_mean_mm": ("tip", "mm", 3),
+    "tip_error_model_mean_mm": ("tip", "mm", 3),
+    "tip_error_registered_mean_mm": ("registered tip", "mm", 3),
     "rcm_error_mean_mm": ("RCM", "mm", 3),
     "trocar_force_mean_N": ("force", "N", 3),
 }
@@ -29,7 +30,7 @@ PHASE = [
     Column("controller", "controller"),
     Column("phase", "phase"),
     Column("share_of_ticks", "share", format=".2f", help="of the ticks of a trial"),
-    Column("tip_error_mean_mm", "tip", unit="mm"),
+    Column("tip_error_model_mean_mm", "tip", unit="mm", help="by the robot's own kinematics"),
     Column(
         "tip", "change", unit="%", help="against DCAC with the same gains at the same ticks, 95 % interval"
     ),

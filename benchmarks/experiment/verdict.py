@@ -42,7 +42,7 @@ class Claim:
 
 CLAIMS = (
     Claim("mu", "manipulability rises by more than 7 %", "mu_mean", 7.0, upwards=True),
-    Claim("tip", "tip accuracy is better", "tip_error_mean_mm"),
+    Claim("tip", "tip accuracy is better", "tip_error_model_mean_mm"),
     Claim("rcm", "the RCM error is smaller", "rcm_error_mean_mm"),
     Claim("force", "the contact force is smaller", "trocar_force_mean_N"),
 )
@@ -131,7 +131,7 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
             5.0,
             reached,
         )
-    for name, metric, limit in (("tip", "tip_error_mean_mm", 0.1), ("rcm", "rcm_error_mean_mm", 0.5)):
+    for name, metric, limit in (("tip", "tip_error_model_mean_mm", 0.1), ("rcm", "rcm_error_mean_mm", 0.5)):
         values = [m.metrics[metric] for m in _whole(found, group, moc)]
         figure = mean(values) if values else None
         reached = figure is not None and figure.value <= limit

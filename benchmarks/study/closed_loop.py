@@ -36,7 +36,7 @@ PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and af
 BEAT_S = 0.5
 HUNG = "hung"
 SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
-ERRORS = ("tip_error", "rcm_error")
+ERRORS = ("tip_error_model", "rcm_error")
 AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
 
 

@@ -292,7 +292,7 @@ class Study:
         self.words["prediction"] = compare.verdict(found)
         self.summary["disagreements"] = {
             f"{one} ~ {other}: {d['name']}": d
-            for one, other in (("relative_p50", "mu_mean"), ("primal_p50", "tip_error_mean_mm"),
+            for one, other in (("relative_p50", "mu_mean"), ("primal_p50", "tip_error_model_mean_mm"),
                                ("loss_p50", "torque_rate_rms_Nm_per_s"))
             for d in compare.disagreements(opened, closed, one, other)
         }  # fmt: skip

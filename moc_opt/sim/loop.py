@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,25 @@ class Watchdog(Protocol):
 
     limited: int
     reason: str
+
+
+class Touched(NamedTuple):
+    """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
+
+    The robot's own frame lies off the true one by calibration error, encoder bias and bending joints. What it touches
+    it registers in its own frame, so that the offset at that point is of no consequence to it; only how the offset
+    changes on the way from there is.
+    """
+
+    tip: Array
+    """Where the path begins."""
+    trocar: Array
+    """Where the shaft enters, the error of the registration left out."""
+
+    @classmethod
+    def nothing(cls) -> Touched:
+        """The robot's frame is the true one."""
+        return cls(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -181,6 +200,7 @@ def simulate(
     guard: Watchdog | None = None,
     faults: Faults | None = None,
     stop: Stop = Stop(),
+    touched: Touched | None = None,
     watch: Callable[[int], None] | None = None,
     meta: Mapping[str, Any] | None = None,
 ) -> Trace:
@@ -195,6 +215,8 @@ def simulate(
         guard: holds limits and judges measurements; None: neither.
         faults: what goes wrong around the arm; None: nothing.
         stop: how the arm is stopped when the guard has lost it.
+        touched: how the robot's frame lies in the true one, where `tip_refs` and `registered` were taken with its
+            own tip; None: as the true one.
         watch: called with the tick's number before each tick (progress, events).
         meta: goes into the trace.
 
@@ -206,10 +228,11 @@ def simulate(
         RunAway: the plant cannot go on; the error holds the trace so far.
     """
     ticks, n = len(tip_refs), plant.data.n
+    touched = Touched.nothing() if touched is None else touched
     kept: dict[str, NDArray[Any]] = {
         "t_s": plant.time + plant.settings.period_s * np.arange(ticks),
         "tip_ref_m": np.array(tip_refs[:, 0]), "trocar_m": np.array(trocars[:, 0]),
-        "trocar_registered_m": np.array(registered[:, 0]), "tau_Nm": np.empty((ticks, n)),
+        "trocar_registered_m": registered[:, 0] + touched.trocar, "tau_Nm": np.empty((ticks, n)),
         "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **brain.columns(ticks),
     }  # fmt: skip
     truth, wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
@@ -251,6 +274,7 @@ def simulate(
     kept["force_N"], kept["torque_Nm"] = wrench[:, :3], wrench[:, 3:]
     kept = {name: column[: stop_at + 1] for name, column in kept.items()}
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
+    kept["tip_error_registered_m"] = np.linalg.norm(kept["tip_ref_m"] + touched.tip - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
     trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **stopped, **(meta or {})})
     if broken is not None:

@@ -28,6 +28,8 @@ def build_spec(
     mass_scale: Mapping[str, float] | None = None,
     viscous: Array | None = None,
     coulomb: Array | None = None,
+    origin_shift: Array | None = None,
+    origin_turn: Array | None = None,
 ) -> mujoco.MjSpec:
     """Build the editable MuJoCo model of the arm; cameras or boards can be added before it is compiled.
 
@@ -47,6 +49,9 @@ def build_spec(
         mass_scale: link name -> factor on its mass and inertia; the centre of mass stays. Missing links: 1.
         viscous: (n,) viscous friction [Nm s/rad]; None is none.
         coulomb: (n,) Coulomb friction [Nm]; None is none.
+        origin_shift: (n + 1, 3) shifts of the joints' origins and of the tool's mount, axes of the link before
+            [m]; None is none.
+        origin_turn: (n, 3) rotation vectors of the joints' frames, in the same axes [rad]; None is none.
 
     Raises:
         PlantError: the URDF cannot be made into a MuJoCo model, or `mass_scale` names no link of it.
@@ -86,6 +91,10 @@ def build_spec(
 
     _scale_masses(data.name, spec, mass_scale or {})
     _add_sensor(data.name, spec)
+    if origin_shift is not None and origin_shift.any():
+        _shift_origins(data, spec, origin_shift)
+    if origin_turn is not None and origin_turn.any():
+        _turn_frames(spec, origin_turn)
     return spec
 
 
@@ -132,6 +141,23 @@ def _scale_masses(name: str, spec: mujoco.MjSpec, scale: Mapping[str, float]) ->
         if factor != 1.0:
             body.mass *= factor
             body.fullinertia = body.fullinertia * factor
+
+
+def _shift_origins(data: RobotData, spec: mujoco.MjSpec, shift: Array) -> None:
+    for joint, of_joint in zip(spec.joints, shift[:-1], strict=True):
+        joint.parent.pos = joint.parent.pos + of_joint
+    # Wrist and tip are points of the shaft: they go where the tool goes.
+    for name in (TOOL_BODY, data.tip_frame, data.wrist_frame):
+        body = spec.body(name)
+        body.pos = body.pos + shift[-1]
+
+
+def _turn_frames(spec: mujoco.MjSpec, turn: Array) -> None:
+    for joint, vector in zip(spec.joints, turn, strict=True):
+        angle, by, turned = float(np.linalg.norm(vector)), np.zeros(4), np.zeros(4)
+        mujoco.mju_axisAngle2Quat(by, vector / angle, angle)
+        mujoco.mju_mulQuat(turned, by, joint.parent.quat)
+        joint.parent.quat = turned
 
 
 def _add_sensor(name: str, spec: mujoco.MjSpec) -> None:

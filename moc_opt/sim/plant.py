@@ -14,6 +14,7 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
 from moc_opt.sim.contact import Pushes, load_bodies, shaft_force
+from moc_opt.sim.elastic import DRIVE, GATHER, add_springs, check_substeps, stiffnesses
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import FORCE_SENSOR, MOUNT_SITE, TOOL_BODY, build_spec, compile_model, heavy_links
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
@@ -22,6 +23,8 @@ from moc_opt.sim.settings import PlantSettings
 Array = NDArray[np.float64]
 
 _RUNAWAY_RAD_PER_S = 1e3
+_SAGGING_ROUNDS = 12
+"""The weight bends a joint by milliradians, which changes the torque of the weight by a thousandth, and so on."""
 
 if mujoco.get_mju_user_warning() is None:
     # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm
@@ -122,7 +125,11 @@ class Plant:
             mass_scale=self.mismatch.mass_scale,
             viscous=self.mismatch.viscous_friction,
             coulomb=self.mismatch.coulomb_friction,
+            origin_shift=self.mismatch.origin_shift,
+            origin_turn=self.mismatch.origin_turn,
         )
+        if settings.elastic:
+            add_springs(data, spec, settings)
         self.mj_model = compile_model(data.name, spec)
         self.mj_data = mujoco.MjData(self.mj_model)
         self._drive_damping = np.array(self.mj_model.dof_damping)
@@ -130,6 +137,8 @@ class Plant:
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._bind()
         self.reset(data.q_home)
+        if settings.elastic:
+            check_substeps(self.mj_model, self.mj_data, settings)
 
     def _bind(self) -> None:
         """Views on MuJoCo's memory, taken once: an attribute of MjData costs more than arithmetic on it.
@@ -146,7 +155,7 @@ class Plant:
                 "moc_opt.robots.load_data, which adds them"
             )
         numbers = self._tool, self._tip, self._wrist = tuple(bodies[name] for name in frames)
-        self._q, self._v, self._bias = state.qpos, state.qvel, state.qfrc_bias
+        self._bind_joints()
         self._xpos, self._told, self._trocar = state.xpos, np.zeros((2, 3)), np.zeros((2, 3))
         origin, point = state.subtree_com[model.body_rootid[self._tool]], np.zeros(3)
         self._load = partial(
@@ -165,13 +174,52 @@ class Plant:
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._wrench = state.sensordata[first : first + 6]
         self._pushes = Pushes(bodies, model.body_ipos)
-        self._drives = Drives(self.data.tau_max, self.settings.delay_ticks, state.qfrc_applied)
+
+    def _bind_joints(self) -> None:
+        """Joint coordinates and torques: MuJoCo's own arrays, unless joints are elastic or torques ripple."""
+        state, settings, data = self.mj_data, self.settings, self.data
+        rigid, smooth = not settings.elastic, settings.torque_ripple == 0.0
+        self._stride = 1 if rigid else 2  # coordinates of a joint: motor and spring
+        self._bias = state.qfrc_bias[:: self._stride]
+        self._gather = self._act = None
+        if rigid:
+            self._q, self._v = self._shown = state.qpos, state.qvel
+        else:
+            links, motors = (np.zeros(data.n), np.zeros(data.n)), (np.zeros(data.n), np.zeros(data.n))
+            self._q, self._v = links
+            self._shown = links if settings.encoder_side == "link" else motors
+            self._gather = partial(GATHER.code, state.qpos, state.qvel, *links, *motors)
+        self._torque = state.qfrc_applied if rigid and smooth else np.zeros(data.n)
+        if not (rigid and smooth):
+            self._act = partial(
+                DRIVE.code, self._torque, state.qpos, self._stride, settings.torque_ripple * data.tau_max,
+                settings.torque_ripple_per_turn, np.array(self.mismatch.ripple_phase),
+                state.qfrc_applied,
+            )  # fmt: skip
+        self._drives = Drives(data.tau_max, settings.delay_ticks, self._torque)
+
+    def _place(self, shown: Array) -> None:
+        """Put the arm at rest where its encoders, their bias aside, show (n,) [rad]; its springs bear its weight."""
+        state, model = self.mj_data, self.mj_model
+        state.qpos[:: self._stride] = shown
+        mujoco.mj_forward(model, state)
+        if self._gather is None:
+            return
+        stiffness = stiffnesses(self.data, self.settings)
+        for _ in range(_SAGGING_ROUNDS):
+            sag = -self._bias / stiffness
+            state.qpos[1::2] = sag
+            state.qpos[::2] = shown - sag if self.settings.encoder_side == "link" else shown
+            mujoco.mj_forward(model, state)
+        self._gather()
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
 
+        The arm is placed by its own encoders: it stands at q less their bias.
+
         Args:
-            q: (n,) joint positions within their limits [rad].
+            q: (n,) joint positions within their limits, as the encoders show them but for noise [rad].
             v: (n,) joint velocities [rad/s]; None is rest.
 
         Raises:
@@ -187,18 +235,21 @@ class Plant:
                 f"choose {self.data.q_min[i]:.6g} to {self.data.q_max[i]:.6g}"
             )
         encoders, force = (np.random.default_rng(seed) for seed in self._noise_seeds)
-        self._encoders = Encoders.of(self.settings, self.data.n, encoders)
+        self._encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, encoders)
         self._wrench_sensor = WrenchSensor.of(self.settings, force)
         self._pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
-        self._q[:] = start
-        mujoco.mj_forward(self.mj_model, self.mj_data)
+        self._place(start - self.mismatch.encoder_bias)
         self._drives.start(self._bias)
-        self._v[:] = speed
+        self.mj_data.qvel[:: self._stride] = speed
+        if self._act is not None:
+            self._act()
         mujoco.mj_forward(self.mj_model, self.mj_data)
-        q, v = self._encoders.start(self._q, self._v)
+        if self._gather is not None:
+            self._gather()
+        q, v = self._encoders.start(*self._shown)
         self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
@@ -225,19 +276,23 @@ class Plant:
             self._trocar[:] = self._told
         # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
         # state, so that measurements and truths need no further call.
-        pushes = self._pushes
+        pushes, act = self._pushes, self._act
         for elapsed in self._substeps:
+            if act is not None:
+                act()
             self._load(elapsed, self._stiffness, self._damping, pushes.bodies, pushes.rows)
             self._second_half()
             self._first_half()
         self._ticks += 1
+        if self._gather is not None:
+            self._gather()
         if not self._is_sound():
             raise PlantError(
                 f"the arm ran away before t = {self.time:.4g} s (v = {self._v.tolist()} rad/s): lower the "
                 "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
                 "rotor inertia"
             )
-        q, v = self._encoders.read(self._q, self._v)
+        q, v = self._encoders.read(*self._shown)
         self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
 
     def _listen(self, trocar: ArrayLike) -> bool:
@@ -265,7 +320,8 @@ class Plant:
         """
         if not 0.0 < damping_Nm_s_per_rad < np.inf:
             raise PlantError(f"damping_Nm_s_per_rad = {damping_Nm_s_per_rad!r}: give a positive number")
-        self.mj_model.dof_damping[:] = self._drive_damping + damping_Nm_s_per_rad
+        drives = slice(None, None, self._stride)  # brakes sit at the motors
+        self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
         """Hold an external force on a link from the next period on, until it is cleared, replaced or reset.
@@ -302,8 +358,8 @@ class Plant:
 
     @property
     def applied_torque(self) -> Array:
-        """(n,) torque on the joints in the last period, delayed and saturated [Nm]."""
-        return _readonly(self.mj_data.qfrc_applied)
+        """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
+        return _readonly(self._torque)
 
     @property
     def tip(self) -> Array:

@@ -58,6 +58,7 @@ class _Noise:
 @njit(cache=True)
 def _read(
     q: Array,
+    bias: Array,
     noise: Array,
     resolution: float,
     gain: float,
@@ -68,22 +69,22 @@ def _read(
 ) -> None:
     position, velocity = reading[0], reading[1]
     for i in range(q.size):
-        position[i] = q[i] + noise[i]
+        position[i] = q[i] + bias[i] + noise[i]
         if resolution > 0.0:
             position[i] = resolution * np.rint(position[i] / resolution)
         estimate[i] += gain * ((position[i] - last[i]) / period - estimate[i])
         velocity[i], last[i] = estimate[i], position[i]
 
 
-_READ = Entry(_read, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
+_READ = Entry(_read, VECTOR, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
 
 
 class Encoders:
-    """Joint positions with noise and a finite step; velocities from their low-passed difference quotient.
+    """Joint positions with bias, noise and a finite step; velocities from their low-passed difference quotient.
 
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
-    Without noise, step and cutoff both values are exact; without a cutoff alone, the velocity is the bare
-    quotient.
+    Without noise, step and cutoff both values are exact but for the bias; without a cutoff alone, the velocity is
+    the bare quotient.
     """
 
     def __init__(
@@ -95,44 +96,47 @@ class Encoders:
         noise_rad: float = 0.0,
         resolution_rad: float = 0.0,
         cutoff_Hz: float = 0.0,
+        bias: Array | None = None,
     ) -> None:
-        """Build n encoders that are read every `period_s`; noise is a standard deviation."""
+        """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
         self._read = _READ.code
         self._period, self._resolution = period_s, resolution_rad
         self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
         self._noise = _Noise(rng, np.full(n, noise_rad))
+        self._bias = np.zeros(n) if bias is None else np.array(bias, dtype=np.float64)
         self._last, self._velocity = np.zeros(n), np.zeros(n)
 
     @classmethod
-    def of(cls, settings: PlantSettings, n: int, rng: np.random.Generator) -> Encoders:
-        """The encoders that the plant's settings describe."""
+    def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
+        """The encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
         return cls(
-            n,
+            bias.size,
             settings.period_s,
             rng,
             noise_rad=settings.encoder_noise_rad,
             resolution_rad=settings.encoder_resolution_rad,
             cutoff_Hz=settings.velocity_cutoff_Hz,
+            bias=bias,
         )
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """First reading at (q, v), each (n,): the velocity estimate begins at v."""
         if self._exact:
-            return _frozen(q), _frozen(v)
+            return _sealed(q + self._bias), _frozen(v)
         self._velocity[:] = v
         return self._sample(q, 0.0)
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         if self._exact:
-            return _frozen(q), _frozen(v)
+            return _sealed(q + self._bias), _frozen(v)
         return self._sample(q, self._gain)
 
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
         noise = self._noise.row()
-        self._read(q, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
+        self._read(q, self._bias, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
         reading.setflags(write=False)
         return reading[0], reading[1]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,6 +13,7 @@ from moc_opt.settings import Settings
 GRAVITY = (0.0, 0.0, -9.81)
 """[m/s^2], world axes; pinocchio's default too."""
 _COARSEST_SUBSTEP_S = 1e-3
+_Stiffness = Annotated[float, Field(gt=0, le=1e9)]
 
 
 class PlantSettings(Settings):
@@ -38,9 +39,33 @@ class PlantSettings(Settings):
     friction_error: float = Field(
         0.20, ge=0, lt=1, description="friction scaled by 1 +- this, uniform per joint"
     )
+    calibration_error_m: float = Field(
+        0.0002, ge=0, le=0.05, description="every joint's origin, and the tool's mount, is this far off the model"
+    )
+    calibration_tilt_rad: float = Field(
+        0.0001, ge=0, le=0.1, description="every joint's frame is turned by this against the model"
+    )
+    encoder_bias_rad: float = Field(
+        0.0001, ge=0, le=0.1, description="standard deviation over the joints of a constant error"
+    )
     encoder_noise_rad: float = Field(1e-5, ge=0, le=0.1, description="standard deviation")
     encoder_resolution_rad: float = Field(2.4e-5, ge=0, le=0.1, description="step of an 18-bit encoder")
     velocity_cutoff_Hz: float = Field(50.0, ge=0, description="low-pass on the difference quotient")
+    encoder_side: Literal["link", "motor"] = Field(
+        "link", description="of an elastic joint: what its encoder shows; 'link' as arms with torque sensors give it"
+    )
+    joint_stiffness_Nm_per_rad: Annotated[float, Field(ge=0, le=1e9)] | tuple[_Stiffness, ...] = Field(
+        0.0, description="of the spring between motor and link, one number or one a joint; 0: rigid"
+    )
+    joint_spring_damping_Nm_s_per_rad: float = Field(
+        30.0, ge=0, le=1e4, description="in parallel with it, mostly what the torque feedback of the drive puts there"
+    )
+    torque_ripple: float = Field(
+        0.0, ge=0, le=0.5, description="amplitude, as a share of the joint's largest torque"
+    )
+    torque_ripple_per_turn: float = Field(
+        200.0, gt=0, le=1e5, description="periods of it in one turn of the joint"
+    )
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0, description="standard deviation, per axis")
     delay_ticks: int = Field(1, ge=0, le=100, description="control periods from command to torque")
@@ -61,13 +86,21 @@ class PlantSettings(Settings):
         return self
 
     @property
+    def elastic(self) -> bool:
+        """Whether a spring lies between motor and link."""
+        return self.joint_stiffness_Nm_per_rad != 0.0
+
+    @property
     def substep_s(self) -> float:
         """Plant step [s]."""
         return self.period_s / self.substeps
 
     @classmethod
     def realistic(cls, **changes: Any) -> PlantSettings:
-        """Wrong masses, friction, noise, a tick of delay, a trocar 0.5 mm off; `changes` override fields."""
+        """Wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar 0.5 mm off.
+
+        Joints are rigid and torques smooth; docs/plant.md says why. `changes` override fields.
+        """
         return cls(**changes)
 
     @classmethod
@@ -78,9 +111,14 @@ class PlantSettings(Settings):
                 "mass_error",
                 "friction",
                 "friction_error",
+                "calibration_error_m",
+                "calibration_tilt_rad",
+                "encoder_bias_rad",
                 "encoder_noise_rad",
                 "encoder_resolution_rad",
                 "velocity_cutoff_Hz",
+                "joint_stiffness_Nm_per_rad",
+                "torque_ripple",
                 "force_noise_N",
                 "torque_noise_Nm",
                 "delay_ticks",

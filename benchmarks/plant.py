@@ -1,0 +1,241 @@
+"""What each defect of the arm costs, alone and together: calibration error, encoder bias, elastic joints, ripple.
+
+python -m benchmarks.plant [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json] [--page]
+
+Every trial is run under DCAC and MOC with the same gains, in the plant without these defects and with each of them;
+--page also writes the table into docs/plant.md.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+from pydantic import Field
+
+from benchmarks import output
+from benchmarks.config import Configuration
+from benchmarks.experiment.config import STREAM
+from benchmarks.experiment.trials import MATCHED, seeds, trials, variant
+from benchmarks.parallel import run_parallel
+from benchmarks.statistics import mean
+from moc_opt import scenario
+from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.metrics import summarize
+from moc_opt.report.console import console, progress
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.sim.settings import PlantSettings
+from moc_opt.tasks import shaft_distance
+from moc_opt.trace import Trace
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "plant.md"
+
+FIGURES = {
+    "mu_gain_percent": Column("mu_gain_percent", "mu", unit="%", format="+.1f", help="above DCAC on the same trials"),
+    "tip_error_mean_mm": Column("tip_error_mean_mm", "tip, absolute", unit="mm", format=".3f"),
+    "tip_error_registered_mean_mm": Column(
+        "tip_error_registered_mean_mm", "tip, registered", unit="mm", format=".3f"
+    ),
+    "tip_error_model_mean_mm": Column(
+        "tip_error_model_mean_mm", "tip, own kinematics", unit="mm", format=".3f"
+    ),
+    "rcm_error_mean_mm": Column("rcm_error_mean_mm", "RCM, true", unit="mm", format=".3f"),
+    "rcm_error_registered_mean_mm": Column(
+        "rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"
+    ),
+    "trocar_force_mean_N": Column("trocar_force_mean_N", "force", unit="N", format=".3f"),
+    "torque_rate_rms_Nm_per_s": Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f"),
+}
+
+
+class Config(Configuration):
+    """benchmarks/configs/plant.toml."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    trials: int = Field(5, ge=1, description="per task")
+    processes: int = Field(2, ge=1)
+    presets: list[str] = Field(["tuned", "default"], min_length=1)
+    solver: str = "exact"
+    base: dict[str, Any] = Field(default_factory=dict, description="[plant], common to all effects")
+    effects: dict[str, dict[str, Any]] = Field(default_factory=dict, min_length=1)
+    scenario: Scenario = Scenario(judge=False, bound_samples=0)
+
+    def plant(self, effect: str) -> PlantSettings:
+        """The plant with one effect.
+
+        Raises:
+            MocOptError: a field that does not exist, or a value out of range.
+        """
+        return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
+
+    def quick(self) -> Self:
+        """The same on less data."""
+        return self.model_copy(update={"tasks": self.tasks[:1], "trials": 2, "presets": self.presets[:1]})
+
+    def jobs(self) -> list[Job]:
+        """Every effect on every trial under every preset."""
+        drawn = seeds(self.seed, STREAM, self.trials * len(self.tasks))
+        found = []
+        for preset in self.presets:
+            base = self.scenario.change(control={} if preset == "default" else {"preset": preset})
+            for _, trial in trials(base, self.tasks, drawn):
+                for effect in self.effects:
+                    found.append(Job(preset, effect, self.solver, trial.change(plant=self.plant(effect).model_dump())))
+        return found
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial under DCAC and MOC in one plant."""
+
+    preset: str
+    effect: str
+    solver: str
+    trial: Scenario
+
+
+def run_job(job: Job) -> list[dict[str, Any]]:
+    """One row a controller; a run that breaks off is a row with its reason."""
+    rows: list[dict[str, Any]] = []
+    baseline: Trace | None = None
+    for controller in (MATCHED, job.solver):
+        row = {
+            "preset": job.preset, "effect": job.effect, "controller": controller, "trial": job.trial.name,
+            "seed": job.trial.seed, "ended": "completed",
+        }  # fmt: skip
+        rows.append(row)
+        try:
+            trace = scenario.run(variant(job.trial, controller))
+        except MocOptError as error:
+            row["ended"] = f"{type(error).__name__}: {error}"
+            continue
+        row["ended"] = trace.meta["ended"]
+        if row["ended"] == "completed":
+            baseline = trace if controller == MATCHED else baseline
+            row |= measure(trace, None if controller == MATCHED else baseline)
+    return rows
+
+
+def measure(trace: Trace, baseline: Trace | None) -> dict[str, float]:
+    """The figures of one run."""
+    off = shaft_distance(trace.tip_m, trace.wrist_m, trace.trocar_registered_m)
+    found = {**summarize(trace, baseline), "rcm_error_registered_mean_mm": 1e3 * float(off.mean())}
+    return {name: found[name] for name in ("mu_mean", *FIGURES) if name in found}
+
+
+def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Preset -> "effect, controller" -> runs, those that broke off, and each figure with its interval."""
+    summary: dict[str, Any] = {}
+    for preset in config.presets:
+        summary[preset] = {}
+        for effect in config.effects:
+            for controller in (MATCHED, config.solver):
+                mine = [r for r in rows if (r["preset"], r["effect"], r["controller"]) == (preset, effect, controller)]
+                group: dict[str, Any] = {
+                    "runs": len(mine), "broke_off": sum(r["ended"] != "completed" for r in mine),
+                }  # fmt: skip
+                for name in FIGURES:
+                    values = [r[name] for r in mine if name in r]
+                    if values:
+                        group |= mean(values).entries(name)
+                summary[preset][f"{effect}, {controller}"] = group
+    return summary
+
+
+def tables(summary: dict[str, Any]) -> list[Table]:
+    """One a preset, means over the runs that were completed."""
+    first = [Column("group", "effect, controller"), Column("broke_off", "broke off", format="d")]
+    return [
+        Table(f"Preset {preset}", [*first, *FIGURES.values()], [{"group": name, **row} for name, row in groups.items()])
+        for preset, groups in summary.items()
+    ]
+
+
+def markdown(summary: dict[str, Any], config: Config) -> str:
+    """The tables with their intervals, for docs/plant.md."""
+    trials_run = config.trials * len(config.tasks)
+    lines = [f"`python -m benchmarks.plant --page` (seed {config.seed}, {trials_run} trials; mean, 95 % interval):"]
+    heads = [f"{column.title} [{column.unit}]" for column in FIGURES.values()]
+    for preset, groups in summary.items():
+        lines += ["", f"Preset `{preset}`:", "", "| " + " | ".join(["effect", "law", *heads, "broke off"]) + " |"]
+        lines.append("|" + "---|" * (len(heads) + 3))
+        for name, row in groups.items():
+            effect, controller = name.rsplit(", ", 1)
+            cells = [effect, controller, *(_cell(row, key) for key in FIGURES), f"{row['broke_off']}/{row['runs']}"]
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(row: dict[str, Any], name: str) -> str:
+    if name not in row:
+        return ""
+    spec = FIGURES[name].format
+    low, high = row[f"{name}_low"], row[f"{name}_high"]
+    if low is None or not math.isfinite(low) or name == "torque_rate_rms_Nm_per_s":
+        return f"{row[name]:{spec}}"  # of a single trial there is no interval
+    return f"{row[name]:{spec}} [{low:{spec}}, {high:{spec}}]"
+
+
+def write_page(text: str, page: Path = PAGE) -> None:
+    """Put the tables between the marks of docs/plant.md.
+
+    Raises:
+        ScenarioError: the page has no such marks.
+    """
+    old = page.read_text(encoding="utf-8")
+    marks = re.compile(r"(<!-- plant -->\n).*?(<!-- /plant -->)", flags=re.S)
+    new, found = marks.subn(lambda m: m[1] + text + "\n" + m[2], old)
+    if not found:
+        raise ScenarioError(f"{page}: put <!-- plant --> and <!-- /plant --> where the table goes")
+    output.write_atomically(page, new.encode())
+
+
+def study(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
+    """Everything, all files; returns the summary."""
+    jobs = config.jobs()
+    with progress("plants", len(jobs)) as bar:
+        parts = run_parallel(run_job, jobs, config.processes, partial(bar.advance, 1.0))
+    rows = [row for part in parts for row in part]
+    summary = summarise(config, rows)
+    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
+    output.write_json(out / "summary.json", summary)
+    output.write_rows(out / "rows.parquet", rows)
+    output.write_json(out / "environment.json", environment)
+    if as_json:
+        print((out / "summary.json").read_text(), end="")
+    else:
+        screen = console()
+        for table in tables(summary):
+            screen.print(table.to_rich())
+    return summary
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study; 0, or 2 with a message where the input is wrong."""
+    options = output.parser("plant", "What each defect of the arm costs.")
+    options.add_argument("--page", action="store_true", help=f"write the table into {PAGE.parent.name}/{PAGE.name}")
+    given = options.parse_args(arguments)
+    try:
+        config = Config.chosen(given, "plant")
+        if given.quick:
+            config = config.quick()
+        summary = study(config, given.out, given.json, sys.argv[1:] if arguments is None else list(arguments))
+        if given.page:
+            write_page(markdown(summary, config))
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
