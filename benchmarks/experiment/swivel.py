@@ -49,7 +49,7 @@ def gain(job: tuple[Scenario, Start, str]) -> dict[str, Any]:
     row: dict[str, Any] = {
         "part": "swivel", "fraction": start.fraction, "mu_start": start.mu, "at_maximum": start.best,
     }  # fmt: skip
-    case = trial.change(start={"q_rad": start.q, "swivel": "given"})
+    case = trial.change(start={"pose": "home", "q_rad": start.q, "swivel": "given"})
     try:
         runs = {name: scenario.run(variant(case, name)) for name in (MATCHED, solver)}
     except MocOptError as error:
