@@ -2,6 +2,9 @@
 
 Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
 ran the same trials. Ticks of one trial are not independent, so they are never resampled.
+
+Two controllers are compared by the ratio of their means (`relative_change`), never by a mean of the trials' ratios, in
+which a trial with a small denominator counts for more.
 """
 
 from __future__ import annotations
