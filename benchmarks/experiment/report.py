@@ -12,6 +12,7 @@ from rich.console import Console
 from benchmarks.experiment.figures import titles
 from benchmarks.experiment.verdict import FAILS, GAINS_ONLY, HOLDS
 from benchmarks.output import save_page
+from benchmarks.statistics import with_interval
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
@@ -77,16 +78,6 @@ GOAL = [
 ]
 
 
-def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
-    """A figure with its interval, as text; None where there is none."""
-    value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
-    if value is None:
-        return None
-    if low is None or high is None or low != low:
-        return f"{value:.{digits}g}"
-    return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
-
-
 def group_table(summary: Summary, group: str, about: str) -> Table:
     """Every controller of a group: means over the trials with their intervals."""
     columns = [Column("controller", "controller")]
@@ -104,7 +95,7 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
                 for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off")
             },
             "controller": names[controller],
-            **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
+            **{key: with_interval(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
         }
         for controller, entries in summary[group].items()
     ]
@@ -123,7 +114,7 @@ def interval_rows(
     return [
         {
             **row, "controller": names[row["controller"]],
-            **{key: spread(row, f"{key}{suffix}") for key in keys},
+            **{key: with_interval(row, f"{key}{suffix}") for key in keys},
         }
         for row in rows
         if row["group"] == group
@@ -148,7 +139,7 @@ def verdict_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
 
 def goal_table(rows: Sequence[Mapping[str, Any]], group: str, solver: str) -> Table:
     """The goals of the best MOC."""
-    drawn = [{**row, "value": spread(row, "value")} for row in rows]
+    drawn = [{**row, "value": with_interval(row, "value")} for row in rows]
     return Table(f"Goals: MOC with {solver}, group {group}", GOAL, drawn)
 
 
