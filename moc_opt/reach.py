@@ -145,7 +145,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
                 "trocar",
                 places.arc[k],
                 f"the trocar is {1e3 * depth[k]:.0f} mm from the tip, more than the tool's {1e3 * longest:.0f} mm",
-                "bring the task nearer to the trocar, or lengthen the tool",
+                "make the path smaller, bring it nearer to the trocar, or lengthen the tool",
             )
         raise UnreachableError(
             "path",

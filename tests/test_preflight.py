@@ -66,10 +66,10 @@ def test_every_regular_pose_may_begin(robot, seed):
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"task": {"sizes": {"radius": 3.0}}}, r"trocar: at .* more than the tool's 300 mm: bring the task nearer"),
+        ({"task": {"sizes": {"radius": 3.0}}}, r"trocar: at .* more than the tool's 300 mm: make the path smaller"),
         (
             {"task": {"sizes": {"radius": 0.1}}, "trocar": {"depth_m": 0.02}},
-            r"joint limits: at .* mm along the path no pose has the tip.*make the path smaller",
+            r"\[task\] joint limits: at .* mm along the path no pose has the tip.*smaller.*check_path = false",
         ),
     ],
 )
