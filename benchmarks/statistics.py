@@ -2,12 +2,15 @@
 
 Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
 ran the same trials. Ticks of one trial are not independent, so they are never resampled.
+
+Two controllers are compared by the ratio of their means (`relative_change`), never by a mean of the trials' ratios, in
+which a trial with a small denominator counts for more.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +43,16 @@ class Interval(NamedTuple):
     def entries(self, name: str) -> dict[str, float]:
         """{name, name_low, name_high}, for a summary."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
+
+
+def with_interval(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
+    """A figure of a summary with its interval, as text; None where there is none."""
+    value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
+    if value is None:
+        return None
+    if low is None or high is None or low != low:
+        return f"{value:.{digits}g}"
+    return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
 
 
 def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -> Interval:

@@ -196,7 +196,7 @@ def tip_error_model_max_mm(trace: Trace) -> float:
 
 @metric
 def rcm_error_mean_mm(trace: Trace) -> float:
-    """Mean distance of the shaft's line from the trocar [mm]."""
+    """Mean distance of the shaft's line from the true trocar [mm]; the registration's error is part of it."""
     return 1e3 * float(_floats(trace, "rcm_error_m").mean())
 
 
@@ -204,6 +204,18 @@ def rcm_error_mean_mm(trace: Trace) -> float:
 def rcm_error_max_mm(trace: Trace) -> float:
     """Largest distance of the shaft's line from the trocar [mm]."""
     return 1e3 * float(_floats(trace, "rcm_error_m").max())
+
+
+@metric
+def rcm_error_registered_mean_mm(trace: Trace) -> float:
+    """Mean distance of the shaft's line from the trocar that the controller was told [mm]: its own share."""
+    return 1e3 * float(_floats(trace, "rcm_error_registered_m").mean())
+
+
+@metric
+def rcm_error_registered_max_mm(trace: Trace) -> float:
+    """Largest distance of the shaft's line from the trocar that the controller was told [mm]."""
+    return 1e3 * float(_floats(trace, "rcm_error_registered_m").max())
 
 
 @metric

@@ -74,6 +74,7 @@ def check_reachable(
     *,
     spacing_m: float = 0.002,
     start_tolerance_m: float = 0.002,
+    until_s: float = np.inf,
 ) -> Reach:
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
@@ -88,6 +89,7 @@ def check_reachable(
         trocar: where the shaft has to pass; a point (3,) [m] rests.
         spacing_m: distance of the points that are looked at [m].
         start_tolerance_m: how far the tip may be from the start of the reference [m].
+        until_s: time at which the run ends [s]: what the reference does later is not looked at.
 
     Raises:
         UnreachableError: a point, a joint speed or the trocar is out of reach; names the field, the arc length
@@ -95,7 +97,7 @@ def check_reachable(
         RobotError: q_start is not usable.
     """
     state = robot.state(q_start)
-    places = _places(reference, trocar if isinstance(trocar, Trocar) else Trocar(trocar), spacing_m)
+    places = _places(reference, trocar if isinstance(trocar, Trocar) else Trocar(trocar), spacing_m, until_s)
     _check_start(state, places, start_tolerance_m)
     _check_depth(robot, places)
     try:
@@ -111,8 +113,9 @@ def check_reachable(
         raise
 
 
-def _places(reference: TipReference, trocar: Trocar, spacing_m: float) -> _Places:
-    times = np.linspace(reference.t_start, reference.t_start + reference.duration, _TIMES)
+def _places(reference: TipReference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
+    end = max(reference.t_start, min(reference.t_start + reference.duration, until_s))
+    times = np.linspace(reference.t_start, end, _TIMES)
     rows = np.array([reference.rows(t) for t in times.tolist()])
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(rows[:, 0], axis=0), axis=1))))
     count = max(2, int(np.ceil(arc[-1] / spacing_m)) + 1)
@@ -142,7 +145,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
                 "trocar",
                 places.arc[k],
                 f"the trocar is {1e3 * depth[k]:.0f} mm from the tip, more than the tool's {1e3 * longest:.0f} mm",
-                "bring the task nearer to the trocar, or lengthen the tool",
+                "make the path smaller, bring it nearer to the trocar, or lengthen the tool",
             )
         raise UnreachableError(
             "path",

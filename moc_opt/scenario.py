@@ -14,8 +14,9 @@ from moc_opt.control import Controller
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
 from moc_opt.errors import MocOptError, RobotError, ScenarioError
+from moc_opt.layout import breathing, lay_out
 from moc_opt.model import RobotModel
-from moc_opt.scenario_tables import Scenario, TaskTable
+from moc_opt.scenario_tables import Scenario
 from moc_opt.selfmotion import self_motion
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.loop import Brain, RunAway, Stop, Touched, simulate
@@ -24,78 +25,48 @@ from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import judge
-from moc_opt.tasks import Reference, Trocar, make_path
+from moc_opt.tasks import Trocar
 from moc_opt.trace import Trace
 
 Array = NDArray[np.float64]
 
-MOST_TICKS = 5_000_000
-"""Of a run: almost three hours at 500 Hz. More is a slip of the pen, and would not fit into memory."""
-
 
 class Setup:
-    """A scenario made flesh: robot, plant, references; ``trace()`` runs it."""
+    """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Build and check everything before anything moves.
 
         Raises:
-            MocOptError: the first thing that is wrong, in its own words.
+            MocOptError: the first thing that is wrong, in its own words; see `moc_opt.layout.lay_out` for the start and
+                the path.
         """
         self.scenario = scenario
         start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
         self.robot = scenario.robot.arm()
-        self.q_start = self._start_pose(np.random.default_rng(start_seed))
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
+        layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
+        self.duration_s = layout.duration_s
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
             self.plant.push(scenario.faults.bump_link, np.zeros(3))
         self.plant.reset(self.q_start)
+        self.touched = self._touch(layout.trocar, scenario.trocar.depth_m)
+        entry = layout.trocar + self.touched.trocar
+        self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
         self._fault_seed = fault_seed
         self._replayed_us = _recorded_times(scenario)
-        state = self.robot.state(self.q_start)
 
-        trocar = scenario.trocar
-        if not trocar.depth_m < state.tool_span:
-            raise ScenarioError(
-                f"[trocar] depth_m = {trocar.depth_m}: wrist and tip are {state.tool_span:.3f} m apart; "
-                "the trocar must lie between them"
-            )
-        point = state.tip - trocar.depth_m * state.tool_direction
-        breathing = (trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction)
-        self.registered = Trocar(point, *(breathing if trocar.breathing_known else (0.0,)))
-        self.touched = self._touch(state.tip, point, trocar.depth_m)
-        entry = point + self.touched.trocar
-        self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing)
-
-        task = scenario.task
-        sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
-        path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
-        self.reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
-        self.duration_s = scenario.duration_s or task.wait_s + self.reference.duration + task.hold_s
-        if not self.duration_s / scenario.plant.period_s <= MOST_TICKS:
-            raise ScenarioError(
-                f"{self.duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
-                f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks"
-            )
-
-    def _touch(self, tip: Array, entry: Array, depth: float) -> Touched:
-        """Lay the task where the arm's own tip is: ``tip`` and ``entry``, (3,) [m], are where its model puts the two.
+    def _touch(self, entry: Array, depth: float) -> Touched:
+        """Lay the task where the arm's own tip is; ``entry`` (3,) [m] is where its model puts the incision.
 
         The incision lies on the shaft as it truly stands, and the path begins at the true tip.
         """
         plant = self.plant
         if not (plant.mismatch.displaces or plant.settings.elastic):
             return Touched.nothing()  # equal but for rounding
-        shaft = plant.tip - plant.wrist
+        shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
         return Touched(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
-
-    def _start_pose(self, rng: np.random.Generator) -> Array:
-        start = self.scenario.start
-        q = np.array(self.robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
-        if start.swivel == "given":
-            return q
-        fraction = rng.uniform(0.05, 0.95) if start.swivel == "random" else float(start.swivel)
-        return self_motion(self.robot, q).at(fraction)
 
     def solver(self) -> Solver | None:
         """The solver that the scenario asks for; None under DCAC."""

@@ -42,10 +42,18 @@ class StartTable(Settings):
     """The pose of the arm at t = 0; tip and wrist are those of q whatever the swivel."""
 
     KIND: ClassVar[str] = "[start]"
-    q_rad: tuple[float, ...] | None = Field(default=None, description="None: the robot's home pose")
+    pose: Literal["home", "random"] = Field(
+        default="home", description="'random': drawn by the seed until the whole task can be done from it"
+    )
+    q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
     swivel: float | Literal["given", "random"] = Field(
         default="given",
         description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
+    )
+
+    check_path: bool = Field(
+        default=True,
+        description="refuse a path that kinematics alone cannot follow; the search may miss a way that exists",
     )
 
     @field_validator("swivel")
@@ -54,6 +62,12 @@ class StartTable(Settings):
         if isinstance(value, float) and not 0.0 <= value <= 1.0:
             raise ValueError("a swivel is a fraction from 0 to 1")
         return value
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        if self.pose == "random" and self.q_rad is not None:
+            raise ValueError("pose = 'random' and q_rad exclude each other: leave one of them out")
+        return self
 
 
 class TrocarTable(Settings):
@@ -108,7 +122,7 @@ class Scenario(Settings):
 
     KIND: ClassVar[str] = "scenario:"
     name: str = "circle"
-    seed: int = Field(default=0, ge=0, description="of starting swivel, mismatch and noise")
+    seed: int = Field(default=0, ge=0, description="of starting pose and swivel, mismatch and noise")
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()

@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from benchmarks.study import closed_loop
-from benchmarks.study.closed_loop import BASELINE, Run, combined, run_all, run_one, summary, trials, variant
+from benchmarks.study.closed_loop import (
+    BASELINE,
+    Run,
+    combined,
+    run_all,
+    run_one,
+    settle,
+    summary,
+    trials,
+    variant,
+)
 from benchmarks.study.store import Store
 from benchmarks.study.worker import Worker
 from moc_opt.metrics import summarize
@@ -22,8 +32,8 @@ def trial():
 def test_trials_are_one_per_task_and_seed():
     cases = trials(SHORT, ["circle", "spiral"], [0, 1])
     assert list(cases) == ["circle/0", "circle/1", "spiral/0", "spiral/1"]
-    assert {(case.task.path, case.seed, case.start.swivel) for case in cases.values()} == {
-        (task, seed, "random") for task in ("circle", "spiral") for seed in (0, 1)
+    assert {(case.task.path, case.seed, case.start.pose, case.start.swivel) for case in cases.values()} == {
+        (task, seed, "random", "random") for task in ("circle", "spiral") for seed in (0, 1)
     }
 
 
@@ -62,7 +72,7 @@ def test_what_breaks_off_is_a_result(trial):
         found = run_one(Store(None), worker, variant(trial, "osqp", {"eps": -1.0}), "osqp", None)
     assert found.trace is None
     assert "SolverError" in found.error
-    assert combined([found]) == {"runs": 1, "broke_off": 1, "reason": found.error}
+    assert combined([found]) == {"runs": 1, "broke_off": 1, "timed_runs": 0, "reason": found.error}
 
 
 def test_a_solver_that_hangs_breaks_its_run_off_and_is_not_asked_again(trial, tmp_path, monkeypatch):
@@ -97,3 +107,80 @@ def test_combining_averages_means_sums_counts_and_pools_times():
     assert found["tip_error_max_mm"] == 5.0
     assert found["silently_wrong"] == 7.0
     assert found["solve_p50_us"] == 3.0  # of all forty, no mean of medians
+
+
+def traced(controller, travels, tip_mm, trial="t", timed=True, mu=1.0):
+    """A run of ten ticks whose elbow travels at the given ones; the tip error [mm] is given for each tick."""
+    flags = np.zeros(10, dtype=bool)
+    flags[list(travels)] = True
+    error = 1e-3 * np.asarray(tip_mm, dtype=float)
+    columns = {"t_s": np.arange(10) * 0.002, "mu": np.full(10, mu), "tip_error_model_m": error, "rcm_error_m": error,
+               "rcm_error_registered_m": 0.5 * error, "solve_us": np.full(10, 5.0 if timed else 500.0),
+               "travelling": flags}  # fmt: skip
+    metrics = {"mu_mean": mu, "tip_error_model_mean_mm": 1e3 * error.mean(), "deadline_misses": 0.0 if timed else 9.0}
+    return Run(controller, trial, metrics, columns, timed=timed)
+
+
+def test_settled_ticks_are_one_set_for_all_controllers_of_a_trial():
+    """Each masked by its own motion, DCAC would have 2.0 mm, `a` 3.5 and `b` 4.0."""
+    ramp = np.arange(10.0)
+    runs = [traced(BASELINE, range(5, 10), ramp), traced("a", range(0, 3), ramp), traced("b", range(2, 6), ramp),
+            Run("broken", "t", {}, error="ran away")]  # fmt: skip
+    found = {run.controller: run.metrics for run in settle(runs)}
+    assert {name: metrics.get("settled_ticks") for name, metrics in found.items()} == {
+        BASELINE: 4.0, "a": 4.0, "b": 4.0, "broken": None
+    }  # fmt: skip
+    for name in (BASELINE, "a", "b"):
+        assert found[name]["tip_error_model_settled_mean_mm"] == pytest.approx(7.5)  # ticks 6 to 9
+        assert found[name]["rcm_error_registered_settled_mean_mm"] == pytest.approx(3.75)
+
+
+def test_where_no_tick_is_settled_there_is_no_figure():
+    runs = settle([traced(BASELINE, [], np.ones(10)), traced("a", range(10), np.ones(10))])
+    assert all(run.metrics["settled_ticks"] == 0.0 for run in runs)
+    assert not any("tip_error_model_settled_mean_mm" in run.metrics for run in runs)
+    both = [*runs, *settle([traced(BASELINE, [], np.ones(10), "u"), traced("a", [0], 2.0 * np.ones(10), "u")])]
+    assert summary(both)["a"]["tip_error_model_settled_mean_mm"] == pytest.approx(2.0)
+    assert summary(both)["a"]["settled_ticks"] == 9.0
+
+
+def test_trials_count_by_their_settled_ticks():
+    one = settle([traced("a", range(9), np.ones(10), "t")])  # one settled tick at 1 mm
+    other = settle([traced("a", [], 4.0 * np.ones(10), "u")])  # ten at 4 mm
+    assert combined([*one, *other])["tip_error_model_settled_mean_mm"] == pytest.approx(41.0 / 11.0)
+
+
+def test_a_change_is_a_ratio_of_means_with_an_interval():
+    """Gains of 100 % at a small mu and of 10 % at a large one: 18.2 % of the mean, and not 55 %."""
+    runs = []
+    for trial, (mu, gain) in {"t": (0.1, 2.0), "u": (1.0, 1.1), "v": (0.1, 2.0), "w": (1.0, 1.1)}.items():
+        runs += [traced(BASELINE, [], np.ones(10), trial, mu=mu), traced("a", [], np.ones(10), trial, mu=mu * gain)]
+    found = summary(runs)["a"]
+    assert found["mu_gain_percent"] == pytest.approx(100.0 * (1.3 / 1.1 - 1.0))
+    assert found["mu_gain_percent_low"] < found["mu_gain_percent"] < found["mu_gain_percent_high"]
+    assert found["tip_change_percent"] == 0.0
+    assert found["runs"] == 4
+    broken = [run if run.controller == BASELINE else Run("a", run.trial, {}, error="no") for run in runs]
+    assert "mu_gain_percent" not in summary(broken)["a"]
+
+
+def test_times_are_those_of_the_runs_that_ran_alone():
+    runs = [traced("a", [], np.ones(10)), traced("a", [], np.ones(10), "u", timed=False)]
+    found = combined(runs)
+    assert found["solve_p50_us"] == found["solve_p99_us"] == 5.0
+    assert found["deadline_misses"] == 0.0
+    assert (found["runs"], found["timed_runs"]) == (2, 1)
+    assert found["mu_mean"] == 1.0
+
+
+def test_trials_beside_each_other_give_what_they_give_alone():
+    cases = trials(SHORT, ["circle"], [0, 1, 2])
+    alone = run_all(cases, {"exact": {}}, lambda _: None, timed=3)
+    beside = run_all(cases, {"exact": {}}, lambda _: None, timed=1, processes=2)
+    assert [(run.trial, run.controller) for run in alone] == [(run.trial, run.controller) for run in beside]
+    for one, other in zip(alone, beside, strict=True):
+        np.testing.assert_array_equal(one.columns["mu"], other.columns["mu"])
+        assert one.metrics["settled_ticks"] == other.metrics["settled_ticks"]
+    assert [run.timed for run in beside] == [True, True, False, False, False, False]
+    starts = [tuple(run.columns["q_rad"][0]) for run in alone if run.controller == "exact"]
+    assert len(set(starts)) == 3  # three poses

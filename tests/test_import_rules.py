@@ -30,7 +30,7 @@ ROOMS = {
     "protocol": ["moc_opt.solvers.base"],
     "solvers": ["moc_opt.solvers"],
     "control": ["moc_opt.control"],
-    "assemblies": ["moc_opt.reach", "moc_opt.handson", "moc_opt.augmented", "moc_opt.views"],
+    "assemblies": ["moc_opt.reach", "moc_opt.preflight", "moc_opt.handson", "moc_opt.augmented", "moc_opt.views"],
     "embedded": ["moc_opt.embedded"],
     "sim": ["moc_opt.sim"],
     "report": ["moc_opt.report"],
@@ -38,7 +38,7 @@ ROOMS = {
         "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.map_page",
         "moc_opt.report.courses", "moc_opt.report.runs", "moc_opt.report.swivel",
     ],
-    "scenario": ["moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.driver"],
+    "scenario": ["moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.layout", "moc_opt.driver"],
     "live": ["moc_opt.live"],
 }  # fmt: skip
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import PlantError
+from moc_opt.scenario import Scenario, run
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import no_collector, simulate
 from moc_opt.tasks import shaft_distance
@@ -176,3 +177,15 @@ def test_the_collector_comes_back_after_an_error_and_stays_off_where_it_was(robo
         assert not gc.isenabled()
     finally:
         gc.enable()
+
+
+def test_the_registered_rcm_error_is_the_true_shaft_s_distance_from_what_the_controller_was_told():
+    trace = run(Scenario(duration_s=0.1, judge=False, bound_samples=0))
+    for k in (0, 20, 49):
+        u = (trace.tip_m[k] - trace.wrist_m[k]) / np.linalg.norm(trace.tip_m[k] - trace.wrist_m[k])
+        for trocar, found in (
+            (trace.trocar_m, trace.rcm_error_m), (trace.trocar_registered_m, trace.rcm_error_registered_m),
+        ):  # fmt: skip
+            away = np.linalg.norm(np.cross(trocar[k] - trace.tip_m[k], u))
+            assert found[k] == pytest.approx(away, rel=1e-9, abs=1e-12)
+    assert abs(trace.rcm_error_m - trace.rcm_error_registered_m).max() > 1e-4  # the registration is 0.5 mm off

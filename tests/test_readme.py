@@ -16,10 +16,15 @@ OPEN = {
     "verified_solved": 9, "solves": 10, "silently_wrong": 1, "primal_max": 2e-9, "loss_max": 0.3, "solve_p50_us": 1.74,
     "solve_p99_us": 3.1,
 }  # fmt: skip
-CLOSED = {"mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_mean_mm": 1.5, "torque_rate_rms_Nm_per_s": 7.2}
+CLOSED = {
+    "mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_registered_mean_mm": 1.5, "runs": 15,
+    "torque_rate_rms_Nm_per_s": 7.2,
+}  # fmt: skip
 SOLVERS = {
     "open_loop_warm": {"exact": OPEN, "nlp-sqp": OPEN, "qpsolvers:daqp": OPEN},
-    "closed_loop": {"dcac": CLOSED, "exact": {**CLOSED, "mu_gain_percent": 65.5}},
+    "closed_loop": {"dcac": CLOSED, "exact": {
+        **CLOSED, "mu_gain_percent": 65.5, "mu_gain_percent_low": 50.0, "mu_gain_percent_high": 80.0,
+    }},
     "testsets": {
         "osqp@default": {"silently_wrong": 3, "solves": 50}, "daqp@default": {"silently_wrong": 30, "solves": 50},
         "piqp@default": {"silently_wrong": 0, "solves": 50}, "exact@recommended": {"silently_wrong": 0, "solves": 50},
@@ -84,7 +89,10 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert text.endswith("<!-- speed -->\nold\n<!-- /speed -->\nafter\n")
     assert text.count("\nold\n") == 1
     assert "between" in text
-    assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 7 |" in text
+    assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 15 | 7 |" in text
+    assert "means over 15 trials from random poses" in text
+    assert "`exact`: 65.5 [50, 80] %" in text
+    assert "Settled are the ticks of a trial at which" in text
     assert "`nlp-sqp`*" in text
     assert "qpsolvers" not in text
     assert "50 problems" in text

@@ -180,3 +180,14 @@ def test_typesetting() -> None:
     assert pretty_unit("us") == "µs"
     assert pretty_unit("kg m^2 us^-1") == "kg m² µs⁻¹"
     assert [pretty_power(power) for power in (0, 1, -12)] == ["1", "10", "10⁻¹²"]
+
+
+def test_only_rows_with_the_flag_compete_for_the_emphasis():
+    rows = [{"solver": "wrong", "us": 0.1, "ok": False}, {"solver": "slow", "us": 9.0, "ok": True},
+            {"solver": "good", "us": 2.0, "ok": True}, {"solver": "silent", "us": 0.2}]  # fmt: skip
+    names = {}
+    for among in ("", "ok"):
+        column = Column("us", "time", better="low", among=among)
+        cells = Table("t", [Column("solver", "solver"), column], rows).cells(column)
+        names[among] = [row["solver"] for row, cell in zip(rows, cells, strict=True) if cell.best]
+    assert names == {"": ["wrong"], "ok": ["good"]}

@@ -11,9 +11,11 @@ from benchmarks.output import default_config
 from benchmarks.study import closed_loop
 from benchmarks.study import tables as study_tables
 from benchmarks.study.answers import ask
-from benchmarks.study.cells import Cell
+from benchmarks.study.cells import Cell, costs_of, load, totals
 from benchmarks.study.config import PARTS, ClosedLoop, Config, TestSets
 from benchmarks.study.parts import Study
+from benchmarks.study.settings import Entry
+from benchmarks.study.store import Part
 from benchmarks.study.tables import headline, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from tests import broken_solvers
@@ -37,6 +39,7 @@ cold = 4
 joints = [7, 9]
 [closed_loop]
 tasks = ["circle"]
+seeds = 2
 duration_s = 0.2
 [sweeps]
 duration_s = 0.2
@@ -127,7 +130,7 @@ def test_broken_solvers_are_recorded_and_the_others_unharmed(folder, tmp_path, m
     assert table["hangs@recommended"]["hung"] == 2
     assert table["crashes@recommended"]["crashed"] == 2
     assert table["exact@recommended"]["verified_solved"] == table["exact@recommended"]["feasible"]
-    assert summary["closed_loop"]["hangs"]["broke_off"] == 1
+    assert summary["closed_loop"]["hangs"]["broke_off"] == 2
     assert "hung" in summary["closed_loop"]["hangs"]["reason"]
     assert "SIGSEGV" in summary["closed_loop"]["crashes"]["reason"]
     assert summary["closed_loop"]["exact"]["broke_off"] == 0
@@ -140,6 +143,8 @@ def test_counts_add_up(summary):
     for part, found in summary.items():
         if part.startswith("testset"):
             for m in found.values():
+                right = ("verified_solved", "infeasible_right", "infeasible_six_rows")
+                assert sum(m[key] for key in right) == m["right"]
                 parts = (
                     "claimed_solved",
                     "infeasible_right",
@@ -216,6 +221,7 @@ def test_the_shipped_configuration_is_that_of_the_program():
     assert full.testsets.rounds > config.testsets.rounds
     assert full.growth.joints == list(range(7, 15))
     assert full.closed_loop.twice
+    assert len(config.closed_loop.tasks) * config.closed_loop.seeds >= 15
 
 
 def test_a_library_is_in_the_loop_once(tmp_path):
@@ -247,8 +253,43 @@ def test_growth_is_said_in_words():
     assert headline({"growth": {"c": {"solves": 0}}}, {}) == "Nothing was run."
 
 
+def row(right, us, solves=100, **more):
+    counts = dict.fromkeys(("silently_wrong", "infeasible_six_rows", "hung", "crashed"), 0)
+    return {**counts, "solves": solves, "feasible": solves, "verified_solved": right, "right": right,
+            "solve_p50_us_worst_set": us, "relative_max": 1e-9, **more}  # fmt: skip
+
+
+def test_fast_and_wrong_is_not_fastest():
+    sets = {"quick@recommended": row(0, 0.1), "slow@recommended": row(100, 9.0), "good@recommended": row(99, 5.0),
+            "nearly@recommended": row(98, 2.0)}  # fmt: skip
+    said = headline({"testsets": sets}, {})
+    assert "1 of 4 solvers answered every problem" in said
+    assert "the fastest is good (99.0 %) with a median of 5.0 us" in said
+    made = tables({"testsets": sets})["testsets"]
+    (column,) = [c for c in made.columns if c.key == "solve_p50_us_worst_set"]
+    best = [row["solver"] for row, cell in zip(made.rows, made.cells(column), strict=True) if cell.best]
+    assert best == ["good@recommended"]
+
+
+def test_six_contradicting_rows_are_forgiven_in_every_place_or_in_none():
+    """Verdict, table and figure: a solver that rightly calls its six rows infeasible has answered rightly."""
+    kept = load("inconsistent-1e-4", 16)
+    count = len(kept.rows)
+    answer = {"status": np.array(["infeasible"] * count), "iterations": np.ones(count, int),
+              "x": np.full((count, kept.n), np.nan), "y": np.full((count, 6), np.nan)}  # fmt: skip
+    for rows, right in ((6, count), (5, 0)):
+        cell = Cell(Entry("osqp", "recommended", {"rows": rows}, ""), kept, Part({"reason": "", "events": []}, answer))
+        assert cell.contradictory.all()
+        assert cell.counts()["right"] == right
+        costs = costs_of([cell], {kept.name: Part({}, {"solve_us": np.ones((2, count))})})
+        assert np.isfinite(costs).sum() == right
+        found = {"testsets": {"osqp@recommended": totals([cell], {})}}
+        assert headline(found, {}).startswith(f"{int(right == count)} of 1 solvers answered every problem")
+        assert tables(found)["testsets"].rows[0]["right_percent"] == 100.0 * right / count
+
+
 def test_qpbenchmark_stands_beside_ours():
-    ours = {f"qpsolvers:{n}@default": {"solves": 4, "feasible": 4, "verified_solved": v, "solve_p50_us_worst_set": t}
+    ours = {f"qpsolvers:{n}@default": {"solves": 4, "feasible": 4, "right": v, "solve_p50_us_worst_set": t}
             for n, v, t in (("a", 4, 9.0), ("b", 4, 5.0), ("c", 2, 1.0))}  # fmt: skip
     theirs = {f"{n}@default": {"rank": r} for n, r in (("c", 1), ("b", 2), ("a", 3))}
     rows = study_tables._beside_ours({"testsets": ours, "qpbenchmark": theirs})

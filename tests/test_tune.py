@@ -17,8 +17,8 @@ from moc_opt.control.settings import TUNED
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 
 GOOD = {
-    "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_mean_mm": 0.4,
-    "trocar_force_mean_N": 0.3, "torque_rate": 500.0,
+    "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_registered_mean_mm": 0.12,
+    "torque_rate": 500.0,
     **{f"settled_{name}_high": 0.0 for name in tune.ERRORS}, **{f"travelling_{name}": 0.0 for name in tune.ERRORS},
 }  # fmt: skip
 
@@ -87,7 +87,7 @@ def test_rho_follows_the_ratio():
         ("gain", 10.0),
         ("worst_gain", -0.5),
         ("tip_error_model_mean_mm", 0.12),
-        ("rcm_error_mean_mm", 0.6),
+        ("rcm_error_registered_mean_mm", 0.25),
         *((f"settled_{error}_high", 6.0) for error in tune.ERRORS),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_missed_goal_costs_more_than_anything_else(name, value):
         ("torque_rate", 600.0),
         ("gain", 18.0),
         ("tip_error_model_mean_mm", 0.08),
-        ("travelling_rcm_error_mean_mm", 10.0),
+        ("travelling_rcm_error_registered_mean_mm", 10.0),
     ],
 )
 def test_costs_rise_where_it_gets_worse(name, worse):
@@ -116,25 +116,23 @@ def test_a_settled_phase_that_never_came_is_a_missed_goal():
     assert tune.objective(never) > tune.objective(GOOD) + 10.0
 
 
-def outcome(group, controller, rate, gain=None, phase="whole", window=""):
-    metrics = {
-        "torque_rate_rms_Nm_per_s": rate,
-        "tip_error_model_mean_mm": 0.05,
-        "rcm_error_mean_mm": 0.4,
-        "trocar_force_mean_N": 0.3,
-    }
-    if gain is not None:
-        metrics["mu_gain_percent"] = gain
-    entry = Measurement(group, controller, "circle", "circle/0", 1, phase, window, metrics)
+def outcome(group, controller, rate, mu=0.3, gain=0.0, trial=0):
+    metrics = {"torque_rate_rms_Nm_per_s": rate, "tip_error_model_mean_mm": 0.05, "rcm_error_registered_mean_mm": 0.12,
+               "mu_mean": mu, "mu_gain_percent": gain}  # fmt: skip
+    entry = Measurement(group, controller, "circle", f"circle/{trial}", 1, "whole", metrics)
     return Outcome([entry], {}, {}, [])
 
 
 def test_score_reads_the_gain_and_refuses_what_is_not_calm():
+    """Gains of 100 and 10 %: of the means it is 19 %, and the mean of both, 55 %, would be another number."""
     candidate = tune.Candidate((), {})
-    usual = [outcome("", tune.SOLVER, 500.0, gain) for gain in (12.0, 20.0)]
+    usual = [
+        outcome("", MATCHED, 500.0, 0.1, 0.0, 0), outcome("", tune.SOLVER, 500.0, 0.2, 100.0, 0),
+        outcome("", MATCHED, 500.0, 0.9, 0.0, 1), outcome("", tune.SOLVER, 500.0, 0.99, 10.0, 1),
+    ]  # fmt: skip
     found = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 600.0)])
-    assert found.figures["gain"] == 16.0
-    assert found.figures["worst_gain"] == 12.0
+    assert found.figures["gain"] == pytest.approx(19.0)
+    assert found.figures["worst_gain"] == 10.0
     assert math.isfinite(found.objective)
     wild = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 5000.0)])
     assert wild.objective == math.inf
@@ -148,13 +146,13 @@ def test_score_refuses_what_breaks_off():
     assert "ran away" in found.reason
 
 
-def test_change_while_settled_is_taken_in_the_same_windows():
+def test_change_while_settled_is_that_of_the_same_trials():
     entries = []
     for trial, (moc, dcac) in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)]):
         for controller, value in ((tune.SOLVER, moc), (MATCHED, dcac)):
             metrics = {**dict.fromkeys(tune.ERRORS, value), "ticks": 100.0}
             entries.append(
-                Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", tune.SOLVER, metrics)
+                Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", metrics)
             )
         entries.extend(outcome("", tune.SOLVER, 500.0, 20.0).measurements)
     values = tune.figures(entries)

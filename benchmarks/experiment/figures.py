@@ -18,7 +18,7 @@ from moc_opt.trace import Trace
 
 PANELS = {
     "mu": ("mu", "manipulability [m³]", 1.0),
-    "tip_error_m": ("tip", "tip error [mm]", 1e3),
+    "tip_error_model_m": ("tip", "tip error [mm]", 1e3),
     "rcm_error_m": ("rcm", "RCM error [mm]", 1e3),
     "trocar_force_N": ("force", "|force at the trocar| [N]", 1.0),
 }

@@ -5,8 +5,9 @@ own mismatch, and its noise, all from one seed. Every controller runs it. The ph
 
 - ``whole``: every tick, the rest before and after the path included;
 - ``path``: from the moment the path begins;
-- ``travelling`` and ``settled``: while the elbow is on its way to its optimum under a MOC, and the rest; a baseline is
-  read at the ticks of the MOC that it is compared with.
+- ``travelling`` and ``settled``: the ticks at which the elbow of at least one controller with a third level is on its
+  way to its optimum, and the rest. The ticks are the same for all controllers of a trial; DCAC, which leads its elbow
+  nowhere, has no say in them, and neither has a run that broke off.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ BASELINES = {
     MATCHED: "DCAC with MOC's gains",
     DAMPED: "DCAC with MOC's gains, self-motion damped",
 }
-SAMPLED = ("mu", "tip_error_m", "rcm_error_m", "trocar_force_N")
+SAMPLED = ("mu", "tip_error_model_m", "rcm_error_m", "trocar_force_N")
 CLOCKS = ("solve_", "tick_", "deadline_")
 POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")
 EVERY = 10
@@ -44,7 +45,7 @@ EVERY = 10
 
 @dataclass(frozen=True)
 class Measurement:
-    """The metrics of one controller on one trial in one phase; ``window_of`` is the MOC that defines the phase."""
+    """The metrics of one controller on one trial in one phase."""
 
     group: str
     controller: str
@@ -52,12 +53,11 @@ class Measurement:
     trial: str
     seed: int
     phase: str
-    window_of: str
     metrics: Mapping[str, float]
 
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
-        names = ("group", "controller", "task", "trial", "seed", "phase", "window_of")
+        names = ("group", "controller", "task", "trial", "seed", "phase")
         return {"part": "trials", **{name: getattr(self, name) for name in names}, **self.metrics}
 
 
@@ -154,42 +154,54 @@ def run_job(job: Job) -> Outcome:
     for controller, trace in traces.items():
         reference = baselines.get(MATCHED)
         on_path = trace.t_s >= job.trial.task.wait_s
-        _note(outcome, job, controller, "whole", "", summarize(trace, reference))
+        _note(outcome, job, controller, "whole", summarize(trace, reference))
         if on_path.any():
             cut = None if reference is None else reference.select(on_path)
-            _note(outcome, job, controller, "path", "", summarize(trace.select(on_path), cut))
+            _note(outcome, job, controller, "path", summarize(trace.select(on_path), cut))
         outcome.samples[controller, job.task] = _thin(trace)
         if job.keep_traces:
             outcome.traces[controller] = _slim(trace)
-        if controller not in BASELINES:
-            _measure_phases(outcome, job, controller, trace, baselines)
+    _measure_phases(outcome, job, traces)
     return outcome
 
 
-def _measure_phases(
-    outcome: Outcome, job: Job, controller: str, trace: Trace, baselines: Mapping[str, Trace]
-) -> None:
-    """The MOC and each baseline, in the windows of this MOC."""
-    robot = job.trial.robot.arm()
-    flags = travelling(robot, trace.t_s, trace.q_rad)
-    for name, run in {controller: trace, **baselines}.items():
-        marked = run.with_columns(travelling=flags)
-        reference = baselines.get(MATCHED) if name == controller else None
+def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
+    """(N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
+
+    Args:
+        trial: the scenario that all ran.
+        traces: controller -> trace, of as many ticks each; the baselines are not asked.
+        sampling: of `moc_opt.travel.travelling`.
+    """
+    robot = trial.robot.arm()
+    flags = [
+        travelling(robot, trace.t_s, trace.q_rad, **sampling)
+        for controller, trace in traces.items()
+        if controller not in BASELINES
+    ]
+    return np.any(flags, axis=0) if flags else None
+
+
+def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> None:
+    """Every controller at the same ticks: see the head of the module."""
+    flags = anyone_travels(job.trial, traces)
+    if flags is None:
+        return
+    marked = {name: trace.with_columns(travelling=flags) for name, trace in traces.items()}
+    for name, trace in marked.items():
         for phase in PHASES:
-            metrics = summarize(marked, reference, phase=phase)  # type: ignore[arg-type]
+            metrics = summarize(trace, marked.get(MATCHED), phase=phase)  # type: ignore[arg-type]
             if metrics:
                 ticks = int(np.count_nonzero(flags == (phase == "travelling")))
                 extent = {"ticks": float(ticks), "share_of_ticks": ticks / len(flags)}
-                _note(outcome, job, name, phase, controller, {**metrics, **extent})
+                _note(outcome, job, name, phase, {**metrics, **extent})
 
 
-def _note(
-    outcome: Outcome, job: Job, controller: str, phase: str, window_of: str, metrics: Mapping[str, float]
-) -> None:
+def _note(outcome: Outcome, job: Job, controller: str, phase: str, metrics: Mapping[str, float]) -> None:
     # Clocks are left out: jobs share the machine, and a time taken then is no solver's fault.
     kept = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     outcome.measurements.append(
-        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, window_of, kept)
+        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, kept)
     )
 
 

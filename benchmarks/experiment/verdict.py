@@ -7,6 +7,12 @@ bootstrap interval over the pairs. A claim is confirmed against one DCAC when th
 - **holds only because of the gains**: confirmed against DCAC with its own gains, as the paper compares, and not
   against the matched one;
 - **does not hold**: confirmed against neither, or only against DCAC with other gains than it is compared with.
+
+One rule for every comparison: a ratio of means over the trials, never a mean of ratios; in a phase the trials count by
+their ticks. What is said about the RCM stands on the trocar that the controller was told, which is what it can answer
+for: the distance from the true one is mostly the registration's own error, the same for all controllers. The force at
+the trocar is that distance times the tissue's stiffness. Both are reported beside, and are no further claim or goal.
+A goal about a mean is reached when the end of its interval is, not the mean alone.
 """
 
 from __future__ import annotations
@@ -22,6 +28,7 @@ from benchmarks.statistics import Interval, StatisticsError, mean, relative_chan
 from moc_opt.metrics import PHASES
 
 HOLDS, GAINS_ONLY, FAILS = "holds", "holds only because of the gains", "does not hold"
+REPEATS = "repeats the RCM error"  # in place of a verdict
 
 
 @dataclass(frozen=True)
@@ -43,9 +50,19 @@ class Claim:
 CLAIMS = (
     Claim("mu", "manipulability rises by more than 7 %", "mu_mean", 7.0, upwards=True),
     Claim("tip", "tip accuracy is better", "tip_error_model_mean_mm"),
-    Claim("rcm", "the RCM error is smaller", "rcm_error_mean_mm"),
+    Claim("rcm", "the RCM error is smaller (registered trocar)", "rcm_error_registered_mean_mm"),
+)
+BESIDE = (
+    Claim("rcm_true", "the RCM error is smaller (true trocar)", "rcm_error_mean_mm"),
     Claim("force", "the contact force is smaller", "trocar_force_mean_N"),
 )
+# Upper ends of the means' intervals [mm]; 0.3 mm of the 0.5 are the error of a registration that is 0.5 mm off.
+LIMITS = (
+    ("tip", "tip_error_model_mean_mm", 0.1),
+    ("rcm", "rcm_error_mean_mm", 0.5),
+    ("rcm_registered", "rcm_error_registered_mean_mm", 0.2),
+)
+LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0
 
 
 def pairs(
@@ -56,13 +73,11 @@ def pairs(
     In a phase the number is the sum over its ticks: else a trial in which the elbow settled for a moment only would
     count as much as one in which it did for seconds.
     """
-    window = moc if phase in PHASES else ""
-
     def by_trial(controller: str) -> dict[str, float]:
         return {
-            m.trial: m.metrics[metric] * (m.metrics["ticks"] if window else 1.0)
+            m.trial: m.metrics[metric] * (m.metrics["ticks"] if phase in PHASES else 1.0)
             for m in found
-            if (m.group, m.controller, m.phase, m.window_of) == (group, controller, phase, window)
+            if (m.group, m.controller, m.phase) == (group, controller, phase)
             and metric in m.metrics
         }
 
@@ -91,13 +106,13 @@ def judge_claim(claim: Claim, own: Interval | None, matched: Interval | None) ->
 
 
 def verdicts(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
-    """One row a claim: verdict, and the effect against each DCAC with its interval."""
+    """One row a claim: verdict, and the effect against each DCAC with its interval; then what is reported beside."""
     rows = []
-    for claim in CLAIMS:
+    for claim in (*CLAIMS, *BESIDE):
         effects = {name: effect(found, group, moc, name, claim.metric) for name in BASELINES}
         row: dict[str, Any] = {
             "group": group, "controller": moc, "claim": claim.name, "text": claim.text,
-            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]),
+            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]) if claim in CLAIMS else REPEATS,
         }  # fmt: skip
         for name, key in ((OWN, "own"), (MATCHED, "matched"), (DAMPED, "damped")):
             change = effects[name]
@@ -115,27 +130,22 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
         row: dict[str, Any] = {"goal": name, "text": text, "limit": limit, "reached": reached}
         rows.append(row if figure is None else {**row, **figure.entries("value")})
 
-    gains = [m.metrics.get("mu_gain_percent") for m in _whole(found, group, moc)]
-    known = [gain for gain in gains if gain is not None]
-    gain = mean(known) if known else None
-    add("mu_gain", "mean gain in mu [%], at least", gain, 15.0, gain is not None and gain.value >= 15.0)
+    gain = effect(found, group, moc, MATCHED, "mu_mean")
+    reached = gain is not None and gain.low >= LEAST_GAIN_PERCENT
+    add("mu_gain", "gain in mean mu [%], lower end at least", gain, LEAST_GAIN_PERCENT, reached)
+    known = [g for m in _whole(found, group, moc) if (g := m.metrics.get("mu_gain_percent")) is not None]
     least = Interval(min(known), float("nan"), float("nan"), len(known)) if known else None
     add("mu_worst", "smallest gain of a trial [%], at least", least, 0.0, bool(known) and min(known) >= 0.0)
     for claim in CLAIMS[1:]:
         change = effect(found, group, moc, MATCHED, claim.metric, "settled")
-        reached = change is not None and change.high <= 5.0
-        add(
-            f"settled_{claim.name}",
-            f"settled: change of {claim.metric} [%], upper end at most",
-            change,
-            5.0,
-            reached,
-        )
-    for name, metric, limit in (("tip", "tip_error_model_mean_mm", 0.1), ("rcm", "rcm_error_mean_mm", 0.5)):
+        reached = change is not None and change.high <= MOST_CHANGE_PERCENT
+        text = f"settled: change of {claim.metric} [%], upper end at most"
+        add(f"settled_{claim.name}", text, change, MOST_CHANGE_PERCENT, reached)
+    for name, metric, limit in LIMITS:
         values = [m.metrics[metric] for m in _whole(found, group, moc)]
         figure = mean(values) if values else None
-        reached = figure is not None and figure.value <= limit
-        add(f"{name}_mean", f"mean of {metric}, at most", figure, limit, reached)
+        reached = figure is not None and figure.high <= limit
+        add(f"{name}_mean", f"mean of {metric}, upper end at most", figure, limit, reached)
     return rows
 
 
@@ -143,13 +153,13 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
     """What the travelling elbow costs: share of the ticks, and the change of each error, by phase."""
     rows = []
     for phase in ("travelling", "settled"):
-        mine = [m for m in found if (m.group, m.controller, m.phase, m.window_of) == (group, moc, phase, moc)]
+        mine = [m for m in found if (m.group, m.controller, m.phase) == (group, moc, phase)]
         if not mine:
             continue
         row: dict[str, Any] = {"group": group, "controller": moc, "phase": phase, "trials": len(mine)}
         row["share_of_ticks"] = float(np.mean([m.metrics["share_of_ticks"] for m in mine]))
         row["ticks"] = float(sum(m.metrics["ticks"] for m in mine))
-        for claim in CLAIMS:
+        for claim in (*CLAIMS, *BESIDE):
             row[claim.metric] = float(
                 np.average(
                     [m.metrics[claim.metric] for m in mine], weights=[m.metrics["ticks"] for m in mine]
@@ -165,13 +175,16 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
 def intervals(
     found: Sequence[Measurement], group: str, controller: str, phase: str = "whole"
 ) -> dict[str, float]:
-    """Mean over the trials of every metric, those of the claims with their intervals."""
+    """Mean over the trials of every metric, those of the claims with their intervals; the gain is that of the means."""
     mine = [m for m in found if (m.group, m.controller, m.phase) == (group, controller, phase)]
     values: dict[str, float] = {"trials": float(len(mine))}
-    of_claims = {claim.metric for claim in CLAIMS} | {"mu_gain_percent"}
+    of_claims = {claim.metric for claim in (*CLAIMS, *BESIDE)}
     for metric in dict.fromkeys(name for m in mine for name in m.metrics):
         data = [m.metrics[metric] for m in mine if metric in m.metrics]
-        if metric in of_claims:
+        if metric == "mu_gain_percent":
+            gain = effect(found, group, controller, MATCHED, "mu_mean", phase)
+            values |= {} if gain is None else gain.entries(metric)
+        elif metric in of_claims:
             values |= mean(data).entries(metric)
         else:
             values[metric] = float(max(data) if "_max" in metric else np.mean(data))

@@ -30,6 +30,8 @@ from moc_opt.subproblem import fields, judge
 
 BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
+RIGHTLY = 0.99
+"""Least share of right answers of a solver whose times are compared with others': a wrong answer may come fast."""
 RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 
 
@@ -61,6 +63,22 @@ class Cell:
         return moved > CONTRADICTION
 
     @property
+    def right(self) -> NDArray[np.bool_]:
+        """(k,) which problems were answered rightly, the one rule of all tables, figures and sentences.
+
+        Right is a claim of success that the judge verifies; and a claim of infeasibility where the certificate says so,
+        or where the six rows that the solver was given do contradict each other.
+        """
+        return (self.status == "solved") & self.verified | (self.status == "infeasible") & self._no_answer
+
+    @property
+    def _no_answer(self) -> NDArray[np.bool_]:
+        """(k,) where what the solver was given has none."""
+        if not self.entry.six_rows:
+            return ~self.data.feasible
+        return ~self.data.feasible | self.contradictory
+
+    @property
     def refused(self) -> str:
         """Why the solver does not take these problems; "" where it does."""
         return str(self.part.values["reason"])
@@ -74,18 +92,19 @@ class Cell:
         """How many answers were what; what is right adds up with what is wrong to the problems."""
         status, feasible = self.status, self.data.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
-        right = infeasible & ~feasible
-        contradicted = infeasible & feasible & self.contradictory & self.entry.six_rows
+        certified = infeasible & ~feasible
+        contradicted = infeasible & feasible & self._no_answer
         broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
-        failed = ~claimed & ~right & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
+        failed = ~claimed & ~certified & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
         return {
             "solves": len(status),
             "feasible": int(feasible.sum()),
+            "right": int(self.right.sum()),
             "claimed_solved": int(claimed.sum()),
             "verified_solved": int((claimed & self.verified).sum()),
             "verified": int(self.verified.sum()),
             "silently_wrong": int((claimed & ~self.verified).sum()),
-            "infeasible_right": int(right.sum()),
+            "infeasible_right": int(certified.sum()),
             "infeasible_six_rows": int(contradicted.sum()),
             "infeasible_wrong": int((infeasible & feasible & ~contradicted).sum()),
             "failed": int(failed.sum()),
@@ -135,6 +154,16 @@ def time_figures(times: Part) -> dict[str, Any]:
         "timed_solves": int(arrays["solve_us"].size),
     }
     return found
+
+
+def share_right(counts: Mapping[str, Any]) -> float:
+    """Of the problems, how many were answered rightly; see `Cell.right`."""
+    return float(counts["right"] / counts["solves"]) if counts.get("solves") else 0.0
+
+
+def answers_rightly(counts: Mapping[str, Any]) -> bool:
+    """Whether a solver's times may be compared with others': see `RIGHTLY`."""
+    return share_right(counts) >= RIGHTLY
 
 
 def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
@@ -190,9 +219,7 @@ def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> Any:
     """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
     found = []
     for cell in cells:
-        right = (cell.verified & (cell.status == "solved")) | (
-            (cell.status == "infeasible") & ~cell.data.feasible
-        )
+        right = cell.right
         times = (
             measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else np.empty((0, 0))
         )

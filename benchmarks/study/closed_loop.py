@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.statistics import StatisticsError, relative_change
 from benchmarks.study.store import Part, Store
-from benchmarks.study.worker import Hung, Worker, WorkerError, beat
+from benchmarks.study.worker import Hung, Worker, WorkerError, beat, spread
 from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
@@ -23,7 +24,11 @@ from moc_opt.travel import travelling
 Array = NDArray[Any]
 
 BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
-KEPT = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "trocar_force_N", "solve_us", "tick_us")
+KEPT = (
+    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_registered_m", "trocar_force_N",
+    "solve_us", "tick_us",
+)  # fmt: skip
+TRAVELLING = "travelling"  # column of a run: its own elbow is on its way
 POSES = (
     "q_rad",
     "tip_m",
@@ -36,7 +41,12 @@ PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and af
 BEAT_S = 0.5
 HUNG = "hung"
 SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
-ERRORS = ("tip_error_model", "rcm_error")
+SETTLED = ("tip_error_model", "rcm_error_registered", "rcm_error")
+COMPARED = {
+    "mu_mean": "mu_gain_percent", "tip_error_model_mean_mm": "tip_change_percent",
+    "rcm_error_registered_mean_mm": "rcm_change_percent",
+}  # fmt: skip
+CLOCKS = ("deadline_misses",)  # counts that the clock decides
 AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
 
 
@@ -49,6 +59,7 @@ class Run:
     metrics: Mapping[str, float]
     columns: Mapping[str, Array] = field(default_factory=dict)
     error: str | None = None
+    timed: bool = True
 
     @property
     def trace(self) -> Trace | None:
@@ -72,15 +83,14 @@ class Run:
 
 def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
     """The columns with a row for each tick."""
-    return {name: column for name, column in columns.items() if name not in POSES}
+    return {name: column for name, column in columns.items() if name not in (*POSES, TRAVELLING)}
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
-    """One scenario per task and seed; the seed draws the starting swivel, the mismatch and the noise."""
+    """One scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
+    start = {"pose": "random", "swivel": "random"}
     return {
-        f"{task}/{seed}": base.change(
-            name=f"{task}/{seed}", seed=seed, task={"path": task}, start={"swivel": "random"}
-        )
+        f"{task}/{seed}": base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start)
         for task in tasks
         for seed in seeds
     }
@@ -108,26 +118,19 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     except MocOptError as error:
         yield Part({"error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
         return
-    metrics = summarize(trace, None if baseline is None else Trace(baseline)) | _settled(trial, trace)
+    metrics = summarize(trace, None if baseline is None else Trace(baseline))
+    flags = travelling(trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
+    metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
     if "fault" in trace.columns:
         names, counts = np.unique(trace.fault, return_counts=True)
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
         metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
     metrics["ticks"] = float(len(trace))
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
+    arrays[TRAVELLING] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
     yield Part({"error": None, "metrics": metrics}, arrays)
-
-
-def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:
-    """Errors apart from what an elbow on its way costs; nothing where it never arrives."""
-    flags = travelling(trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
-    found = summarize(trace.with_columns(travelling=flags), phase="settled")
-    return {
-        **{f"{error}_settled_mean_mm": found[f"{error}_mean_mm"] for error in ERRORS if f"{error}_mean_mm" in found},
-        "travelling_percent": 100.0 * float(np.mean(flags)),
-    }
 
 
 def run_one(
@@ -157,7 +160,7 @@ def run_one(
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
             part = Part({"error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
-    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"])
+    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"], timed)
 
 
 def run_all(
@@ -165,48 +168,123 @@ def run_all(
     controllers: Mapping[str, Mapping[str, Any]],
     advance: Callable[[str], None],
     store: Store | None = None,
+    *,
+    timed: int = 1,
+    processes: int = 1,
 ) -> list[Run]:
-    """Every controller on every trial, trial by trial, the baseline first; one at a time, so that times hold."""
+    """Every controller on every trial, the baseline first; in the order of the trials.
+
+    Args:
+        cases: name -> trial.
+        controllers: solver -> its settings.
+        advance: called with a few words after each run.
+        store: of finished runs; None keeps nothing.
+        timed: how many trials, the first ones, run alone, so that their times hold; the others' are not used.
+        processes: how many of the others run at a time.
+    """
     store = store or Store(None)
-    runs: list[Run] = []
     hung: dict[str, str] = {}
+
+    def one_trial(worker: Worker, trial: Scenario, alone: bool) -> list[Run]:
+        baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=alone)
+        advance(f"{trial.name} {BASELINE}")
+        runs = [baseline]
+        for name, settings in controllers.items():
+            if name in hung:
+                reason = f"not run: it hung on trial {hung[name]}"
+                runs.append(Run(name, trial.name, {}, error=reason, timed=alone))
+            else:
+                runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline, timed=alone))
+                if (runs[-1].error or "").startswith(HUNG):
+                    hung[name] = trial.name
+            advance(f"{trial.name} {name}")
+        return settle(runs)
+
+    trials = list(cases.values())
     with Worker() as worker:
-        for trial in cases.values():
-            baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None)
-            advance(f"{trial.name} {BASELINE}")
-            runs.append(baseline)
-            for name, settings in controllers.items():
-                if name in hung:
-                    runs.append(Run(name, trial.name, {}, error=f"not run: it hung on trial {hung[name]}"))
-                else:
-                    runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline))
-                    if (runs[-1].error or "").startswith(HUNG):
-                        hung[name] = trial.name
-                advance(f"{trial.name} {name}")
-    return runs
+        found = [one_trial(worker, trial, True) for trial in trials[:timed]]
+    others = trials[timed:]
+    if others:
+        found += spread(others, lambda worker, trial: one_trial(worker, trial, False), processes)
+    return [run for runs in found for run in runs]
+
+
+def settle(runs: Sequence[Run]) -> list[Run]:
+    """The runs of one trial with their errors at its settled ticks, which are the same for all of them.
+
+    Settled are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
+    which leads its elbow nowhere, has no say in them, nor has a run that broke off.
+    """
+    whole = [run for run in runs if run.columns]
+    flags = [run.columns[TRAVELLING].astype(bool) for run in whole if run.controller != BASELINE]
+    if not flags:
+        return list(runs)
+    still = ~np.any(flags, axis=0)
+    found = []
+    for run in runs:
+        metrics = {**run.metrics, "settled_ticks": float(still.sum())} if run.columns else run.metrics
+        if run.columns and still.any():
+            metrics = {
+                **metrics,
+                **{f"{name}_settled_mean_mm": 1e3 * float(run.columns[f"{name}_m"][still].mean()) for name in SETTLED},
+            }
+        found.append(replace(run, metrics=metrics))
+    return found
 
 
 def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
-    """Controller -> metric over its trials: means of means, largest of maxima, sums of counts, pooled times."""
-    return {
-        name: combined([run for run in runs if run.controller == name])
+    """Controller -> metric over its trials, and its change against the baseline with an interval; see ``combined``."""
+    by_name = {
+        name: [run for run in runs if run.controller == name]
         for name in dict.fromkeys(run.controller for run in runs)
+    }
+    return {
+        name: combined(mine) | changes(mine, by_name.get(BASELINE, [])) for name, mine in by_name.items()
     }
 
 
+def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
+    """Change against the baseline [percent] on the trials that both finished: a ratio of means, with its interval.
+
+    The mean of the trials' own gains is another number, and is not given.
+    """
+    theirs = {run.trial: run.metrics for run in baseline if run.columns}
+    found: dict[str, float] = {}
+    for metric, name in COMPARED.items():
+        pairs = [
+            (run.metrics[metric], theirs[run.trial][metric])
+            for run in runs
+            if run.columns and metric in run.metrics and metric in theirs.get(run.trial, {})
+        ]
+        try:
+            found |= relative_change([mine for mine, _ in pairs], [base for _, base in pairs]).entries(name)
+        except StatisticsError:
+            continue  # no trial that both finished: there is no change
+    return found
+
+
 def combined(runs: Sequence[Run]) -> dict[str, Any]:
-    """The runs of one controller as one; see ``summary``."""
+    """The runs of one controller as one: means of means, largest of maxima, sums of counts, pooled times.
+
+    Means at settled ticks count by their ticks. Times, and what the clock decides, are those of the timed runs alone.
+    """
     whole = [run for run in runs if run.columns]
-    values: dict[str, Any] = {"runs": len(runs), "broke_off": len(runs) - len(whole)}
+    values: dict[str, Any] = {
+        "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
+    }  # fmt: skip
     for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
-        data = [run.metrics[metric] for run in whole if metric in run.metrics]
-        if metric.endswith(("_p50_us", "_p99_us")):
+        used = [run for run in whole if metric in run.metrics and (run.timed or metric not in CLOCKS)]
+        if metric.endswith(("_p50_us", "_p99_us")) or metric in COMPARED.values() or not used:
+            continue
+        data = [run.metrics[metric] for run in used]
+        if "_settled_" in metric:
+            values[metric] = float(np.average(data, weights=[run.metrics["settled_ticks"] for run in used]))
             continue
         averaged = metric.startswith(AVERAGED) or metric.endswith("_percent")
         total = np.max if "_max" in metric else np.mean if averaged else np.sum
         values[metric] = float(total(data))
     for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
-        pooled = np.concatenate([np.empty(0), *(r.columns[column] for r in whole if column in r.columns)])
-        values |= percentiles(pooled, prefix)
+        timed = [run.columns[column] for run in whole if run.timed and column in run.columns]
+        values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix)
     errors = [run.error for run in runs if run.error]
     return {**values, "reason": errors[0]} if errors else values

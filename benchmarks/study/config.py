@@ -34,8 +34,9 @@ class ClosedLoop(Settings):
     """The trials."""
 
     KIND: ClassVar[str] = "[closed_loop]"
-    tasks: list[str] = Field(["circle", "spiral"], min_length=1)
-    seeds: int = Field(1, ge=1)
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    seeds: int = Field(5, ge=1, description="trials per task, each from a random pose")
+    timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
     duration_s: float | None = Field(None, gt=0.0)
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
 
@@ -134,7 +135,7 @@ class Config(Configuration):
             open_loop={"ticks": 4000, "cold": 400},
             testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"tasks": list(TASKS), "seeds": 3, "twice": True},
+            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "twice": True},
             sweeps={
                 "tasks": list(TASKS), "seeds": 2, "values": "many", "late_percent": [0.1, 1.0, 5.0, 20.0],
             },

@@ -150,7 +150,7 @@ def run_sweep(
         )
     found = closed_loop.combined(runs)
     values = {name: value for name, value in found.items() if not name.endswith("_us")}
-    values.pop("deadline_misses", None)
+    values |= closed_loop.changes(runs, [baselines[trial] for trial in cases])
     return {"value": point.value, **values}
 
 

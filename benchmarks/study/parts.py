@@ -201,7 +201,9 @@ class Study:
         seeds = [config.seed + i for i in range(part.seeds)]
         cases = closed_loop.trials(config.scenario.change(duration_s=part.duration_s), part.tasks, seeds)
         controllers = {e.solver: e.options for e in self._in_the_loop()}
-        self.runs = closed_loop.run_all(cases, controllers, self.advance, self.store)
+        self.runs = closed_loop.run_all(
+            cases, controllers, self.advance, self.store, timed=part.timed, processes=config.processes
+        )
         self.summary["closed_loop"] = closed_loop.summary(self.runs)
 
     def _sweeps(self) -> list[loop.Sweep]:

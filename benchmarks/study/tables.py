@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.study.closed_loop import BASELINE
+from benchmarks.statistics import with_interval
+from benchmarks.study.cells import RIGHTLY, answers_rightly, share_right
+from benchmarks.study.closed_loop import BASELINE, COMPARED
 from benchmarks.study.compare import WORDS
 from moc_opt.report.tables import Column, Table
 
@@ -16,8 +18,8 @@ FOOTNOTE = (
     "The solvers nlp-* answer another problem, the nonlinear one of the same tick: a right answer of theirs lies about "
     "1e-3 m/s off A x = b, so the judge of the linear problem does not verify it. Their claims are counted under "
     "'silently wrong' by the letter of that judge, and are no lies. On the inconsistent sets the answer to the "
-    "five rows is certified; a solver that is given six rows and calls them infeasible is right about its numbers, and "
-    "has a column of its own."
+    "five rows is certified; a solver that is given six rows and calls them infeasible is right about its numbers: it "
+    "counts as right, and has a column of its own."
 )
 
 
@@ -25,7 +27,12 @@ def _count(key: str, title: str, better: Any = None, text: str = "") -> Column:
     return Column(key, title, format=".0f", better=better, help=text)
 
 
+RANKED = "answers_rightly"  # flag of the rows whose times are compared
 COUNTS = [
+    Column(
+        "right_percent", "right", unit="%", format=".1f", better="high",
+        help="verified, or rightly called infeasible: by the certificate, or because the six rows given contradict",
+    ),
     _count("claimed_solved", "claimed", text="answers that the solver calls solved"),
     _count("verified_solved", "verified", text="of these, optimal by our residuals"),
     _count("silently_wrong", "silently wrong", "low", "claimed, but not optimal"),
@@ -63,23 +70,34 @@ RESIDUALS = [
 ]
 
 
+def _time(key: str, title: str, text: str = "") -> Column:
+    return Column(key, title, unit="us", format=".1f", better="low", help=text, among=RANKED)
+
+
 def _times(suffix: str = "") -> list[Column]:
     return [
-        Column(f"solve_p50_us{suffix}", "warm p50", unit="us", format=".1f", better="low"),
-        Column(f"solve_p99_us{suffix}", "warm p99", unit="us", format=".1f", better="low"),
-        Column(f"solve_p99_9_us{suffix}", "warm p99.9", unit="us", format=".1f", better="low"),
-        Column(
-            f"update_p50_us{suffix}", "update p50", unit="us", format=".1f", better="low",
-            help="of a warm solve, the part that hands the new problem to the library",
+        _time(f"solve_p50_us{suffix}", "warm p50"),
+        _time(f"solve_p99_us{suffix}", "warm p99"),
+        _time(f"solve_p99_9_us{suffix}", "warm p99.9"),
+        _time(
+            f"update_p50_us{suffix}", "update p50",
+            "of a warm solve, the part that hands the new problem to the library",
         ),
-        Column(f"cold_p50_us{suffix}", "cold p50", unit="us", format=".1f", better="low"),
-        Column(f"cold_p99_us{suffix}", "cold p99", unit="us", format=".1f", better="low"),
-        Column(f"setup_p50_us{suffix}", "set-up p50", unit="us", format=".1f", better="low"),
-    ]
+        _time(f"cold_p50_us{suffix}", "cold p50"),
+        _time(f"cold_p99_us{suffix}", "cold p99"),
+        _time(f"setup_p50_us{suffix}", "set-up p50"),
+    ]  # fmt: skip
 
 
 SOLVER = Column("solver", "solver")
+SETTLED = (
+    "Settled are the ticks of a trial at which the elbow of no controller with a third level is on its way to its "
+    "optimum: the same ticks for all controllers. RCM errors are from the trocar that the controller was told; from "
+    "the true one, the registration's error comes on top."
+)
+TRIALS = _count("runs", "trials", text="each from a pose of its own, drawn by its seed")
 CLOSED = [
+    TRIALS,
     Column("mu_mean", "mu", format=".4f", better="high"),
     Column(
         "mu_fraction_of_bound",
@@ -88,16 +106,22 @@ CLOSED = [
         better="high",
         help="of the largest mu on the self-motion",
     ),
-    Column("mu_gain_percent", "gain", unit="%", format=".1f", better="high", help="over DCAC, same gains"),
+    Column("mu_gain_interval", "gain", unit="%", help="of the mean over DCAC's, with its 95 % interval"),
     Column("tip_error_model_mean_mm", "tip", unit="mm", digits=3, better="low"),
     Column("tip_error_model_max_mm", "tip max", unit="mm", digits=3, better="low"),
-    Column("rcm_error_mean_mm", "RCM", unit="mm", digits=3, better="low"),
-    Column("rcm_error_max_mm", "RCM max", unit="mm", digits=3, better="low"),
+    Column("tip_change_interval", "change of tip", unit="%", help="against DCAC's mean, with its 95 % interval"),
+    Column("rcm_error_registered_mean_mm", "RCM", unit="mm", digits=3, better="low"),
+    Column("rcm_change_interval", "change of RCM", unit="%", help="against DCAC's mean, with its 95 % interval"),
+    Column("rcm_error_registered_max_mm", "RCM max", unit="mm", digits=3, better="low"),
+    Column("rcm_error_mean_mm", "RCM, true trocar", unit="mm", digits=3, better="low"),
     Column("travelling_percent", "travelling", unit="%", digits=2, help="of the time the elbow is on its way"),
-    Column("tip_error_model_settled_mean_mm", "tip settled", unit="mm", digits=3, better="low"),
-    Column("rcm_error_settled_mean_mm", "RCM settled", unit="mm", digits=3, better="low"),
     Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low"),
     Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
+]
+AT_REST = [
+    Column("tip_error_model_settled_mean_mm", "tip settled", unit="mm", digits=3, better="low"),
+    Column("rcm_error_registered_settled_mean_mm", "RCM settled", unit="mm", digits=3, better="low"),
+    _count("settled_ticks", "settled ticks", text="of all trials, the same for all controllers"),
 ]
 CLAIMS = [
     _count("claimed_solved", "claimed"), _count("verified_solved", "verified"),
@@ -127,8 +151,15 @@ QPBENCHMARK = [
     Column("shgeom_us", "their mean", unit="us", digits=4, better="low", help="shifted geometric mean, shift 10 s"),
     Column("runtime_p50_us", "their p50", unit="us", format=".1f", better="low"),
     _count("our_rank", "our rank"), Column("our_p50_us", "our p50", unit="us", format=".1f"),
-    Column("our_verified_percent", "verified by us", unit="%", format=".1f", better="high"),
+    Column("our_right_percent", "right by us", unit="%", format=".1f", better="high"),
 ]  # fmt: skip
+
+
+def ranked(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """A row with its share of right answers, and whether its times are compared."""
+    if "right" not in metrics:
+        return dict(metrics)
+    return {**metrics, "right_percent": 100.0 * share_right(metrics), RANKED: answers_rightly(metrics)}
 
 
 def tables(summary: Summary) -> dict[str, Table]:
@@ -138,7 +169,7 @@ def tables(summary: Summary) -> dict[str, Table]:
     def add(part: str, title: str, columns: Sequence[Column], rows: Any = None, caption: str = "") -> None:
         given = summary.get(part)
         if given:
-            made = [{"solver": name, **metrics} for name, metrics in given.items()] if rows is None else rows
+            made = [{"solver": name, **ranked(metrics)} for name, metrics in given.items()] if rows is None else rows
             found[part] = Table(title, list(columns), made, caption)
 
     add("settings", "Settings of the study", [SOLVER, Column("options", "options"), Column("reason", "why")])
@@ -154,18 +185,18 @@ def tables(summary: Summary) -> dict[str, Table]:
         add(f"duals on {count} rows", f"Distance between two solvers' duals on {count} rows", DUALS)
     warm = [SOLVER, *COUNTS, *RESIDUALS, *_times()[:3]]
     cold = [
-        SOLVER, *COUNTS[:6], *RESIDUALS, Column("solve_p50_us", "cold p50", unit="us", format=".1f", better="low"),
-        Column("solve_p99_us", "cold p99", unit="us", format=".1f", better="low"),
-        Column("setup_p50_us", "set-up p50", unit="us", format=".1f", better="low"),
-        Column("setup_p99_us", "set-up p99", unit="us", format=".1f", better="low"),
+        SOLVER, *COUNTS[:7], *RESIDUALS, _time("solve_p50_us", "cold p50"), _time("solve_p99_us", "cold p99"),
+        _time("setup_p50_us", "set-up p50"), _time("setup_p99_us", "set-up p99"),
     ]  # fmt: skip
     add("open_loop_warm", "Open loop, warm: one session through the sequence", warm, caption=FOOTNOTE)
     add("open_loop_cold", "Open loop, cold: a fresh session for each", cold)
     add("closed_loop", "Closed loop: the same trials under every controller",
-        [Column("solver", "controller"), *CLOSED, *CLAIMS, *TICKS], caption=FOOTNOTE)  # fmt: skip
+        [Column("solver", "controller"), *CLOSED, *AT_REST, *CLAIMS, *TICKS],
+        [_with_intervals({"solver": n, **m}) for n, m in summary.get("closed_loop", {}).items()],
+        f"{SETTLED} {FOOTNOTE}")  # fmt: skip
     for part in summary:
         if part.startswith("sweep "):
-            rows = [{"solver": name, **_shares(metrics)} for name, metrics in summary[part].items()]
+            rows = [{"solver": name, **_with_intervals(_shares(metrics))} for name, metrics in summary[part].items()]
             add(part, part.capitalize(), [Column("solver", "value"), *CLOSED, *CLAIMS, *SWEPT], rows)
     pairs = [
         {**v, "open": WORDS.get(v["open"], v["open"]), "closed": WORDS.get(v["closed"], v["closed"])}
@@ -180,10 +211,16 @@ def tables(summary: Summary) -> dict[str, Table]:
     )  # fmt: skip
     add("qpbenchmark", "qpbenchmark's ranking beside ours", QPBENCHMARK, _beside_ours(summary),
         caption="Theirs: on feasible problems of six sets through qpsolvers, five rows; ours: the same library "
-        "and settings on all certified sets, ranked by how many answers are verified, then by median time. With times "
+        "and settings on all certified sets, ranked by how many answers are right, then by median time. With times "
         "of microseconds and a shift of 10 s their geometric mean is an arithmetic one.")  # fmt: skip
     add("not_run", "What could not run here", [Column("solver", "not run"), Column("reason", "reason")])
     return found
+
+
+def _with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
+    """The row with its changes against the baseline as texts, each with its interval."""
+    texts = {name: with_interval(row, name) for name in COMPARED.values()}
+    return {**row, **{name.replace("_percent", "_interval"): text for name, text in texts.items()}}
 
 
 def _shares(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -223,12 +260,12 @@ def _beside_ours(summary: Summary) -> list[dict[str, Any]]:
         rivals = {name: m for name, m in ours.items() if name.endswith(f"@{word}")}
         order = sorted(
             rivals,
-            key=lambda n: (-rivals[n]["verified_solved"], rivals[n].get("solve_p50_us_worst_set") or 1e9),
+            key=lambda n: (-rivals[n]["right"], rivals[n].get("solve_p50_us_worst_set") or 1e9),
         )
         mine = rivals.get(f"{solver}@{word}")
         extra = {} if mine is None else {
             "our_rank": order.index(f"{solver}@{word}") + 1, "our_p50_us": mine.get("solve_p50_us_worst_set"),
-            "our_verified_percent": 100.0 * mine["verified_solved"] / max(1, mine["feasible"]),
+            "our_right_percent": 100.0 * share_right(mine),
         }  # fmt: skip
         rows.append({"solver": label, **theirs, **extra})
     return rows
@@ -242,14 +279,19 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
     }
     linear = {n: m for n, m in sets.items() if not n.startswith(NONLINEAR)}
     if linear:
-        right = [
-            n for n, m in linear.items() if m["verified_solved"] + m["infeasible_six_rows"] == m["feasible"]
-        ]
-        text = f"{len(right)} of {len(linear)} solvers answered every feasible problem of the certified sets optimally"
-        timed = {n: v for n in right if (v := linear[n].get("solve_p50_us_worst_set")) is not None}
+        right = [n for n, m in linear.items() if m["right"] == m["solves"]]
+        text = f"{len(right)} of {len(linear)} solvers answered every problem of the certified sets rightly"
+        timed = {
+            n: v for n, m in linear.items()
+            if answers_rightly(m) and (v := m.get("solve_p50_us_worst_set")) is not None
+        }  # fmt: skip
         if timed:
             fastest = min(timed, key=lambda n: timed[n])
-            text += f"; the fastest of them is {fastest} with a median of {timed[fastest]:.1f} us on its slowest set"
+            text += (
+                f"; of those right at {100 * RIGHTLY:g} % or more the fastest is {fastest} "
+                f"({100 * share_right(linear[fastest]):.1f} %) with a median of {timed[fastest]:.1f} us on its slowest "
+                "set"
+            )
         parts.append(text)
         liars = {n: m["silently_wrong"] for n, m in linear.items() if m["silently_wrong"]}
         if liars:
@@ -281,9 +323,11 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
     gains = {n: m["mu_gain_percent"] for n, m in closed.items() if n != BASELINE and "mu_gain_percent" in m}
     if gains:
         best, worst = max(gains, key=lambda n: gains[n]), min(gains, key=lambda n: gains[n])
+        trials = closed[best]["runs"]
         parts.append(
-            f"in closed loop manipulability rose by {gains[best]:.1f} % with {best} and by {gains[worst]:.1f} % with "
-            f"{worst}"
+            f"in closed loop, over {trials} {'trial' if trials == 1 else 'trials'} from random poses, manipulability "
+            f"rose by {with_interval(closed[best], 'mu_gain_percent')} % with {best} and by "
+            f"{with_interval(closed[worst], 'mu_gain_percent')} % with {worst}"
         )
     text = ". ".join(part[0].upper() + part[1:] for part in parts) + "." if parts else "Nothing was run."
     return " ".join([text, *(words[key] for key in ("prediction",) if key in words)])

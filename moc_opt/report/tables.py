@@ -31,6 +31,7 @@ class Column:
         better: which end is good: its best values are emphasised, unless most rows have them, and sorted to the
             top first.
         help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
+        among: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete.
     """
 
     key: str
@@ -41,6 +42,7 @@ class Column:
     align: Literal["left", "right", "center"] | None = None
     better: Literal["low", "high"] | None = None
     help: str = ""
+    among: str = ""
 
     def __post_init__(self) -> None:
         if self.digits < 1:
@@ -96,14 +98,20 @@ class Table:
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, column.digits, column.format)
         cells = [_cell(value, written) for value in values]
-        finite = [cell for cell in cells if cell.numeric and math.isfinite(float(cell.sort or 0.0))]
+        competes = [
+            cell.numeric and (not column.among or bool(row.get(column.among)))
+            for cell, row in zip(cells, self.rows, strict=True)
+        ]
+        finite = [
+            cell for cell, may in zip(cells, competes, strict=True) if may and math.isfinite(float(cell.sort or 0.0))
+        ]
         if column.better is None or len(finite) < 2:
             return cells
         choose = min if column.better == "low" else max
         winner = choose(finite, key=lambda cell: float(cell.sort or 0.0))
         # What reads the same is equally good: a digit that is not shown decides nothing.
-        ahead = [cell.numeric and cell.text == winner.text for cell in cells]
-        if sum(ahead) > max(1, sum(cell.numeric for cell in cells) / 2):
+        ahead = [may and cell.text == winner.text for cell, may in zip(cells, competes, strict=True)]
+        if sum(ahead) > max(1, sum(competes) / 2):
             # Emphasis on nearly everything says nothing.
             return cells
         return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]

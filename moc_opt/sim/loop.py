@@ -276,6 +276,8 @@ def simulate(
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
     kept["tip_error_registered_m"] = np.linalg.norm(kept["tip_ref_m"] + touched.tip - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
+    registered_m = kept["trocar_registered_m"]
+    kept["rcm_error_registered_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], registered_m)
     trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **stopped, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken

@@ -21,10 +21,11 @@ PANELS = {
     "trocar_force_N": ("|force| [N]", 1.0),
 }
 """Column of a trace -> label of its panel, and the factor to the unit there."""
+MODEL_TIP = "tip_error_model_m"
 
 
 def time_series(
-    runs: Mapping[str, Trace], panels: Sequence[str] = tuple(PANELS), *,
+    runs: Mapping[str, Trace], panels: Sequence[str] | None = None, *,
     styles: Styles | None = None, points: int = 1200,
 ) -> go.Figure:  # fmt: skip
     """Several runs over time, one panel per column, one legend entry per run for all panels.
@@ -35,7 +36,8 @@ def time_series(
 
     Args:
         runs: name -> trace; a run that lacks a column is absent from its panel; of vectors the length is drawn.
-        panels: columns, from top to bottom.
+        panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's error by the robot's own
+            kinematics where every run has it. The absolute one is mostly the error of the arm's calibration.
         styles: how each run looks; None deals colours out anew.
         points: at most so many per line.
 
@@ -44,10 +46,11 @@ def time_series(
         MissingDataError: a run has no `t_s`.
     """
     styles = styles or Styles(runs)
+    panels = _panels(runs) if panels is None else panels
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
     named: set[str] = set()
     for row, column in enumerate(panels, start=1):
-        words, factor = PANELS.get(column, (label(column), 1.0))
+        words, factor = PANELS.get("tip_error_m" if column == MODEL_TIP else column, (label(column), 1.0))
         for name, trace in runs.items():
             if column not in trace.columns:
                 continue
@@ -122,3 +125,8 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
 def _lengths(values: NDArray[np.float64]) -> Floats:
     """Of a column of vectors, their lengths."""
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
+
+
+def _panels(runs: Mapping[str, Trace]) -> list[str]:
+    known = all(MODEL_TIP in trace.columns for trace in runs.values())
+    return [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]
