@@ -47,6 +47,7 @@ VERDICT = [
 ]
 PROCEDURE = [
     Column("task", "task"),
+    Column("ended", "ended"),
     Column(
         "registration_error_mm",
         "trocar off",
@@ -92,14 +93,15 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
     columns += [
         Column("mu_fraction_of_bound", "of bound", digits=3, better="high"),
         Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", digits=3, better="low"),
-        Column("broke_off", "broke off", format="d", better="low"),
+        Column("broke_off", "broke off", format="d", better="low", help="stopped or failed; in no mean"),
+        Column("oscillated", "oscillated", format="d", better="low", help="a joint shook; in the means"),
     ]
     names = titles(list(summary[group]))
     rows = [
         {
             **{
                 name: entries.get(name)
-                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off")
+                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off", "oscillated")
             },
             "controller": names[controller],
             **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},

@@ -37,18 +37,23 @@ BEAT_S = 0.5
 HUNG = "hung"
 SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
 ERRORS = ("tip_error", "rcm_error")
-AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
+AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One controller on one trial; without columns where the run broke off, and ``error`` says why."""
+    """One controller on one trial; without columns where the run broke off, and ``error`` says why.
+
+    ``ended`` is the trace's ``meta["ended"]``, or "failed" where there is none; the metrics of a stopped run are those
+    of a part, and enter no mean.
+    """
 
     controller: str
     trial: str
     metrics: Mapping[str, float]
     columns: Mapping[str, Array] = field(default_factory=dict)
     error: str | None = None
+    ended: str = "completed"
 
     @property
     def trace(self) -> Trace | None:
@@ -66,7 +71,8 @@ class Run:
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
         return {
-            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error, **self.metrics
+            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
+            "error": self.error, **self.metrics,
         }  # fmt: skip
 
 
@@ -106,7 +112,11 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     try:
         trace = scenario.run(trial, watch)
     except MocOptError as error:
-        yield Part({"error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        yield Part({"ended": "failed", "error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        return
+    ended = str(trace.meta["ended"])
+    if ended.startswith("stopped"):
+        yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
         return
     metrics = summarize(trace, None if baseline is None else Trace(baseline)) | _settled(trial, trace)
     if "fault" in trace.columns:
@@ -117,7 +127,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"error": None, "metrics": metrics}, arrays)
+    yield Part({"ended": ended, "error": None, "metrics": metrics}, arrays)
 
 
 def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:
@@ -155,9 +165,10 @@ def run_one(
             (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
-            part = Part({"error": f"{word}: {error}", "metrics": {}}, {})
+            part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
-    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"])
+    values = part.values
+    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"])
 
 
 def run_all(
@@ -177,7 +188,8 @@ def run_all(
             runs.append(baseline)
             for name, settings in controllers.items():
                 if name in hung:
-                    runs.append(Run(name, trial.name, {}, error=f"not run: it hung on trial {hung[name]}"))
+                    why = f"not run: it hung on trial {hung[name]}"
+                    runs.append(Run(name, trial.name, {}, error=why, ended="failed"))
                 else:
                     runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline))
                     if (runs[-1].error or "").startswith(HUNG):
@@ -187,7 +199,10 @@ def run_all(
 
 
 def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
-    """Controller -> metric over its trials: means of means, largest of maxima, sums of counts, pooled times."""
+    """Controller -> metric over its trials: means of means, largest of maxima, sums of counts, pooled times.
+
+    Runs that broke off enter none of these; ``runs``, ``broke_off``, ``stopped`` and ``oscillated`` count them.
+    """
     return {
         name: combined([run for run in runs if run.controller == name])
         for name in dict.fromkeys(run.controller for run in runs)
@@ -198,6 +213,7 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
     """The runs of one controller as one; see ``summary``."""
     whole = [run for run in runs if run.columns]
     values: dict[str, Any] = {"runs": len(runs), "broke_off": len(runs) - len(whole)}
+    values |= {ending: sum(run.ended.startswith(ending) for run in runs) for ending in ("stopped", "oscillated")}
     for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
         data = [run.metrics[metric] for run in whole if metric in run.metrics]
         if metric.endswith(("_p50_us", "_p99_us")):
