@@ -32,7 +32,7 @@ def _none_if_infinite(value: Any) -> Any:
     return None if isinstance(value, float) and value == float("inf") else value
 
 
-Level = Annotated[float | None, BeforeValidator(_none_if_infinite), Field(gt=0.0)]
+Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
 """A level above zero; None, or in TOML ``inf``, switches it off."""
 
 
