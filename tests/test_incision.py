@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.experiment import procedure as paper_procedure
 from moc_opt.control.guard import Guard, GuardSettings
 from moc_opt.control.incision import SHORTEST_DEPTH_M, rcm_error, trocar_force
 from moc_opt.errors import ControlError
@@ -235,18 +234,3 @@ def test_a_live_run_is_stopped_with_its_brakes():
     live.reset()
     live.advance(100)
     assert not live.moment().stopped
-
-
-def test_the_procedure_is_guarded_as_every_loop_is():
-    settings = paper_procedure.ProcedureSettings(poses=1, film=False)
-    tight = {"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4}
-    rows = [
-        paper_procedure.perform(
-            paper_procedure.ProcedureJob(settings, Scenario(control={"preset": "tuned"}, guard=guard), "circle")
-        )
-        for guard in ({}, tight)
-    ]
-    assert rows[0]["ended"] == "completed"
-    assert rows[0]["share_of_run"] == 1.0
-    assert rows[1]["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
-    assert rows[1]["share_of_run"] < 1.0
