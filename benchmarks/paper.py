@@ -62,6 +62,11 @@ def summarise(
             controller: {
                 **verdict.intervals(found, group, controller),
                 "broke_off": sum(e["group"] == group and e["controller"] == controller for e in broken),
+                "oscillated": sum(
+                    (m.group, m.controller, m.phase) == (group, controller, "whole")
+                    and m.ended.startswith("oscillated")
+                    for m in found
+                ),
             }
             for controller in (*BASELINES, *config.solvers)
         }

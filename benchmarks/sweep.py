@@ -113,6 +113,8 @@ def report(config: Config, out: Path, lost: dict[int, str], argv: list[str]) -> 
     counted = {
         "all": sum(group["runs"] for group in solvers.values()),
         "failed": sum(group["failed"] for group in solvers.values()),
+        "stopped": sum(group["stopped"] for group in solvers.values()),
+        "oscillated": sum(group["oscillated"] for group in solvers.values()),
         "lost": len(lost),
         "timed_alone": sum(group["runs"] for group in alone.values()),
     }

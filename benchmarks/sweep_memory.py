@@ -67,6 +67,7 @@ def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
                 "index": index, "run": [f"{i:020x}" for i in index], "seed": index // 12,
                 "solver": [SOLVERS[i % 4] for i in index],
                 "control.damping": np.array([1e-6, 1e-5, 1e-4])[index // 4 % 3],
+                "ended": ["completed" if i % 97 else "failed" for i in index],
                 "error": [None if i % 97 else "SolverError: made up" for i in index],
             }  # fmt: skip
             columns = [known.get(name, rng.lognormal(size=len(index))) for name in schema.names]

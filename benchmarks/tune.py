@@ -109,6 +109,9 @@ def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
     if broken:
         return Score(candidate, math.inf, {}, f"broke off: {broken[0]['error']:.120}")
     found = [m for outcome in outcomes for m in outcome.measurements if m.group == ""]
+    shaken = [m.ended for outcome in outcomes for m in outcome.measurements if m.ended.startswith("oscillated")]
+    if shaken:
+        return Score(candidate, math.inf, {}, shaken[0])
     values = figures(found)
     rates = [
         m.metrics["torque_rate_rms_Nm_per_s"]

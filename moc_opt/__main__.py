@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from moc_opt.errors import MocOptError
 
+if TYPE_CHECKING:
+    from moc_opt.scenario import Scenario
+    from moc_opt.trace import Trace
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; 0, or 2 with a message where the input is wrong."""
+    """Entry point; 0, 2 with a message where the input is wrong, 3 where a run did not end "completed"."""
     parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    one = commands.add_parser("run", help="run one scenario and print its metrics")
+    one = commands.add_parser(
+        "run", help="run one scenario and print its metrics",
+        epilog="Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, "
+        "and what is printed says so first.",
+    )  # fmt: skip
     one.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario runs")
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
@@ -68,9 +76,9 @@ def run_scenario(
 ) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.metrics import summarize
-    from moc_opt.report.console import console, progress
-    from moc_opt.report.tables import Column, Table
-    from moc_opt.scenario import RunAway, Scenario, Setup, run
+    from moc_opt.report.console import console, print_json, progress
+    from moc_opt.report.run_table import part, run_json, run_table, warnings
+    from moc_opt.scenario import RunAway, Scenario, Setup
 
     scenario = Scenario() if path is None else Scenario.load(path)
     if seed is not None:
@@ -83,24 +91,35 @@ def run_scenario(
         try:
             trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None)
         except RunAway as error:
-            if trace_to is not None:
-                error.trace.save(trace_to)
-            raise
-    if trace.meta["ended"] != "completed":
-        print(f"{scenario.name}: {trace.meta['ended']}", file=sys.stderr)
-    baseline = None
-    if scenario.control.law == "moc":
-        baseline = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0))
-    metrics = summarize(trace, baseline)
+            trace = error.trace
     if trace_to is not None:
         trace.save(trace_to)
+    ended = str(trace.meta["ended"])
+    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + warnings(trace):
+        print(f"{scenario.name}: {line}", file=sys.stderr)
+    baseline = _matched_dcac(scenario, len(trace)) if scenario.control.law == "moc" else None
+    metrics = summarize(trace, baseline)
     if as_json:
-        print(json.dumps(metrics, indent=2))
+        print_json(run_json(trace, metrics))
     else:
-        rows = [{"metric": name, "value": value} for name, value in metrics.items()]
-        table = Table(scenario.name, [Column("metric", "metric"), Column("value", "value")], rows)
-        console().print(table.to_rich())
-    return 0
+        console().print(run_table(scenario.name, trace, metrics).to_rich())
+    return 0 if ended == "completed" else 3
+
+
+def _matched_dcac(scenario: Scenario, ticks: int) -> Trace | None:
+    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
+    import numpy as np
+
+    from moc_opt.scenario import RunAway, run
+
+    try:
+        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0))
+    except RunAway as error:
+        trace = error.trace
+    if len(trace) < ticks or "mu" not in trace.columns:
+        print(f"{scenario.name}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
+        return None
+    return trace.select(np.arange(len(trace)) < ticks)
 
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.oscillation import shaking
 from moc_opt.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
@@ -126,6 +127,24 @@ def _known(trace: Trace, column: str) -> Floats:
 def _lengths(rows: Floats) -> Floats:
     """Euclidean length of each row."""
     return np.asarray(np.sqrt((rows * rows).sum(axis=1)), dtype=np.float64)
+
+
+@metric
+def completed(trace: Trace) -> float:
+    """1 where the run ended "completed", 0 where it was stopped, ran away or oscillated."""
+    ended = trace.meta.get("ended")
+    if not isinstance(ended, str):
+        raise MissingDataError("meta has no 'ended': say how the run ended")
+    return float(ended == "completed")
+
+
+@metric
+def share_of_run(trace: Trace) -> float:
+    """Share of the planned ticks that the run came to: below 1 its other figures are those of a part."""
+    ticks, planned = trace.meta.get("ticks"), trace.meta.get("ticks_planned")
+    if not isinstance(ticks, int) or not isinstance(planned, int) or planned < 1:
+        raise MissingDataError("meta has no 'ticks' and 'ticks_planned': give both as numbers of ticks")
+    return ticks / planned
 
 
 @metric
@@ -243,6 +262,18 @@ def torque_rate_rms_Nm_per_s(trace: Trace) -> float:
     if not (step > 0.0).all():
         raise TraceError("column 't_s' does not increase from tick to tick: give the time of each tick")
     return float(np.sqrt(np.mean((change / step) ** 2)))
+
+
+@metric
+def oscillation_rad_per_s(trace: Trace) -> float:
+    """Largest joint's root mean square of velocity above 8 Hz over a second [rad/s]; see moc_opt.oscillation."""
+    return shaking(trace, "v_rad_per_s").rms
+
+
+@metric
+def oscillation_Nm(trace: Trace) -> float:
+    """Largest joint's root mean square of torque above 8 Hz over a second [Nm]; see moc_opt.oscillation."""
+    return shaking(trace, "tau_Nm").rms
 
 
 @metric

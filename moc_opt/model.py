@@ -27,8 +27,10 @@ _FILL_STATE = Entry(
     kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
 _TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
+_TOOL_POSE = Entry(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
+_forward = pin.forwardKinematics
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -46,15 +48,17 @@ class RobotModel:
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
         self._pin = _build(data)
         self._fill_state, self._tip_manipulability = _FILL_STATE.code, _TIP_MANIPULABILITY.code
+        self._tool_pose = _TOOL_POSE.code
         self._pin_data = self._pin.createData()
         self._side_data = self._pin.createData()
         frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
         self._offsets = _read_only(np.array([frame.placement.translation for frame in frames]))
+        self._mount, self._tip_offset = np.ascontiguousarray(frames[0].placement.rotation.T), self._offsets[0]
         if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
         # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
         self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
-        self._places = _places(self._pin_data, n)
+        self._places, self._last_place = _places(self._pin_data, n), _places(self._side_data, n)[n - 1]
         self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
         self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
@@ -125,6 +129,16 @@ class RobotModel:
     def gravity(self, q: ArrayLike) -> Array:
         """Gravity torque g (n,) [Nm]."""
         return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
+
+    def tool_pose(self, q: ArrayLike) -> Array:
+        """Compute where the tool is: (4,3) its x, y and z axes and its tip [m], in world axes.
+
+        z runs along the shaft from wrist to tip; these are the axes of the wrench sensor at the tool's mount.
+        """
+        pose = np.empty((4, 3))
+        _forward(self._pin, self._side_data, self._vector("q", q))
+        self._tool_pose(self._last_place, self._mount, self._tip_offset, pose)
+        return pose
 
     @property
     def moves(self) -> NDArray[np.bool_]:

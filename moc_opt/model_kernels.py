@@ -107,6 +107,25 @@ def point_in_world(rotation_t: Array, origin: Array, local: Array, out: Array) -
 
 
 @njit(cache=True)
+def tool_pose(place: Array, mount: Array, tip: Array, pose: Array) -> None:
+    """Write the tool's axes and tip, (4,3) rows x, y, z, X in world axes.
+
+    Args:
+        place: (12,) of the last joint's frame, as in `fill_state`.
+        mount: (3,3) rows: the tool's axes in that frame.
+        tip: (3,) the tip in that frame [m].
+        pose: (4,3) written.
+    """
+    rotation_t = place[:9].reshape((3, 3))
+    for k in range(3):
+        for i in range(3):
+            pose[k, i] = (
+                rotation_t[0, i] * mount[k, 0] + rotation_t[1, i] * mount[k, 1] + rotation_t[2, i] * mount[k, 2]
+            )
+    point_in_world(rotation_t, place[9:], tip, pose[3])
+
+
+@njit(cache=True)
 def point_jacobian(axes: Array, point: Array, moves: Array, out: Array) -> None:
     """Translational Jacobian (3,n) of a point fixed to the last link: J_j = lin_j + ang_j x point.
 

@@ -16,11 +16,13 @@ from moc_opt.driver import Driver
 from moc_opt.errors import MocOptError, RobotError, ScenarioError
 from moc_opt.layout import breathing, lay_out
 from moc_opt.model import RobotModel
+from moc_opt.oscillation import judged_for_oscillation
 from moc_opt.scenario_tables import Scenario
 from moc_opt.selfmotion import self_motion
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.loop import Brain, RunAway, Stop, Touched, simulate
+from moc_opt.sim.loop import RunAway, Stop, Touched, simulate
 from moc_opt.sim.plant import Plant
+from moc_opt.sim.safe import Brain, Safe
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
@@ -134,16 +136,15 @@ class Setup:
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
-        period, guard, wrong = self.scenario.plant.period_s, self.scenario.guard, self.scenario.faults
+        period, wrong = self.scenario.plant.period_s, self.scenario.faults
         faults = Faults(wrong, self.robot.n, period, self._fault_seed)
         trace = simulate(
             self.plant, self.brain(), np.stack(self.reference.at(t), axis=1),
             faults.slip(np.stack(self.trocar.at(t), axis=1), t), np.stack(self.registered.at(t), axis=1),
-            guard=Guard(self.robot.data, guard, period, self.robot.gravity),
-            faults=faults if wrong.around_the_arm else None,
-            stop=Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s), touched=self.touched,
-            watch=watch, meta=meta,
+            guard=make_guard(self.robot, self.scenario), faults=faults if wrong.around_the_arm else None,
+            stop=make_stop(self.scenario), touched=self.touched, watch=watch, meta=meta,
         )  # fmt: skip
+        trace = judged_for_oscillation(trace, self.robot.data.joint_names)
         if wrong.solver != "none":
             trace = trace.with_columns(injected=self.spoilt()[: len(trace)])
         trace = self._with_model_error(trace)
@@ -214,6 +215,16 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
     return solvers.create(name, **settings)
 
 
+def make_guard(robot: RobotModel, scenario: Scenario) -> Guard:
+    """The guard of an arm in its incision, with all that it can know."""
+    return Guard(robot.data, scenario.guard, scenario.plant.period_s, robot.gravity, robot.tool_pose)
+
+
+def make_stop(scenario: Scenario) -> Stop:
+    """How the guard's settings break a run off."""
+    return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
+
+
 def run(scenario: Scenario, watch: Callable[[int], None] | None = None) -> Trace:
     """Run one scenario.
 
@@ -223,4 +234,6 @@ def run(scenario: Scenario, watch: Callable[[int], None] | None = None) -> Trace
     return Setup(scenario).trace(watch)
 
 
-__all__ = ["MocOptError", "RunAway", "Scenario", "Setup", "make_solver", "run"]
+__all__ = [
+    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_guard", "make_solver", "make_stop", "run",
+]  # fmt: skip

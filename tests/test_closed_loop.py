@@ -72,7 +72,27 @@ def test_what_breaks_off_is_a_result(trial):
         found = run_one(Store(None), worker, variant(trial, "osqp", {"eps": -1.0}), "osqp", None)
     assert found.trace is None
     assert "SolverError" in found.error
-    assert combined([found]) == {"runs": 1, "broke_off": 1, "timed_runs": 0, "reason": found.error}
+    counts = {"runs": 1, "broke_off": 1, "timed_runs": 0, "stopped": 0, "oscillated": 0}
+    assert combined([found]) == {**counts, "reason": found.error}
+    assert found.row()["ended"] == "failed"
+
+
+def test_a_stopped_run_enters_no_mean_and_an_oscillating_one_is_counted(trial):
+    """Both are whole rows of rows.parquet, the part marked as one."""
+    whole = trial.change(duration_s=2.0, control={"damping": 0.0, "K_N2": 80.0, "D_N2": 1.0, "gains": "default"})
+    shaken = whole.change(guard={"rcm_error_m": None, "trocar_force_N": None})
+    stopped = trial.change(guard={"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6})
+    with Worker() as worker:
+        runs = [run_one(Store(None), worker, case, "a", None) for case in (trial, shaken, stopped)]
+    assert [run.ended.split(":")[0] for run in runs] == ["completed", "oscillated", "stopped"]
+    assert [run.row()["ended"] for run in runs] == [run.ended for run in runs]
+    assert runs[2].error.startswith("stopped: the RCM error")
+    assert runs[2].metrics["completed"] == 0.0
+    found = combined(runs)
+    assert (found["runs"], found["broke_off"], found["stopped"], found["oscillated"]) == (3, 1, 1, 1)
+    assert found["completed"] == 1.0
+    assert found["share_of_run"] == 1.0
+    assert found["tip_error_mean_mm"] == pytest.approx(np.mean([run.metrics["tip_error_mean_mm"] for run in runs[:2]]))
 
 
 def test_a_solver_that_hangs_breaks_its_run_off_and_is_not_asked_again(trial, tmp_path, monkeypatch):

@@ -134,6 +134,7 @@ def test_smooth_is_a_mean_of_the_past():
     [
         (1e-3, "completed", "survived"), (0.05, "completed", "diverged"), (np.nan, "completed", "diverged"),
         (1e-3, "stopped: x", "stopped"), (1e-3, "ran away at t = 1 s", "ran away"),
+        (1e-3, "oscillated: joint_7", "oscillated"),
     ],
 )  # fmt: skip
 def test_outcomes(error, ended, expected):

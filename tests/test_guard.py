@@ -1,5 +1,6 @@
 """Limits that hold at every tick, and the damped stop."""
 
+import json
 import time
 
 import numpy as np
@@ -356,9 +357,26 @@ def test_the_command_line_says_that_a_run_was_stopped(tmp_path, capsys):
         'name = "blind"\nduration_s = 1.2\nbound_samples = 0\njudge = false\n[control]\nlaw = "dcac"\n'
         "[faults]\nnan_at_s = 0.1\nnan_ticks = 9999\n"
     )
-    assert main(["run", str(file), "--trace", str(out)]) == 0
-    assert "blind: stopped: measurements not believed" in capsys.readouterr().err
+    assert main(["run", str(file), "--trace", str(out)]) == 3
+    said = capsys.readouterr()
+    assert "blind: stopped: measurements not believed" in said.err
     assert Trace.load(out).meta["ended"].startswith("stopped")
+    rows = [line.strip() for line in said.out.splitlines() if line.strip()]
+    assert rows[0] == "blind (first 0.6 s of 1.2 s)"
+    assert rows[3].startswith("ended")
+    assert "stopped: measurements not believed" in rows[3]
+    assert all("(first 0.6 s of 1.2 s)" in row for row in rows if "_mean" in row or "_max" in row)
+    assert main(["run", str(file), "--json"]) == 3
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is no JSON")
+
+    found = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert next(iter(found)) == "ended"
+    assert found["ended"].startswith("stopped: measurements not believed")
+    assert found["part"] == "first 0.6 s of 1.2 s"
+    assert found["completed"] == 0.0
+    assert found["share_of_run"] == pytest.approx(len(Trace.load(out)) / 600)
 
 
 def test_the_command_line_keeps_the_trace_of_a_run_away(tmp_path, capsys):
@@ -366,8 +384,8 @@ def test_the_command_line_keeps_the_trace_of_a_run_away(tmp_path, capsys):
     file.write_text(
         "duration_s = 0.1\nbound_samples = 0\n[plant]\ntrocar_stiffness_N_per_m = 1e6\ntrocar_damping_Ns_per_m = 1e4\n"
     )
-    assert main(["run", str(file), "--trace", str(out)]) == 2
-    assert "RunAway: ran away" in capsys.readouterr().err
+    assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is as it should be: the arm is not
+    assert "circle: ran away" in capsys.readouterr().err
     assert Trace.load(out).meta["ended"].startswith("ran away")
 
 

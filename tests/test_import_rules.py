@@ -26,7 +26,7 @@ ROOMS = {
     ],
     "tasks": ["moc_opt.tasks"],
     "trace": ["moc_opt.trace", "moc_opt.trace_file"],
-    "metrics": ["moc_opt.metrics"],
+    "metrics": ["moc_opt.metrics", "moc_opt.oscillation"],
     "protocol": ["moc_opt.solvers.base"],
     "solvers": ["moc_opt.solvers"],
     "control": ["moc_opt.control"],

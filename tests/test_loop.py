@@ -141,7 +141,8 @@ def test_meta_and_time(robot):
     tip_refs, trocars, registered = references(robot)
     plant = ready(robot, PlantSettings.nominal(period_s=0.004, substeps=4))
     trace = simulate(plant, Holding(robot), tip_refs, trocars, registered, meta={"answer": 42})
-    assert dict(trace.meta) == {"period_s": 0.004, "ended": "completed", "answer": 42}
+    counted = {"ticks": TICKS, "ticks_planned": TICKS}
+    assert dict(trace.meta) == {"period_s": 0.004, "ended": "completed", "answer": 42, **counted}
     np.testing.assert_allclose(np.diff(trace.t_s), 0.004)
     more = simulate(plant, Holding(robot), tip_refs, trocars, registered)
     assert more.t_s[0] == pytest.approx(trace.t_s[-1] + 0.004)  # goes on from the plant's present state

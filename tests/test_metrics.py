@@ -25,6 +25,7 @@ def run(**changed: object) -> Trace:
     columns: dict[str, object] = {
         "t_s": [0.0, 0.002, 0.004, 0.006],
         "tau_Nm": [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [3.0, 14.0]],
+        "v_rad_per_s": [[0.0, 0.0], [0.0, 2.0], [0.0, 0.0], [0.0, 2.0]],
         "mu": [0.1, 0.2, 0.3, 0.4],
         "mu_bound": [0.2, NAN, 0.4, NAN],
         "tip_error_m": [0.001, 0.003, 0.001, 0.003],
@@ -46,7 +47,10 @@ def run(**changed: object) -> Trace:
     }
     columns.update({name: value for name, value in changed.items() if name != "meta"})
     present = {name: np.asarray(value) for name, value in columns.items() if value is not None}
-    return Trace(present, changed.get("meta", {"deadline_us": 100}))  # type: ignore[arg-type]
+    return Trace(present, changed.get("meta", META))  # type: ignore[arg-type]
+
+
+META = {"deadline_us": 100, "ended": "stopped: for a test", "ticks": 4, "ticks_planned": 16}
 
 
 @pytest.fixture
@@ -61,6 +65,8 @@ def own_metrics() -> Iterator[None]:
 def test_every_metric_by_hand() -> None:
     summary = summarize(run(), baseline=run(mu=[0.2, 0.2, 0.2, 0.2]))
     expected = {
+        "completed": 0.0,
+        "share_of_run": 0.25,
         "mu_mean": 0.25,
         "mu_final": 0.4,
         "mu_gain_percent": 25.0,
@@ -79,6 +85,9 @@ def test_every_metric_by_hand() -> None:
         "trocar_force_max_N": 5.0,
         # Steps of 5, 0 and 10 Nm in 2 ms.
         "torque_rate_rms_Nm_per_s": math.sqrt((2500.0**2 + 5000.0**2) / 3.0),
+        # Ticks 3 and 4, less the mean of all four: -1, 1 rad/s and -1.5, 8.5 Nm.
+        "oscillation_rad_per_s": 1.0,
+        "oscillation_Nm": math.sqrt((1.5**2 + 8.5**2) / 2.0),
         "solve_p50_us": 20.0,
         "solve_p99_us": 29.8,
         "tick_p50_us": 100.25,
@@ -109,8 +118,9 @@ def test_every_metric_by_hand() -> None:
         ("rcm_error_m", "rcm_error_mean_mm rcm_error_max_mm"),
         ("rcm_error_registered_m", "rcm_error_registered_mean_mm rcm_error_registered_max_mm"),
         ("trocar_force_N", "trocar_force_mean_N trocar_force_max_N"),
-        ("t_s", "torque_rate_rms_Nm_per_s"),
-        ("tau_Nm", "torque_rate_rms_Nm_per_s"),
+        ("t_s", "torque_rate_rms_Nm_per_s oscillation_rad_per_s oscillation_Nm"),
+        ("tau_Nm", "torque_rate_rms_Nm_per_s oscillation_Nm"),
+        ("v_rad_per_s", "oscillation_rad_per_s"),
         ("solve_us", "solve_p50_us solve_p99_us"),
         ("tick_us", "tick_p50_us tick_p99_us deadline_misses"),
         ("status", "claimed_solved silently_wrong"),
@@ -131,7 +141,7 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
     nothing = [NAN] * 4
     trace = run(meta={}, solve_us=nothing, primal=nothing, natural=nothing, loss=nothing, mu_bound=nothing)
     gone = {"mu_gain_percent", "deadline_misses", "solve_p50_us", "solve_p99_us", "primal_max"}
-    gone |= {"natural_max", "loss_max", "mu_fraction_of_bound"}
+    gone |= {"natural_max", "loss_max", "mu_fraction_of_bound", "completed", "share_of_run"}
     assert set(METRICS) - set(summarize(trace)) == gone
     with pytest.raises(MissingDataError, match="give the trace of DCAC"):
         METRICS["mu_gain_percent"](trace)
@@ -139,6 +149,15 @@ def test_metrics_without_baseline_deadline_or_subproblem_are_left_out() -> None:
         METRICS["loss_max"](trace)
     singular = run(mu=[0.0] * 4)
     assert "mu_gain_percent" not in summarize(trace, baseline=singular)
+
+
+def test_a_whole_run_is_told_from_a_part_and_from_one_that_oscillated() -> None:
+    """Also in a phase of it: the share is of the run, not of the ticks that were chosen."""
+    whole = run(meta={"ended": "completed", "ticks": 4, "ticks_planned": 4})
+    shaken = run(meta={"ended": "oscillated: joint_7", "ticks": 4, "ticks_planned": 4})
+    for trace, expected in ((whole, (1.0, 1.0)), (shaken, (0.0, 1.0)), (run(), (0.0, 0.25))):
+        for found in (summarize(trace), summarize(trace, phase="settled")):
+            assert (found["completed"], found["share_of_run"]) == expected
 
 
 def test_a_diverged_run_does_not_look_good() -> None:

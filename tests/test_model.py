@@ -73,6 +73,25 @@ def test_tip_and_wrist_are_pinocchios_frames(arm: RobotModel) -> None:
             np.testing.assert_allclose(drift, acceleration, atol=1e-11)
 
 
+def test_the_tools_pose_is_pinocchios_frame_and_leaves_the_state_alone(arm: RobotModel) -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        q = rng.uniform(arm.q_min, arm.q_max)
+        before = arm.state(q)
+        pose = arm.tool_pose(rng.uniform(arm.q_min, arm.q_max))
+        assert np.linalg.norm(pose[3] - before.tip) > 1e-3
+        pose = arm.tool_pose(q)
+        model, data = reference(arm)
+        pin.framesForwardKinematics(model, data, q)
+        frame = data.oMf[model.getFrameId("tool", pin.FrameType.BODY)]
+        np.testing.assert_allclose(pose[:3], frame.rotation.T, atol=1e-12)
+        np.testing.assert_allclose(pose[2], before.tool_direction, atol=1e-12)
+        np.testing.assert_allclose(pose[3], before.tip, atol=1e-12)
+        np.testing.assert_allclose(
+            frame.translation + arm.data.tool_length * pose[2], before.tip, atol=1e-12
+        )  # the mount, where the wrench is measured
+
+
 def test_jacobians_against_finite_differences(arm: RobotModel) -> None:
     for q, _, s in samples(arm):
         np.testing.assert_allclose(s.J_tip, differences(lambda x: arm.state(x).tip, q), atol=1e-8)

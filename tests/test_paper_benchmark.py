@@ -37,6 +37,7 @@ from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.view import BoardSettings, CameraSettings
 from moc_opt.tasks import make_path
 from moc_opt.tasks.board import BOARD_TASKS
+from moc_opt.trace import Trace
 
 TINY = """
 tasks = ["circle"]
@@ -186,6 +187,30 @@ def test_a_run_that_breaks_off_is_a_result_with_its_reason(trial, monkeypatch):
     assert {m.controller for m in found.measurements} == {MATCHED}
     assert [entry["controller"] for entry in found.broken] == ["exact"]
     assert found.broken[0]["error"] == "PlantError: the arm ran away"
+    assert found.broken[0]["ended"] == "failed"
+
+
+def test_a_stopped_run_enters_no_mean_and_an_oscillating_one_is_counted(trial, monkeypatch):
+    """The MOC is stopped for its RCM error; DCAC, which is whole, is said to shake."""
+    run = scenario.run
+
+    def ends(case):
+        if case.control.law == "moc":
+            return run(case.change(guard={"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6}))
+        trace = run(case)
+        return Trace(trace.columns, {**trace.meta, "ended": "oscillated: joint_7 at 47 Hz, 0.51 rad/s"})
+
+    monkeypatch.setattr(scenario, "run", ends)
+    found = run_job(Job("g", "circle", trial, (MATCHED, "exact")))
+    assert {m.controller for m in found.measurements} == {MATCHED}
+    assert all(m.row()["ended"].startswith("oscillated") for m in found.measurements)
+    [broken] = found.broken
+    assert broken["controller"] == "exact"
+    assert broken["ended"].startswith("stopped: the RCM error")
+    small = Config(groups={"g": {}}, solvers=["exact"], best="g", best_solver="exact")
+    counts = paper.summarise(small, [found], [])[0]["g"]
+    assert (counts[MATCHED]["broke_off"], counts[MATCHED]["oscillated"]) == (0, 1)
+    assert (counts["exact"]["broke_off"], counts["exact"]["oscillated"]) == (1, 0)
 
 
 def test_the_same_job_gives_the_same_numbers(trial):
@@ -388,6 +413,7 @@ def test_the_procedure_leads_from_the_hand_to_the_task(procedure, tmp_path):
     base = SHORT.change(duration_s=None, seed=1, task={"v_max_m_per_s": 0.1})
     row = paper_procedure.perform(ProcedureJob(procedure, base, "circle", tmp_path / "film"))
     assert "error" not in row
+    assert (row["ended"], row["share_of_run"]) == ("completed", 1.0)
     assert 0.0 < row["registration_error_mm"] < 5.0
     assert row["hand_force_max_N"] <= procedure.hands_on.hand.force_max_N + 1e-9
     assert row["board_position_mm"] < 2.0
@@ -396,6 +422,13 @@ def test_the_procedure_leads_from_the_hand_to_the_task(procedure, tmp_path):
     # What is off the task is where the board was taken to be, and no more than the tip's error beyond that.
     assert row["path_deviation_max_mm"] < row["task_error_max_mm"] + 1.0
     assert row["pictures"] == len(list((tmp_path / "film").iterdir())) > 10
+
+
+def test_the_procedure_is_guarded_as_every_loop_is(procedure):
+    base = SHORT.change(duration_s=None, seed=1, guard={"rcm_error_m": 2e-4, "rcm_warning_m": 1e-4})
+    row = paper_procedure.perform(ProcedureJob(procedure, base, "circle"))
+    assert row["ended"].startswith("stopped: the RCM error has been above 0.2 mm")
+    assert row["share_of_run"] < 1.0
 
 
 @pytest.mark.parametrize(

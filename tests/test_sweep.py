@@ -188,7 +188,9 @@ def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path,
     assert "By solver and control.damping" in shown
     assert "4 runs, 0 of them ended by an error" in shown
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["sweep"]["runs"] == {"all": 4, "failed": 0, "lost": 0, "timed_alone": 4, "timed_shared": 0}
+    assert summary["sweep"]["runs"] == {
+        "all": 4, "failed": 0, "stopped": 0, "oscillated": 0, "lost": 0, "timed_alone": 4, "timed_shared": 0,
+    }  # fmt: skip
     assert summary["latency"]["exact"]["tick_p50_us"]["count"] == 2
     assert summary["by control.damping"]["exact, 0.0001"]["runs"] == 1
     assert "Manipulability against control.damping" in (tmp_path / "out" / "report.html").read_text()

@@ -19,7 +19,7 @@ from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.plan import Plan
 from benchmarks.sweeps.summary import ACCURACY, bucket, quantile, summarise
 from moc_opt.errors import UnknownNameError
-from tests.sweeps import config, do
+from tests.sweeps import config, do, made_up
 
 
 @given(
@@ -56,6 +56,24 @@ def test_the_summary_is_that_of_the_rows(finished: Path) -> None:
         assert group["mu_mean"]["p50"] == pytest.approx(np.quantile(values, 0.5, method="lower"), rel=0.011)
         assert "loss_max" not in group
     assert summarise(finished, ["seed"])["0"]["runs"] == 6
+
+
+def test_stopped_runs_are_counted_and_enter_no_mean(tmp_path: Path) -> None:
+    """Of three runs one is stopped and one oscillates: the mean is that of the two that are whole."""
+    plan = Plan(config(grid={"control.damping": [1e-6, 1e-5, 1e-4]}, seeds=1))
+    endings = ["completed", "oscillated: joint_7", "stopped: the tip", None]
+
+    def work(table: Any, limit_s: float) -> dict[str, Any]:
+        place = [1e-6, 1e-5, 1e-4].index(table["control"]["damping"])
+        return {**made_up(table, limit_s), "ended": endings[place], "figures": {"mu_mean": [1.0, 2.0, 50.0][place]}}
+
+    do(plan, tmp_path, work=work)
+    assert {row["ended"] for row in pq.read_table(tmp_path / "rows.parquet").to_pylist()} == set(endings[:3])
+    [group] = summarise(tmp_path).values()
+    assert (group["runs"], group["failed"], group["stopped"], group["oscillated"]) == (3, 0, 1, 1)
+    assert group["mu_mean"]["mean"] == 1.5
+    assert group["mu_mean"]["count"] == 2
+    assert group["mu_mean"]["max"] == 2.0
 
 
 def test_the_summary_says_what_is_wrong(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -114,7 +114,7 @@ def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
                     }
                 )  # fmt: skip
             else:
-                found.append(Measurement(case, name, job.task, trial.name, trial.seed, "whole", "", done))
+                found.append(Measurement(case, name, job.task, trial.name, trial.seed, "whole", done))
     return found, broken
 
 
@@ -124,8 +124,8 @@ def _metrics(case: Scenario) -> dict[str, float] | str:
         trace = scenario.run(case)
     except MocOptError as error:
         return f"{type(error).__name__}: {error}"
-    ended = str(trace.meta.get("ended", "completed"))
-    if ended != "completed":
+    ended = str(trace.meta["ended"])
+    if ended.startswith("stopped"):
         return ended
     metrics = summarize(trace)
     return {claim.metric: metrics[claim.metric] for claim in CLAIMS}

@@ -23,9 +23,10 @@ from moc_opt.errors import MocOptError, TaskError
 from moc_opt.handson import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.metrics import summarize
 from moc_opt.model import RobotModel, load_robot
+from moc_opt.oscillation import judged_for_oscillation
 from moc_opt.placing import pose_through
 from moc_opt.reach import check_reachable
-from moc_opt.scenario import Scenario, make_solver
+from moc_opt.scenario import Scenario, make_guard, make_solver, make_stop
 from moc_opt.selfmotion import self_motion
 from moc_opt.settings import Settings
 from moc_opt.sim.loop import simulate
@@ -71,7 +72,7 @@ def perform(job: ProcedureJob) -> dict[str, Any]:
     try:
         return row | _perform(job)
     except MocOptError as error:
-        return {**row, "error": f"{type(error).__name__}: {error}"}
+        return {**row, "ended": "failed", "error": f"{type(error).__name__}: {error}"}
 
 
 def _perform(job: ProcedureJob) -> dict[str, Any]:
@@ -108,6 +109,7 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
     deviation = 1e3 * from_path(trace.tip_m, scene.task(task, phantom))
     metrics = summarize(trace)
     return {
+        "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
         **_guiding(guided), "camera": scene.source, **scene.accuracy(estimate, task),
         "waited_s": waited, "lost_s": lost, "pictures": count,
         **{name: metrics[name] for name in METRICS},
@@ -157,10 +159,13 @@ def _run(
         rows[:ticks],
         np.tile(np.stack([true, still]), (ticks, 1, 1)),
         np.tile(np.stack([registered, still]), (ticks, 1, 1)),
+        guard=make_guard(robot, scenario),
+        stop=make_stop(scenario),
     )
     mu = np.array([robot.state(pose).mu for pose in trace.q_rad])
     waited = float(times[min(last, len(times) - 1)] - (reference.t_start + reference.duration))
-    return trace.with_columns(mu=mu), waited, float(np.mean(~watch.seen) * seconds)
+    trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names)
+    return trace, waited, float(np.mean(~watch.seen) * seconds)
 
 
 def _guiding(guided: HandsOn) -> dict[str, Any]:

@@ -63,6 +63,7 @@ ABLATION = [
 ]
 PROCEDURE = [
     Column("task", "task"),
+    Column("ended", "ended"),
     Column(
         "registration_error_mm",
         "trocar off",
@@ -98,14 +99,15 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
     columns += [
         Column("mu_fraction_of_bound", "of bound", digits=3, better="high"),
         Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", digits=3, better="low"),
-        Column("broke_off", "broke off", format="d", better="low"),
+        Column("broke_off", "broke off", format="d", better="low", help="stopped or failed; in no mean"),
+        Column("oscillated", "oscillated", format="d", better="low", help="a joint shook; in the means"),
     ]
     names = titles(list(summary[group]))
     rows = [
         {
             **{
                 name: entries.get(name)
-                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off")
+                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off", "oscillated")
             },
             "controller": names[controller],
             **{key: with_interval(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
@@ -164,7 +166,7 @@ def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             (row["case"], row["draw"]),
             {"about": row["about"], "draw": row["draw"], "trials": row["trials"], "holds": [], "decides": []},
         )
-        line[row["claim"]] = spread(row, "effect_percent")
+        line[row["claim"]] = with_interval(row, "effect_percent")
         line["holds"] += [row["claim"]] if row["confirmed"] else []
         line["decides"] += [row["claim"]] if row.get("decides") else []
     lines = [

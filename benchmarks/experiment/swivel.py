@@ -53,7 +53,11 @@ def gain(job: tuple[Scenario, Start, str]) -> dict[str, Any]:
     try:
         runs = {name: scenario.run(variant(case, name)) for name in (MATCHED, solver)}
     except MocOptError as error:
-        return {**row, "error": f"{type(error).__name__}: {error}"}
+        return {**row, "ended": "failed", "error": f"{type(error).__name__}: {error}"}
+    endings = [str(trace.meta["ended"]) for trace in runs.values()]
+    row["ended"] = next((ended for ended in sorted(endings, reverse=True) if ended != "completed"), "completed")
+    if row["ended"].startswith("stopped"):
+        return {**row, "error": row["ended"]}
     means = {name: float(trace.mu.mean()) for name, trace in runs.items()}
     row |= {"mu_dcac": means[MATCHED], "mu_moc": means[solver]}
     return {**row, "gain_percent": 100.0 * (means[solver] / means[MATCHED] - 1.0)}

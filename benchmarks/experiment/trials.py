@@ -54,10 +54,12 @@ class Measurement:
     seed: int
     phase: str
     metrics: Mapping[str, float]
+    ended: str = "completed"
+    """the trace's ``meta["ended"]``: no run that was stopped is measured"""
 
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
-        names = ("group", "controller", "task", "trial", "seed", "phase")
+        names = ("ended", "group", "controller", "task", "trial", "seed", "phase")
         return {"part": "trials", **{name: getattr(self, name) for name in names}, **self.metrics}
 
 
@@ -139,14 +141,15 @@ def run_job(job: Job) -> Outcome:
         try:
             case = variant(job.trial, controller, job.solver_settings.get(controller))
             trace = scenario.run(case)
-            ended = str(trace.meta.get("ended", "completed"))
-            if ended != "completed":
+            ended = str(trace.meta["ended"])
+            if ended.startswith("stopped"):
                 raise PlantError(ended)
             traces[controller] = trace
         except MocOptError as error:
+            ended = str(error) if str(error).startswith("stopped") else "failed"
             outcome.broken.append(
                 {
-                    "part": "broke off", "group": job.group, "controller": controller, "task": job.task,
+                    "part": "broke off", "ended": ended, "group": job.group, "controller": controller, "task": job.task,
                     "trial": job.trial.name, "seed": job.trial.seed, "error": f"{type(error).__name__}: {error}",
                 }
             )  # fmt: skip
@@ -154,10 +157,11 @@ def run_job(job: Job) -> Outcome:
     for controller, trace in traces.items():
         reference = baselines.get(MATCHED)
         on_path = trace.t_s >= job.trial.task.wait_s
-        _note(outcome, job, controller, "whole", summarize(trace, reference))
+        ended = str(trace.meta["ended"])
+        _note(outcome, job, controller, "whole", summarize(trace, reference), ended)
         if on_path.any():
             cut = None if reference is None else reference.select(on_path)
-            _note(outcome, job, controller, "path", summarize(trace.select(on_path), cut))
+            _note(outcome, job, controller, "path", summarize(trace.select(on_path), cut), ended)
         outcome.samples[controller, job.task] = _thin(trace)
         if job.keep_traces:
             outcome.traces[controller] = _slim(trace)
@@ -194,14 +198,16 @@ def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> 
             if metrics:
                 ticks = int(np.count_nonzero(flags == (phase == "travelling")))
                 extent = {"ticks": float(ticks), "share_of_ticks": ticks / len(flags)}
-                _note(outcome, job, name, phase, {**metrics, **extent})
+                _note(outcome, job, name, phase, {**metrics, **extent}, str(trace.meta["ended"]))
 
 
-def _note(outcome: Outcome, job: Job, controller: str, phase: str, metrics: Mapping[str, float]) -> None:
+def _note(
+    outcome: Outcome, job: Job, controller: str, phase: str, metrics: Mapping[str, float], ended: str
+) -> None:
     # Clocks are left out: jobs share the machine, and a time taken then is no solver's fault.
     kept = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     outcome.measurements.append(
-        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, kept)
+        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, kept, ended)
     )
 
 

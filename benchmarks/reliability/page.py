@@ -55,6 +55,23 @@ PROMISES = (
         "`tests/test_guard.py`, this benchmark",
     ),
     (
+        "The shaft stays near the registered trocar, and the trocar is not pressed hard: each as a root mean square "
+        "over 0.1 s has a level at which the run warns (6 mm, 8 N; `meta[\"warnings\"]`) and a limit at which it "
+        "stops in the same way (12 mm, 15 N). Both are settings of `[guard]`, off only by choice (`inf`).",
+        "An arm that its wall keeps 14 mm off goes on without the limit and is stopped with it; a trocar that slips "
+        "by 100 mm; under DCAC and MOC, in Python and in C, on the live page and in the procedure; the force against "
+        "statics and the plant.",
+        "`tests/test_incision.py`",
+    ),
+    (
+        "A run that oscillates says so: `meta[\"ended\"] = \"oscillated: joint_7 at 47 Hz, 0.51 rad/s\"`. What did "
+        "not end \"completed\" is not a success: it leaves `python -m moc_opt run` with status 3, its ending stands "
+        "first, figures of a part are marked, and stopped runs enter no mean of a benchmark.",
+        "Two ticks of delay and an idle joint without friction, under one gain of 80 for all joints; sound runs of "
+        "every preset; synthetic motions of known size and frequency, on both sides of each limit.",
+        "`tests/test_oscillation.py`, `tests/test_guard.py`",
+    ),
+    (
         "Bad input ends in success or in a MocOptError whose message names the field: never a traceback from inside, a "
         "hang or a wrong answer. Files from strangers run no code, and nothing in them decides where files go.",
         "Hypothesis over scenario files, robot files (TOML and URDF), subproblems and result files (Parquet and JSON): "
@@ -78,6 +95,18 @@ LIMITS = """\
   self-motion does it; where none does, the guard's wall acts.
 - Delay: the `tuned` gains bear three ticks from command to torque (6 ms); with four the loop is unstable and the guard
   stops it. The preset `robust` bears four, at half as much tip error again.
+- Limits on the incision, and what they stand on: over 44 sound runs of `default`, `tuned`, `robust`, `rnn` and DCAC
+  on four paths the largest mean is 0.1 to 4.0 mm of RCM error and 0.5 to 3.2 N; over 20 with the paper's parameters
+  3.9 to 9.0 mm and 3.1 to 7.1 N, so that these may warn. Arms that stand at a joint's wall had 8 to 33 mm and 6 to 26
+  N, and used to complete; a trocar that slips by 100 mm gives 80 N and leaves the registered error at 4 mm, which is
+  why the force has a limit of its own. In the stop the tissue pushes the braked arm back: within half a second 10.5 N
+  fall to 2 N, while the tip moves by 20 mm.
+- The trocar's force is told from what the tip touches by the moment at the tool's mount; nearer than 50 mm to the tip
+  it is not, and all that acts across the shaft counts. An unknown weight on the tool counts as the trocar's too (10 N
+  for 1 kg on a level tool), and so does the tool's inertia force (0.3 N for each m/s^2).
+- Oscillation is found after the run, above 8 Hz, in what a joint keeps up for a second: 0.2 rad/s or 10 Nm
+  (`moc_opt/oscillation.py` has the figures on both sides). With the paper's rho = 0 the answer jumps between
+  vertices; where that shakes the arm it is reported as what it is. While the arm runs, only the limits above act.
 - Speed limits are kept by braking what is too fast, not by foresight: full torque in the wrong direction exceeds them
   for some ticks.
 """

@@ -131,7 +131,7 @@ def measure(
     if ended == "completed":
         outcome = "survived" if bounded else "diverged"
     else:
-        outcome = "stopped" if ended.startswith("stopped") else "ran away"
+        outcome = next((kind for kind in ("stopped", "oscillated") if ended.startswith(kind)), "ran away")
     force = np.linalg.norm(whole.trocar_force_N, axis=1)
     found: dict[str, Any] = {
         "outcome": outcome, "ticks": len(whole), "stopped_at_s": stopped_at,

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.reliability.config import Config
 
-OUTCOMES = ("survived", "stopped", "diverged", "ran away", "refused")
+OUTCOMES = ("survived", "stopped", "oscillated", "diverged", "ran away", "refused")
 WORST = (
     "tip_error_max_mm", "rcm_error_max_mm", "trocar_force_max_N", "rcm_mean_percent", "rcm_max_percent",
     "stop_travel_mm", "last_speed_rad_per_s", "limited_ticks",
@@ -51,7 +51,7 @@ def _worst(rows: Sequence[Row]) -> dict[str, Any]:
 
 def outcome(figures: Row) -> str:
     """In a word, or several where the trials differ."""
-    parts = [(name, figures[name.replace(" ", "_")]) for name in OUTCOMES]
+    parts = [(name, figures.get(name.replace(" ", "_"), 0)) for name in OUTCOMES]
     there = [(name, count) for name, count in parts if count]
     return there[0][0] if len(there) == 1 else ", ".join(f"{count} {name}" for name, count in there)
 

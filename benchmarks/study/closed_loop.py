@@ -25,8 +25,8 @@ Array = NDArray[Any]
 
 BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
 KEPT = (
-    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_registered_m", "trocar_force_N",
-    "solve_us", "tick_us",
+    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_registered_m",
+    "trocar_force_N", "solve_us", "tick_us",
 )  # fmt: skip
 TRAVELLING = "travelling"  # column of a run: its own elbow is on its way
 POSES = (
@@ -47,18 +47,23 @@ COMPARED = {
     "rcm_error_registered_mean_mm": "rcm_change_percent",
 }  # fmt: skip
 CLOCKS = ("deadline_misses",)  # counts that the clock decides
-AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_")
+AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")
 
 
 @dataclass(frozen=True)
 class Run:
-    """One controller on one trial; without columns where the run broke off, and ``error`` says why."""
+    """One controller on one trial; without columns where the run broke off, and ``error`` says why.
+
+    ``ended`` is the trace's ``meta["ended"]``, or "failed" where there is none; the metrics of a stopped run are those
+    of a part, and enter no mean.
+    """
 
     controller: str
     trial: str
     metrics: Mapping[str, float]
     columns: Mapping[str, Array] = field(default_factory=dict)
     error: str | None = None
+    ended: str = "completed"
     timed: bool = True
 
     @property
@@ -77,7 +82,8 @@ class Run:
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
         return {
-            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error, **self.metrics
+            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
+            "error": self.error, **self.metrics,
         }  # fmt: skip
 
 
@@ -116,7 +122,11 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     try:
         trace = scenario.run(trial, watch)
     except MocOptError as error:
-        yield Part({"error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        yield Part({"ended": "failed", "error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        return
+    ended = str(trace.meta["ended"])
+    if ended.startswith("stopped"):
+        yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
         return
     metrics = summarize(trace, None if baseline is None else Trace(baseline))
     flags = travelling(trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
@@ -130,7 +140,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays[TRAVELLING] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"error": None, "metrics": metrics}, arrays)
+    yield Part({"ended": ended, "error": None, "metrics": metrics}, arrays)
 
 
 def run_one(
@@ -158,9 +168,10 @@ def run_one(
             (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
-            part = Part({"error": f"{word}: {error}", "metrics": {}}, {})
+            part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
-    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"], timed)
+    values = part.values
+    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed)
 
 
 def run_all(
@@ -192,7 +203,7 @@ def run_all(
         for name, settings in controllers.items():
             if name in hung:
                 reason = f"not run: it hung on trial {hung[name]}"
-                runs.append(Run(name, trial.name, {}, error=reason, timed=alone))
+                runs.append(Run(name, trial.name, {}, error=reason, ended="failed", timed=alone))
             else:
                 runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline, timed=alone))
                 if (runs[-1].error or "").startswith(HUNG):
@@ -266,12 +277,14 @@ def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
 def combined(runs: Sequence[Run]) -> dict[str, Any]:
     """The runs of one controller as one: means of means, largest of maxima, sums of counts, pooled times.
 
+    Runs that broke off enter none of these; ``runs``, ``broke_off``, ``stopped`` and ``oscillated`` count them.
     Means at settled ticks count by their ticks. Times, and what the clock decides, are those of the timed runs alone.
     """
     whole = [run for run in runs if run.columns]
     values: dict[str, Any] = {
         "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
     }  # fmt: skip
+    values |= {ending: sum(run.ended.startswith(ending) for run in runs) for ending in ("stopped", "oscillated")}
     for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
         used = [run for run in whole if metric in run.metrics and (run.timed or metric not in CLOCKS)]
         if metric.endswith(("_p50_us", "_p99_us")) or metric in COMPARED.values() or not used:

@@ -132,13 +132,13 @@ TICKS = [
     Column("tick_p50_us", "tick p50", unit="us", format=".1f", better="low"),
     Column("tick_p99_us", "tick p99", unit="us", format=".1f", better="low"),
     Column("tick_p99_9_us", "tick p99.9", unit="us", format=".1f", better="low"),
-    _count("broke_off", "broke off", "low"),
+    _count("broke_off", "broke off", "low"), _count("oscillated", "oscillated", "low"),
 ]
 SWEPT = [
     Column("infeasible_percent", "infeasible", unit="% of ticks", digits=3),
     Column("late_percent", "late", unit="% of ticks", digits=3),
     Column("primal_max", "primal max", format=".1e"), Column("loss_max", "loss max", format=".1e"),
-    _count("broke_off", "broke off", "low"),
+    _count("broke_off", "broke off", "low"), _count("oscillated", "oscillated", "low"),
 ]  # fmt: skip
 DUALS = [
     Column("solver", "pair"), Column("p50", "distance p50", digits=2, help="over the size of the cost"),

@@ -35,14 +35,16 @@ def execute(table: Table, limit_s: float) -> dict[str, Any]:
         limit_s: the process ends itself when the run takes longer [s]; even where a library hangs.
 
     Returns:
-        {error, figures, wall_s, version}: figures is {metric: number}, empty where error is a text.
+        {ended, error, figures, wall_s, version}: figures is {metric: number}, empty where error is a text; ended is
+        the run's ``meta["ended"]``, or "failed" with an error.
     """
-    error, figures = None, {}
+    ended, error, figures = "failed", None, {}
     with _ONE_AT_A_TIME:
         begin = perf_counter()
         faulthandler.dump_traceback_later(limit_s, exit=True, file=2)
         try:
-            figures = summarize(scenario.run(Scenario(**table)))
+            trace = scenario.run(Scenario(**table))
+            ended, figures = str(trace.meta["ended"]), summarize(trace)
         except MocOptError as reason:
             error = f"{type(reason).__name__}: {reason}"
         except (OSError, MemoryError):
@@ -52,7 +54,7 @@ def execute(table: Table, limit_s: float) -> dict[str, Any]:
         finally:
             faulthandler.cancel_dump_traceback_later()
         wall_s = perf_counter() - begin
-    return {"error": error, "figures": figures, "wall_s": wall_s, "version": code_version()}
+    return {"ended": ended, "error": error, "figures": figures, "wall_s": wall_s, "version": code_version()}
 
 
 class Pool(Protocol):

@@ -37,6 +37,8 @@ def tables(summary: Summary) -> list[Table]:
     counts = [
         Column("runs", "runs", format="d"),
         Column("failed", "failed", format="d", better="low", help="ended by an error; see rows.parquet"),
+        Column("stopped", "stopped", format="d", better="low", help="by the guard; they enter no mean"),
+        Column("oscillated", "oscillated", format="d", better="low", help="a joint shook; they enter the means"),
     ]
     found = []
     for part, groups in summary.items():
@@ -47,7 +49,7 @@ def tables(summary: Summary) -> list[Table]:
             title = "By solver" if part == "solvers" else f"By solver and {part.removeprefix('by ')}"
             rows = [{"group": group, **_means(figures)} for group, figures in groups.items()]
             found.append(
-                Table(title, [Column("group", first), *counts, *columns], rows, "Means over the runs.")
+                Table(title, [Column("group", first), *counts, *columns], rows, "Means over the runs not stopped.")
             )
     if summary["latency"]:
         columns = [
@@ -65,7 +67,7 @@ def tables(summary: Summary) -> list[Table]:
 def headline(summary: Summary) -> str:
     """The result in words, computed."""
     runs = summary["sweep"]["runs"]
-    parts = [f"{runs['all']} runs, {runs['failed']} of them ended by an error"]
+    parts = [f"{runs['all']} runs, {runs['failed']} of them ended by an error, {runs['stopped']} stopped by the guard"]
     if runs["lost"]:
         parts[0] += (
             f" ({runs['lost']} because their worker died; starting the sweep again tries these once more)"

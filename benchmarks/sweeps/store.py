@@ -185,7 +185,9 @@ class Store:
             last = min(first + BLOCK, len(self.plan)) - 1
             parts = [read_records(path) for path, (a, b) in self._shards.items() if a <= last and b >= first]
             gone = [
-                {"index": i, "error": why, "figures": {}} for i, why in lost.items() if first <= i <= last
+                {"index": i, "ended": "failed", "error": why, "figures": {}}
+                for i, why in lost.items()
+                if first <= i <= last
             ]
             block = pa.concat_tables([*parts, record_table(gone, self.plan.metrics)])
             inside = pc.and_(pc.greater_equal(block["index"], first), pc.less_equal(block["index"], last))

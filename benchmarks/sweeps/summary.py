@@ -28,7 +28,8 @@ MAX_GROUPS = 200
 ACCURACY = 0.01
 QUANTILES = {"p05": 0.05, "p50": 0.50, "p95": 0.95}
 SHARED = "timing_shared"
-KEYS = ("index", "run", "solver", "seed", "error", SHARED)
+KEYS = ("index", "run", "solver", "seed", "ended", "error", SHARED)
+ENDINGS = ("stopped", "oscillated")
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,8 @@ def summarise(
 ) -> dict[str, dict[str, Any]]:
     """Runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
 
+    Runs that were stopped are counted, and enter no metric: theirs are figures of a part.
+
     Args:
         folder: of a finished sweep.
         by: columns whose values make the groups.
@@ -50,7 +53,8 @@ def summarise(
         alone: only runs whose times were taken with no other run on the machine.
 
     Returns:
-        "value, value" of the columns ``by`` -> {"runs": .., "failed": .., metric: {..}}, in order of appearance.
+        "value, value" of the columns ``by`` -> {"runs": .., "failed": .., "stopped": .., "oscillated": ..,
+        metric: {..}}, in order of appearance.
 
     Raises:
         StoreError: the sweep is not finished, or its table is damaged.
@@ -68,7 +72,7 @@ def summarise(
                     raise UnknownNameError("column", name, names)
             metrics = figure_columns(data.schema_arrow, by)
             groups = Groups(metrics)
-            beside = [name for name in ("error", SHARED) if name in names and name not in by]
+            beside = [name for name in ("ended", "error", SHARED) if name in names and name not in by]
             for batch in _batches(data, [*by, *beside, *metrics]):
                 groups.add(batch.filter(pc.invert(batch.column(SHARED))) if alone else batch, by)
     except (OSError, pa.ArrowException) as error:
@@ -117,6 +121,7 @@ class Groups:
         self._place: dict[tuple[Any, ...], int] = {}
         self._runs: Array = np.zeros(0)
         self._failed: Array = np.zeros(0)
+        self._ended: Array = np.zeros((0, len(ENDINGS)))
         self._count: Array = np.zeros((0, len(metrics)))
         self._total: Array = np.zeros((0, len(metrics)))
         self._min: Array = np.zeros((0, len(metrics)))
@@ -139,9 +144,16 @@ class Groups:
                 place,
                 batch.column("error").is_valid().to_numpy(zero_copy_only=False).astype(np.float64),
             )
+        stopped = np.zeros(len(place), dtype=np.bool_)
+        if "ended" in batch.schema.names:
+            for e, ending in enumerate(ENDINGS):
+                begins = pc.fill_null(pc.starts_with(batch.column("ended"), ending), False)
+                is_so = begins.to_numpy(zero_copy_only=False)
+                np.add.at(self._ended[:, e], place[is_so], 1.0)
+                stopped |= is_so & (ending == "stopped")
         for m, name in enumerate(self.metrics):
             values = batch.column(name).to_numpy(zero_copy_only=False).astype(np.float64)
-            there = np.isfinite(values)
+            there = np.isfinite(values) & ~stopped
             values, where = values[there], place[there]
             np.add.at(self._count[:, m], where, 1.0)
             np.add.at(self._total[:, m], where, values)
@@ -154,6 +166,7 @@ class Groups:
         found: dict[str, dict[str, Any]] = {}
         for key, g in self._place.items():
             figures: dict[str, Any] = {"runs": int(self._runs[g]), "failed": int(self._failed[g])}
+            figures |= {ending: int(self._ended[g, e]) for e, ending in enumerate(ENDINGS)}
             for m, name in enumerate(self.metrics):
                 count = self._count[g, m]
                 if count == 0.0:
@@ -176,6 +189,7 @@ class Groups:
                 return np.concatenate([array, np.full((more, *array.shape[1:]), fill, dtype=array.dtype)])
 
             self._runs, self._failed = longer(self._runs, 0.0), longer(self._failed, 0.0)
+            self._ended = longer(self._ended, 0.0)
             self._count, self._total = longer(self._count, 0.0), longer(self._total, 0.0)
             self._min, self._max = longer(self._min, np.inf), longer(self._max, -np.inf)
             self._histogram = longer(self._histogram, 0)

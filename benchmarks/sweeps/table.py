@@ -31,6 +31,7 @@ def record_schema(metrics: Sequence[str]) -> pa.Schema:
     return pa.schema(
         [
             ("index", pa.int64()),
+            ("ended", pa.string()),
             ("error", pa.string()),
             ("timing_shared", pa.bool_()),
             ("wall_s", pa.float64()),
@@ -45,7 +46,7 @@ def rows_schema(plan: Plan) -> pa.Schema:
     fields = [(path, column_type(values[path])) for path in plan.fields]
     figures = [(name, pa.float64()) for name in plan.metrics if not is_clock(name)]
     head = [("index", pa.int64()), ("run", pa.string()), ("solver", pa.string()), ("seed", pa.int64())]
-    schema = pa.schema([*head, *fields, ("error", pa.string()), *figures])
+    schema = pa.schema([*head, *fields, ("ended", pa.string()), ("error", pa.string()), *figures])
     return schema.with_metadata({PLAN_KEY: plan.digest})
 
 

@@ -3,20 +3,22 @@
 Torque and torque rate are cut. A joint may come near its limit only as fast as it can still be stopped;
 a faster one, and one above its speed limit, is braked. A measurement that cannot be true (NaN, or a jump
 that no motion explains), a torque that is no number, or a controller that breaks down ends the run: the
-drives brake, and the torque carries the arm's weight in the last pose that was believed. A tip that has been
-far off its reference for a while ends it too: an unstable loop does not go on in silence.
+drives brake, and the torque carries the arm's weight in the last pose that was believed. So does a tip that
+has been far off its reference for a while, a shaft that has been far from the registered trocar, and a trocar
+that has been pressed hard: an unstable loop, or an arm that stands against its joint limit, does not go on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
+from moc_opt.control.guard_kernels import believable, limit_torque, squared_error
+from moc_opt.control.incision import Incision
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.robots import RobotData
 from moc_opt.settings import Settings
@@ -24,6 +26,14 @@ from moc_opt.settings import Settings
 Array = NDArray[np.float64]
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
+
+
+def _none_if_infinite(value: Any) -> Any:
+    return None if isinstance(value, float) and value == float("inf") else value
+
+
+Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
+"""A level above zero; None, or in TOML ``inf``, switches it off."""
 
 
 class GuardSettings(Settings):
@@ -54,82 +64,25 @@ class GuardSettings(Settings):
         0.01, gt=0.0, description="root mean square of the tip's error: above it, the loop is out of control"
     )
     tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
+    rcm_error_m: Level = Field(
+        0.012, description="root mean square of the shaft's distance from the registered trocar: above it, stop"
+    )
+    rcm_warning_m: Level = Field(0.006, description="above it, a warning is recorded")
+    trocar_force_N: Level = Field(
+        15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
+    )
+    trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
+    incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
     stop_damping_Nm_s_per_rad: float = Field(40.0, gt=0.0, description="of the drives in a damped stop")
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
 
-
-@njit(cache=True, nogil=True)
-def limit_torque(
-    tau: Array, before: Array, q: Array, v: Array, hold: Array, limits: Array, wall: Array, step: float
-) -> int:
-    """Apply walls, speed limit, torque rate and torque limit to tau (n,), in place.
-
-    At a distance d from its wall a joint may move towards it at v_allowed = min(v_max, sqrt(2 brake d)).
-    A faster one is braked: tau <= hold - damping (v - v_allowed), and inside the wall
-    tau <= hold - stiffness depth - damping v, whatever was asked for.
-
-    Args:
-        before: (n,) torque of the last tick [Nm].
-        hold: (n,) torque that carries the arm's weight [Nm]; empty: not known yet.
-        limits: (4, n) rows q_min, q_max, v_max, tau_max.
-        wall: margin [rad], stiffness [Nm/rad], damping [Nm s/rad], brake [rad/s^2].
-        step: largest change from ``before`` [Nm].
-
-    Returns:
-        The number of joints at which something was limited; -1 where ``hold`` is empty and a joint must be
-        braked, -2 where the torque is no number. tau is as it was in both of these cases.
-    """
-    n = tau.shape[0]
-    margin, stiffness, damping, brake = wall[0], wall[1], wall[2], wall[3]
-    push = np.zeros((2, n))  # what a wall or a brake leaves of the torque above ``hold``: at least, at most
-    braked = False
-    for i in range(n):
-        if not np.isfinite(tau[i]):
-            return -2
-        push[0, i], push[1, i] = -np.inf, np.inf
-        below, above = q[i] - limits[0, i] - margin, limits[1, i] - margin - q[i]
-        fall = min(limits[2, i], np.sqrt(2.0 * brake * max(below, 0.0)))
-        rise = min(limits[2, i], np.sqrt(2.0 * brake * max(above, 0.0)))
-        if below < 0.0 or v[i] < -fall:
-            push[0, i] = stiffness * max(-below, 0.0) - damping * min(v[i] + fall, 0.0)
-            braked = True
-        if above < 0.0 or v[i] > rise:
-            push[1, i] = -stiffness * max(-above, 0.0) - damping * max(v[i] - rise, 0.0)
-            braked = True
-        if push[0, i] > push[1, i]:  # leaving a wall too fast already: neither spring nor brake
-            push[0, i] = push[1, i] = 0.0
-    if braked and hold.shape[0] != n:
-        return -1
-    touched = 0
-    for i in range(n):
-        asked = tau[i]
-        if braked:
-            tau[i] = max(min(tau[i], hold[i] + push[1, i]), hold[i] + push[0, i])
-        tau[i] = min(max(tau[i], before[i] - step), before[i] + step)
-        tau[i] = min(max(tau[i], -limits[3, i]), limits[3, i])
-        if tau[i] != asked:
-            touched += 1
-    return touched
-
-
-@njit(cache=True, nogil=True)
-def believable(
-    q: Array, v: Array, q_before: Array, jump: float, ticks: int, per_tick: Array, fastest: Array
-) -> bool:
-    """Whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest; NaN never is."""
-    for i in range(q.shape[0]):
-        if not (abs(q[i] - q_before[i]) <= jump + ticks * per_tick[i] and abs(v[i]) <= fastest[i]):
-            return False
-    return True
-
-
-@njit(cache=True, nogil=True)
-def squared_error(tip: Array, tip_ref: Array) -> float:
-    """|tip - X_d|^2 [m^2], X_d the first row of tip_ref (3, 3)."""
-    square = 0.0
-    for i in range(3):
-        square += (tip[i] - tip_ref[0, i]) ** 2
-    return square
+    @model_validator(mode="after")
+    def _warned_before_it_stops(self) -> Self:
+        for warning, limit in (("rcm_warning_m", "rcm_error_m"), ("trocar_force_warning_N", "trocar_force_N")):
+            low, high = getattr(self, warning), getattr(self, limit)
+            if low is not None and high is not None and low > high:
+                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give a lower one")
+        return self
 
 
 class Guard:
@@ -141,6 +94,8 @@ class Guard:
         period: control period [s].
         gravity: q (n,) [rad] -> torque (n,) [Nm] that carries the arm's weight (``RobotModel.gravity``); None for
             drives that carry it by themselves.
+        tool_pose: q (n,) [rad] -> (4, 3) axes and tip of the tool (``RobotModel.tool_pose``); None for an arm
+            that is in no incision: nothing is known of a trocar then.
     """
 
     def __init__(
@@ -149,6 +104,7 @@ class Guard:
         settings: GuardSettings,
         period: float,
         gravity: Callable[[Array], Array] | None = None,
+        tool_pose: Callable[[Array], Array] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
         self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
@@ -164,6 +120,11 @@ class Guard:
         self._gravity = gravity
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
+        self._incision = None if tool_pose is None else Incision(
+            tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
+            settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
+            (settings.trocar_force_warning_N, settings.trocar_force_N),
+        )  # fmt: skip
         self._believe_anew(np.zeros(data.n), np.zeros(data.n))
 
     def _believe_anew(self, q: Array, v: Array) -> None:
@@ -183,6 +144,9 @@ class Guard:
         self.limit(self._rest, self._rest, q, v)
         self.follow(np.zeros(3), np.zeros((3, 3)))
         self.limited = 0
+        if self._incision is not None:
+            self._incision.look(q, np.zeros((2, 3)), np.zeros(6))
+            self._incision.forget()
 
     def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
         """The measurement, or the last believed one moved on where this one cannot be true."""
@@ -200,6 +164,18 @@ class Guard:
         self._square += self._share * (squared_error(tip, tip_ref) - self._square)
         if not self._square <= self._most:
             self.give_up(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
+
+    def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
+        """Take note of the incision; arguments as for ``Incision.look``."""
+        if self._incision is not None:
+            reason = self._incision.look(q, trocar, wrench)
+            if reason:
+                self.give_up(reason)
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What was above its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        return [] if self._incision is None else self._incision.warnings(self._period)
 
     @property
     def bad_ticks(self) -> int:

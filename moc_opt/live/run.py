@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.guard import Guard
 from moc_opt.control.settings import Gains
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.live.history import History, thinned
@@ -30,7 +29,7 @@ from moc_opt.live.orders import (
 )
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.report.swivel import Elbow
-from moc_opt.scenario import Scenario, Setup, make_solver
+from moc_opt.scenario import Safe, Scenario, Setup, make_guard, make_solver, make_stop
 from moc_opt.selfmotion import self_motion
 from moc_opt.tasks.trocar import shaft_distance
 
@@ -80,7 +79,7 @@ class LiveRun:
         wrist = self.robot.state(self._setup.q_start).wrist
         self._elbow = Elbow(self.robot, wrist[None])
         self._elbow_link = child_link(self.robot, self._elbow.joint)
-        self._guard = Guard(self.robot.data, scenario.guard, self.period_s, self.robot.gravity)
+        self._guard, self._stop = make_guard(self.robot, scenario), make_stop(scenario)
         self._truth = np.empty(2 * self.robot.n + 9)
         self._controller, self._used = self._build(self._control, self._name), (self._name, self._control)
         self._waiting: tuple[Controller, tuple[str, ControlSettings]] | None = None
@@ -206,38 +205,45 @@ class LiveRun:
         self._offset, self._sent = np.zeros(self.robot.n), np.array(self._plant.applied_torque)
         self._waiting = self._waiting or (self._controller, self._used)
         self._now = self._trocar.step(self.period_s), self._registered.step(self.period_s)
-        seen = self._plant.measure()
-        self._guard.start(seen.q, seen.v)
-        state = self.robot.state(seen.q, seen.v)
+        seen, tip_ref = self._plant.measure(), self.reference.rows(0.0)
+        self._safe, self._halt_at = Safe(_Pilot(self), self._guard, self._sent), -1
+        self._safe.start(seen, tip_ref, self._now[1])
+        state = self._state = self.robot.state(seen.q, seen.v)
         with self._lock:
             self._history.clear()
-        self._show(state, self.reference.rows(0.0)[0], self._now[0][0])
+        self._show(state, tip_ref[0], self._now[0][0])
 
     def _tick(self) -> None:
         seen, t = self._plant.measure(), self._ticks * self.period_s
         tip_ref, (trocar, registered) = self.reference.rows(t), self._now
         begin = perf_counter_ns()
-        q, v = self._guard.believe(seen.q, seen.v)
-        state = self.robot.state(q, v)
-        if self._waiting is not None:
-            self._take_over(*self._waiting, state, tip_ref, registered)
-        asked = self._controller.tick(state, tip_ref, registered) + self._offset
-        tau = self._guard.limit(asked, self._sent, q, v)
+        self._sent = self._safe.tick(seen, tip_ref, registered)
         tick_us = (perf_counter_ns() - begin) * 1e-3
-        if self._guard.lost:
-            self._halt("the guard stopped it: measurements or torques that cannot be")
-            return
-        if self._guard.limited or self._offset.any():
-            self._controller.sent(tau)
-        self._sent = tau
+        if self._safe.lost and self._halt_at < 0:
+            self._plant.brake(self._stop.damping)
+            self._halt_at = self._ticks + round(self._stop.seconds / self.period_s)
         self._fade()
         self._plant.write_truth(self._truth)
-        self._note(t, state, tip_ref[0], trocar[0], tick_us)
-        self._plant.step(tau, trocar)
+        self._note(t, self._state, tip_ref[0], trocar[0], tick_us)
+        self._plant.step(self._sent, trocar)
         self._ticks += 1
         self._now = self._trocar.step(self.period_s), self._registered.step(self.period_s)
         if self._ticks == self._push_until:
             self._plant.clear_pushes(self._elbow_link)
+        if self._ticks == self._halt_at:
+            self._halt(self._safe.lost)
+
+    def _asked(self, q: Array, v: Array, tip_ref: Array, registered: Array) -> Array:
+        """The torque of the controller in use, blended with that of the one before."""
+        state = self._state = self.robot.state(q, v)
+        if self._waiting is not None:
+            self._take_over(*self._waiting, state, tip_ref, registered)
+        asked = self._controller.tick(state, tip_ref, registered)
+        if not self._offset.any():
+            return asked
+        asked = asked + self._offset
+        self._controller.sent(asked)
+        return asked
 
     def _take_over(
         self,
@@ -333,3 +339,26 @@ class LiveRun:
             self._waiting = controller, (name, control)
 
         self._todo.put(exchange)
+
+
+class _Pilot:
+    """A live run as its guarded loop calls it."""
+
+    def __init__(self, run: LiveRun) -> None:
+        self._run = run
+
+    @property
+    def tip(self) -> Array:
+        """Where the last tick saw the tip (3,) [m]."""
+        return self._run._state.tip
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Nothing: the controller starts at its first tick, when it takes over."""
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """See ``sim.safe.Pilot``."""
+        return self._run._asked(q, v, tip_ref, trocar)
+
+    def sent(self, tau: Array) -> None:
+        """See ``sim.safe.Pilot``."""
+        self._run._controller.sent(tau)

@@ -7,15 +7,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import MocOptError, PlantError
+from moc_opt.errors import PlantError
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.sensors import Measurement
+from moc_opt.sim.safe import Brain, Safe, Watchdog
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace import Trace
 
@@ -28,66 +28,6 @@ class RunAway(PlantError):
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
         self.trace = trace
-
-
-class Brain(Protocol):
-    """What the loop asks of a controller: a torque, and what to write down about the third level."""
-
-    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Get ready at the first measurement."""
-        ...
-
-    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
-        ...
-
-    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write this tick's own columns."""
-        ...
-
-    def sent(self, tau: Array) -> None:
-        """Take note of the torque (n,) [Nm] that really went out, where the guard changed it."""
-        ...
-
-    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """Empty arrays for the columns that ``note`` fills."""
-        ...
-
-
-class Watchdog(Protocol):
-    """What the loop asks of a guard (``moc_opt.control.guard.Guard``)."""
-
-    @property
-    def lost(self) -> bool:
-        """Whether it is time to stop: ``reason`` says why."""
-        ...
-
-    def give_up(self, reason: str) -> None:
-        """Order the stop."""
-        ...
-
-    def follow(self, tip: Array, tip_ref: Array) -> None:
-        """Take note of where the brain sees the tip (3,), and where it should be, (3, 3) rows X_d, dX_d, ddX_d."""
-        ...
-
-    def rest(self, before: Array) -> Array:
-        """The torque (n,) [Nm] of a damped stop, ``before`` being the last one sent."""
-        ...
-
-    def start(self, q: Array, v: Array) -> None:
-        """Believe the first measurement."""
-        ...
-
-    def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The measurement, or what stands in for one that cannot be true."""
-        ...
-
-    def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
-        """The torque within its limits; ``limited`` says whether they acted."""
-        ...
-
-    limited: int
-    reason: str
 
 
 class Touched(NamedTuple):
@@ -146,50 +86,6 @@ _STOPPED = {
 }  # fmt: skip
 
 
-class _Safe:
-    """A brain behind its guard; without one, the brain alone."""
-
-    def __init__(self, brain: Brain, guard: Watchdog | None, sent: Array) -> None:
-        self._brain, self._guard, self._sent = brain, guard, sent
-        self._sees_tip = hasattr(brain, "tip")  # a brain may say where it sees the tip (3,) [m]
-
-    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        self._brain.start(seen.q, seen.v, tip_ref, trocar)
-        if self._guard is not None:
-            self._guard.start(seen.q, seen.v)
-
-    @property
-    def lost(self) -> str:
-        """Why the arm has to be stopped; empty while it has not."""
-        return "" if self._guard is None else self._guard.reason
-
-    @property
-    def limited(self) -> int:
-        return 0 if self._guard is None else self._guard.limited
-
-    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        guard = self._guard
-        if guard is None:
-            return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
-        if not guard.lost:
-            q, v = guard.believe(seen.q, seen.v)
-        if not guard.lost:
-            try:
-                asked = self._brain.tick(q, v, tip_ref, trocar)
-                if self._sees_tip:
-                    guard.follow(self._brain.tip, tip_ref)  # type: ignore[attr-defined]
-            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
-                guard.give_up(f"the controller failed: {error}")
-            else:
-                tau = guard.limit(asked, self._sent, q, v)
-                if guard.limited:
-                    self._brain.sent(tau)
-        if guard.lost:
-            tau = guard.rest(self._sent)
-        self._sent = tau
-        return tau
-
-
 def simulate(
     plant: Plant,
     brain: Brain,
@@ -222,7 +118,8 @@ def simulate(
 
     Returns:
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
-        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when.
+        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["ticks"]`` of
+        ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, is what the guard warned of.
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
@@ -237,7 +134,7 @@ def simulate(
     }  # fmt: skip
     truth, wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
     torques, tick_us, limited = kept["tau_Nm"], kept["tick_us"], kept["limited"]
-    safe = _Safe(brain, guard, np.array(plant.applied_torque))
+    safe = Safe(brain, guard, np.array(plant.applied_torque))
     seen = plant.measure()
     safe.start(seen, tip_refs[0], registered[0])
     ended, stop_at, broken = "completed", ticks - 1, None
@@ -278,7 +175,12 @@ def simulate(
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
     registered_m = kept["trocar_registered_m"]
     kept["rcm_error_registered_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], registered_m)
-    trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **stopped, **(meta or {})})
+    found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": ended, **stopped}
+    found |= {"ticks": stop_at + 1, "ticks_planned": ticks}
+    if safe.warnings:
+        begin_s = float(kept["t_s"][0])
+        found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in safe.warnings]
+    trace = Trace(kept, {**found, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken
     return trace

@@ -1,0 +1,180 @@
+"""What an arm can know of its incision: how far the shaft passes from the registered trocar, and the trocar's force.
+
+The force comes from the six-axis sensor at the tool's mount. In tool axes (z along the shaft, L from mount to tip, the
+trocar a depth d before the tip) the tool's own weight is taken off the reading; what is left across the shaft are the
+forces of the trocar, f, and of what the tip touches, g:
+
+    force = f + g,   torque about the mount = (L - d) z x f + L z x g,   hence   f = (L force - torque x z) / d
+
+Nearer to the tip than ``SHORTEST_DEPTH_M`` the two cannot be told apart, and the whole force counts as the trocar's.
+The tool's inertia force is left in: some 0.3 N for each m/s^2 of the default tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import float64, njit
+from numpy.typing import NDArray
+
+from moc_opt.compiled import MATRIX, VECTOR, Entry
+
+Array = NDArray[np.float64]
+
+SHORTEST_DEPTH_M = 0.05
+_GRAVITY_M_PER_S2 = 9.81
+
+
+@njit(cache=True, nogil=True)
+def rcm_error(pose: Array, point: Array) -> float:
+    """Distance of the shaft's line from the trocar P [m].
+
+    Args:
+        pose: (4, 3) rows: the tool's axes x, y, z (along the shaft), and its tip X [m].
+        point: (3,) P [m].
+    """
+    square = 0.0
+    for axis in range(2):
+        across = 0.0
+        for i in range(3):
+            across += pose[axis, i] * (point[i] - pose[3, i])
+        square += across * across
+    return float(np.sqrt(square))
+
+
+@njit(cache=True, nogil=True)
+def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: float) -> float:
+    """Force of the trocar on the shaft, across it [N]; NaN where the sensor's reading is no number.
+
+    Args:
+        pose: (4, 3) as for ``rcm_error``.
+        point: (3,) the trocar P [m].
+        wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+        mass: of the tool, a uniform rod [kg].
+        length: L, from its mount to its tip [m].
+    """
+    depth = 0.0
+    for i in range(3):
+        depth += pose[2, i] * (pose[3, i] - point[i])
+    weight_x, weight_y = -mass * _GRAVITY_M_PER_S2 * pose[0, 2], -mass * _GRAVITY_M_PER_S2 * pose[1, 2]
+    force_x, force_y = wrench[0] - weight_x, wrench[1] - weight_y
+    if depth >= SHORTEST_DEPTH_M:
+        # torque x z; the weight acts in the middle of the rod
+        moment_x, moment_y = wrench[4] - 0.5 * length * weight_x, -wrench[3] - 0.5 * length * weight_y
+        force_x, force_y = (length * force_x - moment_x) / depth, (length * force_y - moment_y) / depth
+    return float(np.sqrt(force_x * force_x + force_y * force_y))
+
+
+_QUIET, _LOUD, _DEAF = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def _take(
+    pose: Array, trocar: Array, wrench: Array, mass: float, length: float, share: float, loud: Array, means: Array
+) -> int:
+    """Move both mean squares on; whether one is above ``loud`` (2,), or the sensor's reading is no number."""
+    point = trocar[0]
+    distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, mass, length)
+    means[0] += share * (distance * distance - means[0])
+    if not np.isfinite(force):
+        return _DEAF
+    means[1] += share * (force * force - means[1])
+    return _QUIET if means[0] <= loud[0] and means[1] <= loud[1] else _LOUD
+
+
+_TAKE = Entry(_take, MATRIX, MATRIX, VECTOR, float64, float64, float64, VECTOR, VECTOR)
+
+
+@dataclass
+class Watched:
+    """One root mean square with a warning level and a limit; None: off."""
+
+    name: str
+    unit: str
+    scale: float
+    """from SI to ``unit``"""
+    warning: float | None
+    limit: float | None
+    first_tick: int = -1
+    largest: float = 0.0
+
+    @property
+    def loud(self) -> float:
+        """Square of the lower of both levels; infinite where both are off."""
+        return min((level**2 for level in (self.warning, self.limit) if level is not None), default=np.inf)
+
+    def take(self, value: float, tick: int) -> str:
+        """Note the value; the reason to stop where it is above the limit."""
+        if self.warning is not None and value > self.warning:
+            self.first_tick = tick if self.first_tick < 0 else self.first_tick
+            self.largest = max(self.largest, value)
+        if self.limit is None or value <= self.limit:
+            return ""
+        return f"{self.name} has been above {self.scale * self.limit:g} {self.unit}"
+
+
+class Incision:
+    """Root mean squares, over a time constant, of RCM error and trocar force, against their levels.
+
+    Args:
+        tool_pose: q (n,) [rad] -> (4, 3), ``RobotModel.tool_pose``.
+        tool: mass [kg] and length [m] of the tool.
+        share: control period over the time constant.
+        patience_ticks: readings of the wrench sensor in a row that may be no numbers.
+        rcm: warning level and limit of the RCM error against the registered trocar [m]; None: off.
+        force: the same of the trocar's force [N].
+    """
+
+    def __init__(
+        self,
+        tool_pose: Callable[[Array], Array],
+        tool: tuple[float, float],
+        share: float,
+        patience_ticks: int,
+        rcm: tuple[float | None, float | None],
+        force: tuple[float | None, float | None],
+    ) -> None:
+        self._pose, self._tool, self._share, self._patience = tool_pose, tool, share, patience_ticks
+        self._levels = (("the RCM error", "mm", 1e3, *rcm), ("the trocar's force", "N", 1.0, *force))
+        self._take = _TAKE.code
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: nothing seen yet."""
+        self._means, self._tick, self._deaf = np.zeros(2), -1, 0
+        self._watched = [Watched(*given) for given in self._levels]
+        self._loud = np.array([watched.loud for watched in self._watched])
+
+    def look(self, q: Array, trocar: Array, wrench: Array) -> str:
+        """Take in one tick; the reason to stop, or nothing.
+
+        Args:
+            q: (n,) believed pose [rad].
+            trocar: (2, 3) rows P_t, dP_t, as registered.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+        """
+        self._tick += 1
+        found = self._take(self._pose(q), trocar, wrench, *self._tool, self._share, self._loud, self._means)
+        if found == _QUIET:
+            self._deaf = 0
+            return ""
+        self._deaf = self._deaf + 1 if found == _DEAF else 0
+        if self._deaf > self._patience and np.isfinite(self._loud[1]):
+            return "the wrench sensor's readings are no numbers"
+        reason = ""
+        for watched, square in zip(self._watched, self._means.tolist(), strict=True):
+            reason = reason or watched.take(square**0.5, self._tick)
+        return reason
+
+    def warnings(self, period: float) -> list[dict[str, Any]]:
+        """What has been above its warning level: name, when first [s], and the largest value."""
+        return [
+            {
+                "of": w.name, "first_s": w.first_tick * period, "largest": w.scale * w.largest, "unit": w.unit,
+                "level": w.scale * w.warning,
+            }
+            for w in self._watched if w.warning is not None and w.first_tick >= 0
+        ]  # fmt: skip

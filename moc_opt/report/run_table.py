@@ -1,0 +1,48 @@
+"""One run as a table and as JSON: how it ended comes first, and figures of a part say that they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from moc_opt.report.tables import Column, Table
+from moc_opt.trace import Trace
+
+WHOLE_RUN = ("completed", "share_of_run")
+
+
+def part(trace: Trace) -> str:
+    """ " (first 0.6 s of 8.0 s)" where the run was broken off; empty where it is whole."""
+    ticks, planned = (trace.meta.get(name) for name in ("ticks", "ticks_planned"))
+    period = trace.meta.get("period_s")
+    if ticks is None or planned is None or period is None or ticks >= planned:
+        return ""
+    return f" (first {ticks * period:.1f} s of {planned * period:.1f} s)"
+
+
+def warnings(trace: Trace) -> list[str]:
+    """A sentence on each warning of the guard."""
+    return [
+        f"warning: {w['of']} was above {w['level']:g} {w['unit']} from t = {w['first_s']:.3f} s on, "
+        f"{w['largest']:.3g} {w['unit']} at most"
+        for w in trace.meta.get("warnings", [])
+    ]
+
+
+def run_table(name: str, trace: Trace, metrics: Mapping[str, float]) -> Table:
+    """Metrics of one run, the ending in the first row; of a broken-off run every figure is marked as of a part."""
+    of = part(trace)
+    rows: list[dict[str, Any]] = [{"metric": "ended", "value": str(trace.meta.get("ended", "unknown"))}]
+    for metric, value in metrics.items():
+        rows.append({"metric": metric if metric in WHOLE_RUN else metric + of, "value": value})
+    columns = [Column("metric", "metric"), Column("value", "value")]
+    return Table(f"{name}{of}", columns, rows, caption="\n".join(warnings(trace)))
+
+
+def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
+    """``ended`` first, ``part`` of a broken-off run, the metrics, and the guard's ``warnings``."""
+    of = part(trace).strip(" ()")
+    return {
+        "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}), **metrics,
+        "warnings": trace.meta.get("warnings", []),
+    }  # fmt: skip

@@ -1,0 +1,146 @@
+"""A controller behind its guard, as every closed loop calls it: simulation, procedure and live page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import MocOptError
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+
+
+class Pilot(Protocol):
+    """A controller as a guarded loop calls it."""
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Get ready at the first measurement."""
+        ...
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """Torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
+        ...
+
+    def sent(self, tau: Array) -> None:
+        """Take note of the torque (n,) [Nm] that really went out, where the guard changed it."""
+        ...
+
+
+class Brain(Pilot, Protocol):
+    """What a recorded loop asks of a controller beside its torque: what to write down about the third level."""
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write this tick's own columns."""
+        ...
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """Empty arrays for the columns that ``note`` fills."""
+        ...
+
+
+class Watchdog(Protocol):
+    """What the loop asks of a guard (``moc_opt.control.guard.Guard``)."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether it is time to stop: ``reason`` says why."""
+        ...
+
+    def give_up(self, reason: str) -> None:
+        """Order the stop."""
+        ...
+
+    def follow(self, tip: Array, tip_ref: Array) -> None:
+        """Take note of where the brain sees the tip (3,), and where it should be, (3, 3) rows X_d, dX_d, ddX_d."""
+        ...
+
+    def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
+        """Take note of the incision: believed q (n,), registered trocar (2, 3), and wrench at the tool's mount (6,)."""
+        ...
+
+    def rest(self, before: Array) -> Array:
+        """The torque (n,) [Nm] of a damped stop, ``before`` being the last one sent."""
+        ...
+
+    def start(self, q: Array, v: Array) -> None:
+        """Believe the first measurement."""
+        ...
+
+    def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """The measurement, or what stands in for one that cannot be true."""
+        ...
+
+    def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+        """The torque within its limits; ``limited`` says whether they acted."""
+        ...
+
+    limited: int
+    reason: str
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What was above a warning level since the start, as JSON values."""
+        ...
+
+
+class Safe:
+    """A brain behind its guard; without one, the brain alone.
+
+    Args:
+        brain: the controller.
+        guard: holds limits and judges measurements; None: neither.
+        sent: (n,) the last torque that went out [Nm].
+    """
+
+    def __init__(self, brain: Pilot, guard: Watchdog | None, sent: Array) -> None:
+        self._brain, self._guard, self._sent = brain, guard, sent
+        self._sees_tip = hasattr(brain, "tip")  # a brain may say where it sees the tip (3,) [m]
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Believe the first measurement, and get the brain ready at it."""
+        self._brain.start(seen.q, seen.v, tip_ref, trocar)
+        if self._guard is not None:
+            self._guard.start(seen.q, seen.v)
+
+    @property
+    def lost(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+        return "" if self._guard is None else self._guard.reason
+
+    @property
+    def limited(self) -> int:
+        """Joints at which the guard changed the last torque."""
+        return 0 if self._guard is None else self._guard.limited
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """See ``Watchdog``."""
+        return [] if self._guard is None else self._guard.warnings
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Torque (n,) [Nm] for this period, within its limits; that of a damped stop once the arm is lost."""
+        guard = self._guard
+        if guard is None:
+            return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
+        if not guard.lost:
+            q, v = guard.believe(seen.q, seen.v)
+            guard.feel(q, trocar, seen.force)
+        if not guard.lost:
+            try:
+                asked = self._brain.tick(q, v, tip_ref, trocar)
+                if self._sees_tip:
+                    guard.follow(self._brain.tip, tip_ref)  # type: ignore[attr-defined]
+            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                guard.give_up(f"the controller failed: {error}")
+            else:
+                tau = guard.limit(asked, self._sent, q, v)
+                if guard.limited:
+                    self._brain.sent(tau)
+        if guard.lost:
+            tau = guard.rest(self._sent)
+        self._sent = tau
+        return tau

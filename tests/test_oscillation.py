@@ -1,0 +1,133 @@
+"""Oscillation: found where it is, in synthetic traces and in runs, and not found in sound ones."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import TraceError
+from moc_opt.oscillation import (
+    ABOVE_HZ,
+    LIMIT_NM,
+    LIMIT_RAD_PER_S,
+    START_S,
+    describe,
+    judged_for_oscillation,
+    shaking,
+)
+from moc_opt.scenario import Scenario, run
+from moc_opt.trace import MissingDataError, Trace
+
+PERIOD = 0.002
+NAMES = tuple(f"joint_{i}" for i in range(1, 8))
+QUICK = {"bound_samples": 0, "judge": False}
+
+
+def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
+    """A slow motion of every joint, and a shaking one of one joint, in the chosen part of the time."""
+    t = period * np.arange(ticks)
+    columns = {
+        "t_s": t, "v_rad_per_s": 0.5 * np.sin(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
+        "tau_Nm": 40.0 * np.cos(2.0 * np.pi * 0.5 * t)[:, None] * np.ones(7),
+    }  # fmt: skip
+    shape = np.ones(ticks) if where is None else (where[0] <= t) & (t < where[1])
+    columns[column][:, joint] += amplitude * shape * np.sin(2.0 * np.pi * hertz * t)
+    return Trace(columns, {"ended": "completed", "period_s": period})
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    joint=st.integers(0, 6), amplitude=st.floats(0.3, 5.0), hertz=st.floats(16.0, 200.0),
+    period=st.sampled_from([0.001, 0.002]),
+)  # fmt: skip
+def test_joint_size_and_frequency_are_found(joint, amplitude, hertz, period):
+    """On top of a motion of 0.5 rad/s; whatever the control period."""
+    found = shaking(made(joint, amplitude, hertz, ticks=round(3.0 / period), period=period), "v_rad_per_s")
+    assert found.joint == joint
+    assert found.rms == pytest.approx(amplitude / np.sqrt(2.0), rel=0.15)
+    assert found.frequency_Hz == pytest.approx(hertz, abs=1.0)
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+@pytest.mark.parametrize(("column", "limit"), [("v_rad_per_s", LIMIT_RAD_PER_S), ("tau_Nm", LIMIT_NM)])
+def test_the_limits_hold_on_both_sides(factor, column, limit):
+    trace = made(3, factor * np.sqrt(2.0) * limit, 71.0, column)
+    said = judged_for_oscillation(trace, NAMES).meta["ended"]
+    if factor < 1.0:
+        assert said == "completed"
+    else:
+        unit = "rad/s" if column == "v_rad_per_s" else "Nm"
+        assert said.startswith("oscillated: joint_4 at 71 Hz, ")
+        assert said.endswith(f" {unit}")
+
+
+def test_what_a_task_does_is_no_oscillation():
+    """However large: 1 rad/s at up to a quarter of the band's edge; and a start that jerks."""
+    for hertz in (0.2, 1.0, ABOVE_HZ / 4.0):
+        assert describe(made(2, 1.0, hertz, ticks=3000), NAMES) == ""
+    assert describe(made(2, 3.0, 40.0, where=(0.0, 0.9 * START_S)), NAMES) == ""
+    assert describe(made(2, 3.0, 40.0, where=(START_S, 2.0 * START_S)), NAMES) != ""
+
+
+def test_a_second_anywhere_in_the_run_is_enough():
+    for begin in (0.5, 2.0, 7.0):
+        trace = made(6, 1.0, 47.0, ticks=4000, where=(begin, begin + 1.0))
+        assert describe(trace, NAMES).startswith("joint_7 at 47 Hz")
+
+
+def test_what_is_not_completed_stays_what_it_is_and_the_rest_of_meta_too():
+    shaken = made(0, 2.0)
+    stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
+    assert judged_for_oscillation(stopped, NAMES).meta == stopped.meta
+    assert judged_for_oscillation(shaken, NAMES).meta["period_s"] == PERIOD
+    brief = shaken.select(shaken.t_s < 0.9)
+    assert judged_for_oscillation(brief, NAMES).meta["ended"] == "completed"
+
+
+def test_what_cannot_be_judged_says_why():
+    trace = made()
+    with pytest.raises(MissingDataError, match="lie apart"):
+        shaking(trace.select(np.arange(len(trace)) % 3 == 0), "v_rad_per_s")
+    with pytest.raises(MissingDataError, match="four or more"):
+        shaking(trace.select(np.arange(len(trace)) < 3), "v_rad_per_s")
+    with pytest.raises(TraceError, match="does not increase"):
+        shaking(trace.with_columns(t_s=np.zeros(len(trace))), "v_rad_per_s")
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("changes", "joint"),
+    [
+        ({"plant": {"delay_ticks": 2}, "control": {"K_N2": 80.0, "D_N2": 1.0}}, "joint_5"),
+        ({"plant": {"friction": 0.0}, "control": {"K_N2": 80.0, "D_N2": 1.0}}, "joint_7"),
+        ({"control": {"damping": 0.0, "K_N2": 80.0, "D_N2": 1.0}}, "joint_5"),
+    ],
+    ids=["delay", "no friction", "rho = 0"],
+)
+def test_an_unsound_loop_says_so(changes, joint, seed):
+    """One gain of 80 on every joint: two ticks of delay, no friction on the idle joint, a linear problem's answer.
+
+    The limits on the incision are off: some of these runs would be stopped by them before.
+    """
+    free = {"rcm_error_m": None, "trocar_force_N": None}
+    trace = run(Scenario(seed=seed, start={"swivel": "random"}, guard=free, **changes, **QUICK))
+    assert trace.meta["ended"].startswith(f"oscillated: {joint} at "), trace.meta["ended"]
+    assert shaking(trace, "v_rad_per_s").rms > 2.0 * LIMIT_RAD_PER_S
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {}, {"control": {"preset": "tuned"}}, {"control": {"preset": "robust"}}, {"control": {"law": "dcac"}},
+        {"control": {"preset": "paper", "law": "dcac"}}, {"solver": {"name": "rnn"}}, {"faults": {"bump_N": 60.0}},
+        {"faults": {"encoder_noise_rad": 1e-4}}, {"plant": {"preset": "nominal"}},
+        {"control": {"preset": "tuned"}, "plant": {"delay_ticks": 3}},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_sound_runs_keep_their_distance_from_the_limits(changes):
+    for seed in (0, 2):
+        trace = run(Scenario(seed=seed, start={"swivel": "random"}, **changes, **QUICK))
+        assert trace.meta["ended"] == "completed"
+        assert shaking(trace, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S
+        assert shaking(trace, "tau_Nm").rms < 0.5 * LIMIT_NM
