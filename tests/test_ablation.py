@@ -147,6 +147,8 @@ def test_what_decides_follows_from_the_numbers(made):
     assert "decides (mu, tip, rcm, force)" in said
     assert "idle" not in said
     assert ablation.headline([]) == []
+    other = [{**row, "controller": DAMPED if row["case"] == "decides" else "exact"} for row in table]
+    assert "no exchange" in " ".join(ablation.headline(other))
 
 
 def test_trials_that_broke_off_on_one_side_are_left_out_of_the_shift(made):

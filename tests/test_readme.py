@@ -60,7 +60,7 @@ VERDICT = [
     )
 ]  # fmt: skip
 ABLATION = [
-    {"case": case, "about": about, "draw": "all", "claim": "tip", "confirmed": case == "printed",
+    {"case": case, "about": about, "controller": "exact", "draw": "all", "claim": "tip", "confirmed": case == "printed",
      "decides": case == "one"}
     for case, about in (("printed", "as printed"), ("one", "one number"), ("idle", "another lambda"))
 ]  # fmt: skip

@@ -146,8 +146,9 @@ def rows(ablation: Ablation, found: Sequence[Measurement]) -> list[dict[str, Any
                 if change is None:
                     continue
                 row = {
-                    "case": name, "about": case.about, "draw": draw, "claim": claim.name, "trials": change.samples,
-                    "confirmed": claim.confirmed(change), **change.entries("effect_percent"),
+                    "case": name, "about": case.about, "controller": case.controller, "draw": draw,
+                    "claim": claim.name, "trials": change.samples, "confirmed": claim.confirmed(change),
+                    **change.entries("effect_percent"),
                 }  # fmt: skip
                 if draw == ALL and name != printed:
                     row |= _against_printed(ablation, found, name, claim)
@@ -176,13 +177,13 @@ def _against_printed(
 
 
 def headline(table: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Which entries decide, in words, from the rows over all draws."""
+    """Which entries decide, in words, from the rows over all draws; cases of another controller are left out."""
     over_all = [row for row in table if row["draw"] == ALL]
     if not over_all:
         return []
     deciding: dict[str, list[str]] = {}
     for row in over_all:
-        if row.get("decides"):
+        if row.get("decides") and row["controller"] == over_all[0]["controller"]:
             deciding.setdefault(row["about"], []).append(row["claim"])
     held = [row["claim"] for row in over_all if row["case"] == over_all[0]["case"] and row["confirmed"]]
     sentence = f"Table I as printed, against matched DCAC over all draws: {', '.join(held) or 'no claim'} confirmed."
