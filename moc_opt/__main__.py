@@ -88,6 +88,9 @@ def run_scenario(
             raise
     if trace.meta["ended"] != "completed":
         print(f"{scenario.name}: {trace.meta['ended']}", file=sys.stderr)
+    for fault, of in trace.meta["faults"].items():
+        times = f"{of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s"
+        print(f"{scenario.name}: answer refused, {fault}: {times}: {of['first']}", file=sys.stderr)
     baseline = None
     if scenario.control.law == "moc":
         matched = {"law": "dcac", "gains": scenario.control.gains or "moc"}

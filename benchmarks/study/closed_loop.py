@@ -14,6 +14,7 @@ from benchmarks.study.store import Part, Store
 from benchmarks.study.worker import Hung, Worker, WorkerError, beat
 from benchmarks.timing import percentiles
 from moc_opt import scenario
+from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
 from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
@@ -49,6 +50,15 @@ class Run:
     metrics: Mapping[str, float]
     columns: Mapping[str, Array] = field(default_factory=dict)
     error: str | None = None
+    faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as in the trace's meta
+
+    @property
+    def raised(self) -> str:
+        """What the solver raised first, and how often it did; "" where it never did."""
+        found = self.faults.get(Fault.RAISED.label)
+        if found is None:
+            return ""
+        return f"{self.trial}, {found['count']:g} ticks, first at {found['first_at_s']:.3f} s: {found['first']}"
 
     @property
     def trace(self) -> Trace | None:
@@ -66,7 +76,8 @@ class Run:
     def row(self) -> dict[str, Any]:
         """One row of rows.parquet."""
         return {
-            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error, **self.metrics
+            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "error": self.error,
+            "raised": self.raised or None, **self.metrics,
         }  # fmt: skip
 
 
@@ -117,7 +128,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"error": None, "metrics": metrics}, arrays)
+    yield Part({"error": None, "metrics": metrics, "faults": trace.meta["faults"]}, arrays)
 
 
 def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:
@@ -157,7 +168,8 @@ def run_one(
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
             part = Part({"error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
-    return Run(label, trial.name, part.values["metrics"], part.arrays, part.values["error"])
+    values = part.values
+    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values.get("faults", {}))
 
 
 def run_all(
@@ -209,4 +221,6 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
         pooled = np.concatenate([np.empty(0), *(r.columns[column] for r in whole if column in r.columns)])
         values |= percentiles(pooled, prefix)
     errors = [run.error for run in runs if run.error]
+    raised = [run.raised for run in runs if run.raised]
+    values |= {"trouble": raised[0]} if raised else {}
     return {**values, "reason": errors[0]} if errors else values

@@ -182,8 +182,23 @@ def tables(summary: Summary) -> dict[str, Table]:
         caption="Theirs: on feasible problems of six sets through qpsolvers, five rows; ours: the same library "
         "and settings on all certified sets, ranked by how many answers are verified, then by median time. With times "
         "of microseconds and a shift of 10 s their geometric mean is an arithmetic one.")  # fmt: skip
+    told = troubles(summary)
+    if told:
+        columns = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
+        found["troubles"] = Table("What solvers raised, and who never came back", columns, told)
     add("not_run", "What could not run here", [Column("solver", "not run"), Column("reason", "reason")])
     return found
+
+
+def troubles(summary: Summary) -> list[dict[str, Any]]:
+    """A row for each solver and part in which it raised an exception, hung or crashed: the first time, in words."""
+    return [
+        {"solver": name, "part": part, "trouble": row["trouble"]}
+        for part, rows in summary.items()
+        if isinstance(rows, Mapping)
+        for name, row in rows.items()
+        if isinstance(row, Mapping) and row.get("trouble")
+    ]
 
 
 def _shares(metrics: Mapping[str, Any]) -> dict[str, Any]:

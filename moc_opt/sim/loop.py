@@ -200,7 +200,8 @@ def simulate(
 
     Returns:
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
-        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when.
+        "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["faults"]`` is what a brain
+        that counts them says of refused answers: label -> count, first_at_s, first (in words).
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
@@ -252,7 +253,9 @@ def simulate(
     kept = {name: column[: stop_at + 1] for name, column in kept.items()}
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
-    trace = Trace(kept, {"period_s": plant.settings.period_s, "ended": ended, **stopped, **(meta or {})})
+    refused = getattr(brain, "faults", {})  # of the third level, where a brain has one
+    about = {"period_s": plant.settings.period_s, "ended": ended, **stopped, "faults": refused}
+    trace = Trace(kept, {**about, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken
     return trace
