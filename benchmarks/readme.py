@@ -127,14 +127,20 @@ def speed_section(summary: Summary, environment: Summary) -> str:
         mark = " (not reached)" if goal["reached"] == "no" else ""
         lines.append(_row([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"]))
     own = _medians(summary["tick"])
-    others = _medians({f"{name} ({row['level']})": row for name, row in summary["peers"].items()})
+    daggers = {name: "†" for name, row in summary["peers"].items() if row["installed"] == "hand"}
+    peers = {f"{name}{daggers.get(name, '')} ({row['level']})": row for name, row in summary["peers"].items()}
+    others = _medians(peers)
+    notes = ["† not installed by `make`: built by hand on the machine of this run."] if daggers else []
+    absent = {key.removeprefix("peer "): row["reason"] for key, row in summary["not_run"].items() if key[:5] == "peer "}
+    notes += [f"Not measured in this run: {name} ({reason})." for name, reason in absent.items()]
     return f"""\
 `python -m benchmarks.speed` ({_where(environment)}), all in one run:
 
 {chr(10).join(lines)}
 
 Median of our tick by solver, and in C [us]: {own}.
-Median of other libraries' ticks at the same job [us]: {others or "none is installed"}."""
+Median of other libraries' ticks at the same job [us]: {others or "none is installed"}.
+{chr(10).join(notes)}""".rstrip()
 
 
 def _medians(rows: Mapping[str, Mapping[str, float]]) -> str:
@@ -179,7 +185,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _where(environment: Summary) -> str:
     machine = environment["machine"]
-    what = f"{machine['cores']} cores, {machine['processor']}, one thread, load {machine['load_1min']:.1f}"
+    threads = environment["threads"]
+    own = "one thread unless said otherwise" if threads == "1" else f"OMP_NUM_THREADS {threads or 'not set'}"
+    what = f"{machine['cores']} cores, {machine['processor']}, {own}, load {machine['load_1min']:.1f}"
     return f"{what}, Python {machine['python']}, seed {environment['seed']}"
 
 

@@ -13,6 +13,7 @@ from moc_opt.sim.loop import no_collector
 
 Array = NDArray[np.float64]
 
+COLD = 5  # calls after another entry's turn that find its data in the caches
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 
 
@@ -80,7 +81,7 @@ class Timed(NamedTuple):
 
 
 def interleaved(
-    entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100, lead: int = 5
+    entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100
 ) -> dict[str, Array]:
     """Time several calls side by side: each goes through its own items, ``chunk`` of them at a time, in turn.
 
@@ -89,19 +90,18 @@ def interleaved(
 
     Args:
         entries: name -> what is timed.
-        rounds: how often all items are gone through; a round before them is not timed.
-        chunk: items in a row.
-        lead: of these, so many at the start find other people's data in the caches, and are not counted.
+        rounds: how often all items are gone through; one round more comes first and is not timed.
+        chunk: items in a row. Every one counts, also the first ones, which find other entries' data in the caches.
 
     Returns:
-        name -> (rounds * chunks, chunk - lead) [us].
+        name -> (rounds * chunks, chunk) [us].
 
     Raises:
-        ValueError: fewer items than a chunk, or a chunk that is not longer than its lead.
+        ValueError: fewer items than a chunk.
     """
     length = min(len(entry.items) for entry in entries.values())
-    if not lead < chunk <= length:
-        raise ValueError(f"chunk = {chunk} with lead = {lead} and {length} items: give lead < chunk <= items")
+    if not 1 <= chunk <= length:
+        raise ValueError(f"chunk = {chunk} with {length} items: give 1 <= chunk <= items")
     names = list(entries)
     found: dict[str, list[Array]] = {name: [] for name in names}
     starts = range(0, length - chunk + 1, chunk)
@@ -112,7 +112,7 @@ def interleaved(
             entry = entries[name]
             times = each_us(entry.call, entry.items[begin : begin + chunk], prepare=entry.prepare)
             if turn >= len(starts):
-                found[name].append(times[lead:])
+                found[name].append(times)
     return {name: np.array(times) for name, times in found.items()}
 
 
@@ -120,6 +120,17 @@ def ratios(times: Array, base: Array) -> Array:
     """Ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
     found: Array = np.median(times, axis=1) / np.median(base, axis=1)
     return found
+
+
+def figures(times: Array, prefix: str) -> dict[str, float]:
+    """Of a result of `interleaved` (chunks, chunk): percentiles and maximum of all calls; median of the cold ones.
+
+    The cold calls are the first ``COLD`` of each chunk: another entry ran before them.
+    """
+    cold = float(np.median(times[:, :COLD]))
+    return {
+        **percentiles(times.ravel(), prefix), f"{prefix}_max_us": float(times.max()), f"{prefix}_cold_p50_us": cold
+    }  # fmt: skip
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:

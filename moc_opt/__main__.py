@@ -77,7 +77,7 @@ def run_scenario(
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.metrics import summarize
     from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.run_table import part, run_json, run_table, warnings
+    from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
 
     scenario = Scenario() if path is None else Scenario.load(path)
@@ -95,7 +95,7 @@ def run_scenario(
     if trace_to is not None:
         trace.save(trace_to)
     ended = str(trace.meta["ended"])
-    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + warnings(trace):
+    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{scenario.name}: {line}", file=sys.stderr)
     baseline = _matched_dcac(scenario, len(trace)) if scenario.control.law == "moc" else None
     metrics = summarize(trace, baseline)

@@ -27,6 +27,11 @@ class Driver:
         """Where the last tick saw the tip (3,) [m]; zero before the first one."""
         return np.zeros(3) if self._state is None else self._state.tip
 
+    @property
+    def faults(self) -> dict[str, dict[str, Any]]:
+        """Of the third level, as ``Controller.faults``."""
+        return self.controller.faults
+
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """See ``sim.loop.Brain``; one tick is run for nothing, so that no compiler runs in the loop."""
         state = self._robot.state(q, v)

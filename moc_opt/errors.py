@@ -58,3 +58,13 @@ class UnknownNameError(MocOptError, LookupError):
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         super().__init__(f"unknown {kind} {name!r}: {hint}valid names: {', '.join(names)}")
         self.kind, self.name, self.valid = kind, name, names
+
+
+def describe(error: BaseException, most: int = 300) -> str:
+    """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code."""
+    try:
+        said = " ".join(str(error).split())
+    except Exception as worse:  # noqa: BLE001 - an exception whose text cannot be had
+        said = f"(its text raised {type(worse).__name__})"
+    text = f"{type(error).__name__}: {said}" if said else type(error).__name__
+    return text if len(text) <= most else text[: most - 3] + "..."

@@ -143,7 +143,14 @@ def test_box_of_no_width():
 def test_batch_equals_one_by_one():
     rng = np.random.default_rng(16)
     problems = [infeasible_problem(rng) if i % 5 == 0 else random_problem(rng) for i in range(40)]
-    X, Y, statuses = Exact().solve_batch(np.array([qp.row for qp in problems]))
+    rows = np.array([qp.row for qp in problems])
+    X, Y, statuses = Exact().solve_batch(rows)
+    for threads in (1, 3, 64):
+        again = Exact().solve_batch(rows, threads)
+        np.testing.assert_array_equal(again[0], X)
+        assert again[2] == statuses
+    with pytest.raises(SolverError, match="threads = 0: give 1 or more"):
+        Exact().solve_batch(rows, 0)
     for qp, x, y, status in zip(problems, X, Y, statuses, strict=True):
         one = solve(qp)
         assert status is one.status

@@ -45,7 +45,11 @@ SPEED = {
         "c_tick": dict(what="tick in C", unit="us", goal=5.0, kind="at most", value=None, reached="not measured"),
     },
     "tick": {"exact": {"tick_p50_us": 13.42}, "c": {"tick_p50_us": 2.51}},
-    "peers": {"tsid": {"tick_p50_us": 12.64, "level": "torque"}},
+    "peers": {
+        "tsid": {"tick_p50_us": 12.64, "level": "torque", "installed": "hand"},
+        "mink": {"tick_p50_us": 79.2, "level": "velocity", "installed": "make"},
+    },
+    "not_run": {"peer pink": {"reason": "package 'pink' is not installed"}, "solver osqp": {"reason": "no"}},
 }  # fmt: skip
 
 
@@ -72,7 +76,7 @@ def folder(tmp_path: Path) -> Path:
     for name, summary in (("solvers", SOLVERS), ("paper", PAPER), ("speed", SPEED)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "summary.json").write_text(json.dumps(summary))
-        (tmp_path / name / "environment.json").write_text(json.dumps({"machine": MACHINE, "seed": 4}))
+        (tmp_path / name / "environment.json").write_text(json.dumps({"machine": MACHINE, "seed": 4, "threads": "1"}))
     (tmp_path / "README.md").write_text(README)
     return tmp_path
 
@@ -125,11 +129,19 @@ def test_what_everything_costs(folder):
     assert "| a peer over ours | 0.9 (not reached) | at least 4 |" in text
     assert "| tick in C [us] | not measured | at most 5 |" in text
     assert "[us]: c 2.5, exact 13.4." in text
-    assert "[us]: tsid (torque) 12.6." in text
-    alone = {**SPEED, "peers": {}}
+    assert "[us]: tsid† (torque) 12.6, mink (velocity) 79.2.\n† not installed by `make`" in text
+    assert "Not measured in this run: pink (package 'pink' is not installed).\n<!-- /speed -->" in text
+    assert "osqp" not in text.split("<!-- speed -->")[1]
+    assert "2 cores, a processor, one thread unless said otherwise, load 0.4" in text
+    alone = {**SPEED, "peers": {}, "not_run": {}}
+    unset = json.dumps({"machine": MACHINE, "seed": 4, "threads": None})
+    (folder / "speed" / "environment.json").write_text(unset)
     (folder / "speed" / "summary.json").write_text(json.dumps(alone))
     assert readme.main(arguments(folder, "speed")) == 0
-    assert "none is installed" in (folder / "README.md").read_text()
+    text = (folder / "README.md").read_text()
+    assert "none is installed" in text
+    assert "†" not in text
+    assert "a processor, OMP_NUM_THREADS not set, load" in text  # no claim of one thread where nobody limited them
 
 
 def test_a_section_without_results_stays(folder):

@@ -124,7 +124,7 @@ def test_broken_solvers_are_recorded_and_the_others_unharmed(folder, tmp_path, m
         str(tmp_path / "out"),
         "--json",
     ]
-    assert run(folder, *arguments, names=["hangs", "exact", "crashes"]) == 0
+    assert run(folder, *arguments, names=["hangs", "exact", "crashes", "raises"]) == 0
     summary = json.loads(capsys.readouterr().out)
     table = summary["testsets"]
     assert table["hangs@recommended"]["hung"] == 2
@@ -134,6 +134,12 @@ def test_broken_solvers_are_recorded_and_the_others_unharmed(folder, tmp_path, m
     assert "hung" in summary["closed_loop"]["hangs"]["reason"]
     assert "SIGSEGV" in summary["closed_loop"]["crashes"]["reason"]
     assert summary["closed_loop"]["exact"]["broke_off"] == 0
+    assert summary["closed_loop"]["raises"]["broke_off"] == 0
+    told = {(row["solver"], row["part"]): row["trouble"] for row in tables(summary)["troubles"].rows}
+    assert "problem 3: ZeroDivisionError: division by zero" in told["raises@recommended", "testsets"]
+    assert "first at 0.006 s: ZeroDivisionError: division by zero" in told["raises", "closed_loop"]
+    assert "SIGSEGV" in told["crashes@recommended", "testsets"]
+    assert not [solver for solver, _ in told if solver.startswith("exact")]
     said = headline(summary, {})
     assert "Never returned: hangs@recommended" in said
     assert "Took their process with them: crashes@recommended" in said

@@ -2,9 +2,11 @@
 
 import dataclasses
 import json
+import os
 import re
 import subprocess
 import sys
+import tomllib
 from importlib.util import find_spec
 
 import numpy as np
@@ -120,8 +122,22 @@ def test_kernel_and_batch_take_time(sequence):
     rows = np.array([qp.row for qp in sequence])
     assert 0.01 < speed_solve.kernel_us(rows, seconds=0.02) < 1e4
     found = speed_solve.batch(rows, 1000)
-    assert found["batch"] == 1000
-    assert found["batch_million_s"] == pytest.approx(1e6 / found["batch_solves_per_s"])
+    assert (found["batch"], found["batch_threads"]) == (1000, os.cpu_count())
+    assert found["batch_one_thread_per_s"] == pytest.approx(1000 / found["batch_one_thread_s"])
+    assert found["batch_all_cores_per_s"] == pytest.approx(1000 / found["batch_all_cores_s"])
+
+
+def test_a_batch_is_solved_whole_by_one_thread_and_by_all(sequence, monkeypatch):
+    asked = []
+
+    class Counting(Exact):
+        def solve_batch(self, rows, threads=None):
+            asked.append((len(rows), threads))
+            return super().solve_batch(rows, threads)
+
+    monkeypatch.setattr(speed_solve, "Exact", Counting)
+    speed_solve.batch(np.array([qp.row for qp in sequence[:7]]), 2500)
+    assert asked == [(1000, None), (2500, 1), (2500, 1), (2500, os.cpu_count()), (2500, os.cpu_count())]
 
 
 # --- peers ---
@@ -234,13 +250,15 @@ def made_up(**changes):
     """A summary with a number for everything that the report and the goals ask for."""
     times = {"tick_p50_us": 20.0, "tick_p99_us": 30.0, "tick_p99_9_us": 90.0}
     solve = {
-        "solve_p50_us": 1.4, "solve_p99_us": 2.0, "solve_p99_9_us": 3.0, "kernel_us": 0.5, "batch_million_s": 2.0,
-        "batch_solves_per_s": 5e5, "primal_max": 1e-15, "natural_max": 1e-15, "loss_max": 1e-14,
+        "solve_p50_us": 1.4, "solve_p99_us": 2.0, "solve_p99_9_us": 3.0, "kernel_us": 0.5, "batch": 1_000_000,
+        "batch_threads": 3, "batch_one_thread_s": 4.0, "batch_all_cores_s": 2.0,
+        "primal_max": 1e-15, "natural_max": 1e-15, "loss_max": 1e-14,
     }  # fmt: skip
     summary = {
         "tick": {"exact": times, "c": {**times, "tick_p50_us": 3.0}},
         "tick_parts": {"solver": times},
-        "peers": {"rival": {**times, "level": "torque", "tip_error_max_mm": 0.1, "tick_p50_us": 100.0}},
+        "peers": {"rival": {**times, "level": "torque", "installed": "hand",
+                             "tip_error_max_mm": 0.1, "tick_p50_us": 100.0}},
         "exact": {"recorded": solve, "n = 7": solve},
         "adapters": {"daqp": {"ratio": 1.04, "by_hand_p50_us": 5.0}, "osqp": {"ratio": 1.01}},
         "beyond_the_library": {"daqp": {"beyond_us": 1.0}},
@@ -260,6 +278,33 @@ def made_up(**changes):
 def test_goals_are_reached_by_a_summary_that_reaches_them():
     assert {found["reached"] for found in made_up()["goals"].values()} == {"yes"}
     assert set(made_up()["goals"]) == set(GOALS)
+
+
+def test_a_million_is_a_million():
+    """A smaller batch is no measurement of it, and the goal names how many threads shared the work."""
+    goals = made_up()["goals"]
+    assert goals["exact_batch"]["value"] == 4.0
+    assert goals["exact_batch"]["what"].endswith("in one call, one thread")
+    assert goals["exact_batch_all"]["what"] == "exact: the same, 3 threads"
+    fewer = {**made_up()["exact"]["recorded"], "batch": 250_000}
+    assert made_up(exact={"recorded": fewer})["goals"]["exact_batch"]["reached"] == "not measured"
+    config = Config.load(output.default_config("speed"))
+    assert config.exact.batch == Config().exact.batch == 1_000_000
+
+
+def test_a_peer_that_is_not_installed_is_listed_with_the_reason():
+    told = made_up(not_run={"peer tsid": {"reason": "package 'tsid' is not installed"}, "solver x": {"reason": "y"}})
+    rows = {row["name"]: row.get("installed") for row in tables(told)["peers"].rows}
+    assert rows["rival"] == "hand"
+    assert rows["tsid"] == "not run: package 'tsid' is not installed"
+    assert "x" not in rows
+
+
+def test_the_extra_installs_what_is_said_to_be_installed_by_it():
+    extras = tomllib.loads((peers.ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]["peers"]
+    given = {re.split(r"[<>=]", name)[0] for name in extras}
+    for entry in peers.PEERS.values():
+        assert entry.extra == (entry.install.removeprefix("pip install ") in given)
 
 
 def test_goals_that_are_missed_or_not_measured_say_so():

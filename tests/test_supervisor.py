@@ -333,7 +333,7 @@ def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z
 
 @pytest.mark.parametrize(
     ("cut", "fault"),
-    [(ValueError("no"), Fault.FAILED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
+    [(ValueError("no"), Fault.RAISED), (Solution(np.full(7, 9e3), None, Status.MAX_ITER), Fault.OUTSIDE),
      (Solution(np.full(7, np.nan), None, Status.MAX_ITER), Fault.NOT_FINITE)],
 )  # fmt: skip
 def test_a_truncated_answer_is_checked_like_any_other(cut, fault, qp, Z):
@@ -443,3 +443,55 @@ def test_a_run_with_replayed_times_repeats_itself_to_the_bit(robot):
         return np.array(found)
 
     np.testing.assert_array_equal(torques(), torques())
+
+
+class Booms:
+    """Raises at every tick, each time in other words; or when it is stopped."""
+
+    def __init__(self, qp, error=RuntimeError):
+        self.count, self.qp, self.error = 0, qp, error
+
+    def solve(self, qp):
+        self.count += 1
+        raise self.error(f"boom\n{self.count}")
+
+
+class Mute(Exception):
+    def __str__(self):
+        raise ValueError("no text")
+
+
+def test_what_a_solver_raised_first_is_kept_in_its_own_words(qp, Z):
+    mine = supervisor()
+    mine.solve(Scripted(solved(qp)), qp, Z)
+    assert mine.firsts == {}
+    session = Booms(qp)
+    for _ in range(3):
+        mine.solve(session, qp, Z)
+    assert mine.firsts == {"raised": (1, "RuntimeError: boom 1")}
+    assert mine.counts["raised"] == 3
+    mine.solve(Scripted(no_answer(7, Status.NUMERICAL)), qp, Z)
+    assert mine.firsts["failed"] == (4, f"{Fault.FAILED.value} ({Status.NUMERICAL.value})")
+    mine.forget()
+    assert mine.firsts == {}
+    mine.solve(Booms(qp, Mute), qp, Z)
+    assert mine.firsts["raised"] == (0, "Mute: (its text raised ValueError)")
+
+
+def test_an_exception_when_stopped_late_is_kept_too(qp, Z):
+    mine = supervisor(times=[400.0], budget_us=100.0, late="iterate")
+    mine.solve(Stoppable(solved(qp)._replace(iterations=4), ValueError("cannot stop")), qp, Z)
+    assert mine.firsts == {"raised": (0, "ValueError: cannot stop")}
+
+
+def test_a_trace_says_which_answers_were_refused_and_why():
+    scenario = Scenario(duration_s=0.2, bound_samples=0, faults={"solver": "raise", "solver_share": 0.1})
+    trace = run(scenario)
+    first = int(np.flatnonzero(trace.fault == "raised")[0])
+    assert trace.meta["faults"] == {
+        "raised": {
+            "count": int((trace.fault == "raised").sum()), "first_at_s": pytest.approx(0.002 * first),
+            "first": "InjectedFault: faulty: raised on purpose",
+        }
+    }  # fmt: skip
+    assert run(Scenario(duration_s=0.02, bound_samples=0)).meta["faults"] == {}

@@ -6,7 +6,16 @@ from time import perf_counter_ns
 import numpy as np
 import pytest
 
-from benchmarks.timing import Timed, clock_cost_us, each_us, interleaved, percentiles, ratios, side_by_side
+from benchmarks.timing import (
+    Timed,
+    clock_cost_us,
+    each_us,
+    figures,
+    interleaved,
+    percentiles,
+    ratios,
+    side_by_side,
+)
 
 
 def spin(us):
@@ -63,8 +72,8 @@ def test_interleaved_takes_turns_chunk_by_chunk():
         "a": Timed(lambda item: log.append(("a", item)), range(10)),
         "b": Timed(lambda item: log.append(("b", item)), range(100, 112)),
     }
-    times = interleaved(entries, rounds=2, chunk=5, lead=1)
-    assert {name: found.shape for name, found in times.items()} == {"a": (4, 4), "b": (4, 4)}
+    times = interleaved(entries, rounds=2, chunk=5)
+    assert {name: found.shape for name, found in times.items()} == {"a": (4, 5), "b": (4, 5)}  # every call
     chunks = [log[i : i + 5] for i in range(0, len(log), 5)]
     assert all(len({name for name, _ in chunk}) == 1 for chunk in chunks)
     # A round without a clock, then two with it; who begins changes from chunk to chunk.
@@ -76,21 +85,30 @@ def test_interleaved_takes_turns_chunk_by_chunk():
 def test_interleaved_tells_slow_from_fast():
     slow = Timed(lambda item: spin(400), range(20))
     fast = Timed(lambda item: spin(100), range(20))
-    times = interleaved({"slow": slow, "fast": fast}, rounds=1, chunk=10, lead=2)
+    times = interleaved({"slow": slow, "fast": fast}, rounds=1, chunk=10)
     found = ratios(times["slow"], times["fast"])
     assert found.shape == (2,)
     assert 2.0 < np.median(found) < 6.0
 
 
-@pytest.mark.parametrize(("chunk", "lead"), [(11, 2), (5, 5), (3, 4)])
-def test_interleaved_refuses_chunks_that_leave_nothing(chunk, lead):
-    with pytest.raises(ValueError, match="lead < chunk <= items"):
-        interleaved({"a": Timed(abs, range(10))}, chunk=chunk, lead=lead)
+@pytest.mark.parametrize("chunk", [11, 0])
+def test_interleaved_refuses_chunks_that_leave_nothing(chunk):
+    with pytest.raises(ValueError, match="give 1 <= chunk <= items"):
+        interleaved({"a": Timed(abs, range(10))}, chunk=chunk)
+
+
+def test_no_call_is_left_out_of_the_figures():
+    times = np.full((10, 100), 2.0)
+    times[:, :5] = 9.0  # cold, one in twenty
+    times[3, 50] = 70.0
+    found = figures(times, "tick")
+    assert (found["tick_p50_us"], found["tick_cold_p50_us"], found["tick_max_us"]) == (2.0, 9.0, 70.0)
+    assert found["tick_p99_us"] == 9.0  # without the cold ones it would be 2
 
 
 def test_interleaved_prepares_each_item():
     prepared = []
-    interleaved({"a": Timed(lambda item: None, range(6), prepared.append)}, rounds=1, chunk=3, lead=0)
+    interleaved({"a": Timed(lambda item: None, range(6), prepared.append)}, rounds=1, chunk=3)
     assert prepared == [*range(6)] * 2
 
 

@@ -33,6 +33,8 @@ class Entry(NamedTuple):
     factory: str
     package: str
     install: str
+    extra: bool = True
+    """Whether the extra ``peers``, and so ``make``, installs it; others were built by hand where they are listed."""
 
 
 PEERS = {
@@ -40,7 +42,8 @@ PEERS = {
         "benchmarks.peers.tsid",
         "TSID",
         "tsid",
-        "pip install tsid (its libtsid has wheels for few Python versions only)",
+        "build it from source against the installed pinocchio; its wheel on PyPI lacks the library it links to",
+        extra=False,
     ),
     "pink": Entry("benchmarks.peers.pink", "Pink", "pink", "pip install pin-pink"),
     "pink-trimmed": Entry("benchmarks.peers.pink", "PinkTrimmed", "pink", "pip install pin-pink"),

@@ -35,7 +35,7 @@ class ExactTable(Settings):
     KIND: ClassVar[str] = "[exact]"
     joints: list[Annotated[int, Field(ge=6, le=20)]] = Field([6, 7, 8, 9])
     problems: int = Field(500, ge=100)
-    batch: Count = 250_000
+    batch: Count = 1_000_000
 
 
 class AdapterTable(Settings):

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 from rich.console import Console
 
+from benchmarks import peers
 from benchmarks.output import save_page
 from benchmarks.speeds.goals import Summary
 from benchmarks.speeds.tick import PARTS
@@ -24,11 +25,17 @@ GOALS = [
     Column("unit", "unit"),
     Column("reached", "reached"),
 ]
+_COLD = "median of the five calls after another entry's turn; the percentiles count them too"
+_WORST = [
+    Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low", help=_COLD),
+    Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
+]
 TICKS = [
     Column("name", "tick with"),
     Column("tick_p50_us", "p50", unit="us", format=".1f", better="low"),
     Column("tick_p99_us", "p99", unit="us", format=".1f", better="low"),
     Column("tick_p99_9_us", "p99.9", unit="us", format=".1f", better="low"),
+    *_WORST,
     Column(
         "beyond_us",
         "beyond",
@@ -46,8 +53,10 @@ PARTS_COLUMNS = [
 PEERS = [
     Column("name", "controller"),
     Column("level", "gives", help="a velocity still needs a servo"),
+    Column("installed", "installed by"),
     Column("tick_p50_us", "p50", unit="us", format=".1f", better="low"),
     Column("tick_p99_us", "p99", unit="us", format=".1f", better="low"),
+    *_WORST,
     Column("times_ours", "over ours", format=".2f", help="its median over that of our tick in Python"),
     Column("times_c", "over ours in C", format=".2f"),
     Column(
@@ -65,7 +74,10 @@ EXACT = [
     Column("solve_p50_us", "p50", unit="us", format=".2f", better="low"),
     Column("solve_p99_us", "p99", unit="us", format=".2f", better="low"),
     Column("kernel_us", "kernel", unit="us", format=".3f", help="inside compiled code, best of five"),
-    Column("batch_solves_per_s", "batch", unit="1/s", format=".3g", help="solves per second, all cores"),
+    Column("solve_cold_p50_us", "cold", unit="us", format=".2f", help=_COLD),
+    Column("batch_one_thread_per_s", "batch, one thread", unit="1/s", format=".3g", help="solves per second"),
+    Column("batch_all_cores_per_s", "batch, all cores", unit="1/s", format=".3g", help="solves per second"),
+    Column("batch_threads", "cores", format=".0f"),
     Column("primal_max", "primal", format=".1e"),
     Column("natural_max", "natural", format=".1e"),
     Column("loss_max", "loss", format=".1e"),
@@ -139,6 +151,10 @@ def tables(summary: Summary) -> dict[str, Table]:
         p50 = found["tick_p50_us"]
         over = {"times_ours": p50 / own["tick_p50_us"], "times_c": p50 / c["tick_p50_us"] if c else None}
         rivals.append({"name": name, **found, **over})
+    for name in peers.PEERS:
+        if f"peer {name}" in summary["not_run"]:
+            reason = summary["not_run"][f"peer {name}"]["reason"]
+            rivals.append({"name": name, "installed": f"not run: {reason}"})
     loops = [{"name": name, **found} for name, found in summary["loop"].items() if "factor" in found]
     other = [
         {"what": what, "unit": unit, "value": f"{value:.3g}"}
@@ -197,8 +213,9 @@ TEXTS = {
     "goals": ("Goals", "Times depend on the machine, and on what else it does; ratios are measured side by side."),
     "tick": (
         "Ticks",
-        "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks that take turns, "
-        "without pauses of the garbage collector. The parts are called by themselves, so that their sum is not exactly "
+        "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks of 100 that take "
+        "turns, without pauses of the garbage collector. A round that is not timed comes first; after it every call "
+        "counts. The parts are called by themselves, so that their sum is not exactly "
         "the whole; those with a dash are compiled into the call above them.",
     ),
     "peers": (
@@ -206,7 +223,8 @@ TEXTS = {
         "Tip on its reference, wrist on the line through the trocar, joint speeds in their limits, and the freedom "
         "left up the gradient of the manipulability. Each has its fastest solver, hard equalities where it takes them, "
         "our compiled gradient where it has none, and is timed on the states of a second on an ideal arm in which it "
-        "did the job; one that did not is not listed. Our tick also runs a momentum observer and follows the "
+        "did the job; one that did not, or is not installed, is listed with the reason. Our tick also runs a momentum "
+        "observer and follows the "
         "compliance law of the paper; it is timed on the states of its own run with the realistic plant.",
     ),
     "exact": ("Solvers", "Residuals are judged by the one measure of all solvers, on the recorded and on random arms."),

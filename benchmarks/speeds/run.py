@@ -16,7 +16,7 @@ from benchmarks.speeds.bare import BARE
 from benchmarks.speeds.config import Config
 from benchmarks.speeds.goals import judge_goals
 from benchmarks.study.open_loop import expand
-from benchmarks.timing import Timed, clock_cost_us, interleaved, percentiles, ratios
+from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.driver import Driver
 from moc_opt.embedded import NativeController
 from moc_opt.errors import MocOptError, UnknownNameError
@@ -100,11 +100,11 @@ class Run:
     def _timed(
         self, part: str, entries: Mapping[str, Timed], rounds: int, prefix: str
     ) -> dict[str, dict[str, float]]:
-        """Time entries side by side; their times join the rows, their percentiles are returned."""
+        """Time entries side by side; their times join the rows, their figures are returned: see `timing.figures`."""
         times = interleaved(entries, rounds, CHUNK)
         self._keep(part, times)
         self.ticks |= {name: found.ravel() for name, found in times.items()} if part == "tick" else {}
-        return {name: percentiles(found.ravel(), prefix) for name, found in times.items()}
+        return {name: figures(found, prefix) for name, found in times.items()}
 
     def _keep(self, part: str, times: Mapping[str, Array]) -> None:
         for name, chunks in times.items():
@@ -150,6 +150,7 @@ class Run:
         told = {
             name: {
                 **found.pop(f"peer {name}"), "level": run.level,
+                "installed": "make" if peers.PEERS[name].extra else "hand",
                 **{key: value for key, value in run.verdict._asdict().items()},
             }
             for name, run in runs.items()
@@ -172,7 +173,8 @@ class Run:
         return {
             name: {
                 **times[name], "kernel_us": solve.kernel_us(rows[name]),
-                **solve.batch(rows[name], table.batch), **solve.residuals(by_name[name]),
+                **solve.batch(rows[name], table.batch if name == "recorded" else max(1, table.batch // 10)),
+                **solve.residuals(by_name[name]),
             }
             for name in by_name
         }  # fmt: skip
@@ -192,7 +194,7 @@ class Run:
             ours, hand, library = (times[f"{name} / {kind}"] for kind in ("adapter", "by hand", "library"))
             ratio = ratios(ours, hand)
             found[name] = {
-                **percentiles(ours.ravel(), "adapter"), "by_hand_p50_us": float(np.median(hand)),
+                **figures(ours, "adapter"), "by_hand_p50_us": float(np.median(hand)),
                 "library_p50_us": float(np.median(library)), "ratio": float(np.median(ratio)),
                 "ratio_low": float(np.percentile(ratio, 25)), "ratio_high": float(np.percentile(ratio, 75)),
                 "ratio_to_library": float(np.median(ratios(ours, library))),

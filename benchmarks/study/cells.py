@@ -84,6 +84,12 @@ class Cell:
         return str(self.part.values["reason"])
 
     @property
+    def trouble(self) -> str:
+        """What the solver raised, or how its process ended, at the first problem where it did; "" where never."""
+        events = [event for event in self.part.values["events"] if event != NOT_ASKED]
+        return f"{self.data.name}, {events[0]}" if events else ""
+
+    @property
     def complete(self) -> bool:
         """Every problem was answered, somehow."""
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
@@ -128,6 +134,8 @@ class Cell:
         found: dict[str, Any] = {**self.counts(), **self.figures()}
         if self.refused:
             found["reason"] = self.refused
+        if self.trouble:
+            found["trouble"] = self.trouble
         return {**found, **({} if times is None else time_figures(times))}
 
     def rows(self, part: str) -> list[dict[str, Any]]:
@@ -175,6 +183,8 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
     for name in RESIDUALS:
         values = [v for cell in cells if (v := cell.figures()[f"{name}_max"]) is not None]
         found[f"{name}_max"] = max(values) if values else None
+    trouble = next((cell.trouble for cell in cells if cell.trouble), "")
+    found |= {"trouble": trouble} if trouble else {}
     figures = [time_figures(part) for part in timings.values()]
     for name in dict.fromkeys(name for f in figures for name in f):
         if name.endswith("_us"):

@@ -15,6 +15,7 @@ from benchmarks.study.store import Part, Store
 from benchmarks.study.worker import Hung, Worker, WorkerError, beat, spread
 from benchmarks.timing import percentiles
 from moc_opt import scenario
+from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
 from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
@@ -65,6 +66,15 @@ class Run:
     error: str | None = None
     ended: str = "completed"
     timed: bool = True
+    faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as in the trace's meta
+
+    @property
+    def raised(self) -> str:
+        """What the solver raised first, and how often it did; "" where it never did."""
+        found = self.faults.get(Fault.RAISED.label)
+        if found is None:
+            return ""
+        return f"{self.trial}, {found['count']:g} ticks, first at {found['first_at_s']:.3f} s: {found['first']}"
 
     @property
     def trace(self) -> Trace | None:
@@ -83,7 +93,7 @@ class Run:
         """One row of rows.parquet."""
         return {
             "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
-            "error": self.error, **self.metrics,
+            "error": self.error, "raised": self.raised or None, **self.metrics,
         }  # fmt: skip
 
 
@@ -140,7 +150,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays[TRAVELLING] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"ended": ended, "error": None, "metrics": metrics}, arrays)
+    yield Part({"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta["faults"]}, arrays)
 
 
 def run_one(
@@ -171,7 +181,9 @@ def run_one(
             part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
     values = part.values
-    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed)
+    return Run(
+        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, values.get("faults", {})
+    )
 
 
 def run_all(
@@ -300,4 +312,6 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
         timed = [run.columns[column] for run in whole if run.timed and column in run.columns]
         values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix)
     errors = [run.error for run in runs if run.error]
+    raised = [run.raised for run in runs if run.raised]
+    values |= {"trouble": raised[0]} if raised else {}
     return {**values, "reason": errors[0]} if errors else values

@@ -23,7 +23,7 @@ from moc_opt.report.tables import Table
 if TYPE_CHECKING:
     from benchmarks.study.parts import Study
 
-SCREEN = ("testsets", "closed_loop", "prediction", "not_run")
+SCREEN = ("testsets", "closed_loop", "prediction", "troubles", "not_run")
 METRICS = {
     "mu_mean": "µ [m³]", "tip_error_model_mean_mm": "tip error [mm]", "rcm_error_registered_mean_mm": "RCM error [mm]",
     "torque_rate_rms_Nm_per_s": "chatter [Nm/s]",
@@ -72,6 +72,9 @@ def write_report(path: Path, study: Study, environment: Mapping[str, Any], look:
     if "qpbenchmark" in made:
         page.section("What qpbenchmark says")
         page.table(made["qpbenchmark"])
+    if "troubles" in made:
+        page.section("Exceptions, hangs and crashes")
+        page.table(made["troubles"])
     if "not_run" in made:
         page.section("Not run")
         page.table(made["not_run"])

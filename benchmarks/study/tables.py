@@ -213,6 +213,10 @@ def tables(summary: Summary) -> dict[str, Table]:
         caption="Theirs: on feasible problems of six sets through qpsolvers, five rows; ours: the same library "
         "and settings on all certified sets, ranked by how many answers are right, then by median time. With times "
         "of microseconds and a shift of 10 s their geometric mean is an arithmetic one.")  # fmt: skip
+    told = troubles(summary)
+    if told:
+        columns = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
+        found["troubles"] = Table("What solvers raised, and who never came back", columns, told)
     add("not_run", "What could not run here", [Column("solver", "not run"), Column("reason", "reason")])
     return found
 
@@ -221,6 +225,17 @@ def _with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
     """The row with its changes against the baseline as texts, each with its interval."""
     texts = {name: with_interval(row, name) for name in COMPARED.values()}
     return {**row, **{name.replace("_percent", "_interval"): text for name, text in texts.items()}}
+
+
+def troubles(summary: Summary) -> list[dict[str, Any]]:
+    """A row for each solver and part in which it raised an exception, hung or crashed: the first time, in words."""
+    return [
+        {"solver": name, "part": part, "trouble": row["trouble"]}
+        for part, rows in summary.items()
+        if isinstance(rows, Mapping)
+        for name, row in rows.items()
+        if isinstance(row, Mapping) and row.get("trouble")
+    ]
 
 
 def _shares(metrics: Mapping[str, Any]) -> dict[str, Any]:

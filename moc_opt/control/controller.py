@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numba import bool_, float64, int64
@@ -73,7 +73,7 @@ class Controller:
                 f"law: {settings.law!r} with solver {getattr(solver, 'name', None)!r}; "
                 "'moc' needs one, 'dcac' takes none"
             )
-        self.robot, self.settings, self.solver = robot, settings, solver
+        self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         gains = settings.resolve_gains(robot.data.gains, robot.n)
         self._gains = np.array([gains.K_X, gains.D_X, gains.K_N, gains.D_N])
         self._projector = PROJECTORS.index(settings.projector)
@@ -119,6 +119,15 @@ class Controller:
     def fault(self) -> Fault:
         """What was wrong with the last tick's answer."""
         return self._supervisor.fault
+
+    @property
+    def faults(self) -> dict[str, dict[str, Any]]:
+        """Label of a Fault -> its ``count`` since the start, ``first_at_s`` from there, and ``first`` in words."""
+        counts, firsts = self._supervisor.counts, self._supervisor.firsts
+        return {
+            label: {"count": counts[label], "first_at_s": self._period * first.tick, "first": first.text}
+            for label, first in firsts.items()
+        }
 
     @property
     def solve_us(self) -> float:

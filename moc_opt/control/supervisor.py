@@ -2,7 +2,8 @@
 
 Tip and RCM control never depend on a solver. An answer that raised, is missing, is not finite, came
 too late, or is claimed to be optimal and is not, is replaced: by the last good one for a few ticks,
-then by null-space damping alone. Every such tick is counted and named in the trace.
+then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each
+kind is kept in words.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
 from time import perf_counter_ns
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from pydantic import Field
 
 from moc_opt.control.answers import RESIDUALS, well_formed
 from moc_opt.control.manipulability import into_the_box, least_violation
-from moc_opt.errors import ControlError, MocOptError
+from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.settings import Settings
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
 from moc_opt.subproblem import NullSpaceQP
@@ -44,6 +45,13 @@ class Fault(Enum):
 
     def __init__(self, meaning: str) -> None:
         self.label = self.name.lower()  # once: the loop writes it down at every tick
+
+
+class First(NamedTuple):
+    """The first fault of a kind: how many answers had been asked for before, and what it was."""
+
+    tick: int
+    text: str
 
 
 class SupervisorSettings(Settings):
@@ -93,7 +101,8 @@ class Supervisor:
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
             repeated exactly; None: the clock decides. One that ends leaves the rest to the clock.
 
-    ``counts`` says how often each fault occurred since the start, by its label.
+    Since the start, by a fault's label: ``counts`` says how often it occurred, and ``firsts`` when it first did and
+    in which words, those of the exception where the solver raised one.
     """
 
     def __init__(
@@ -115,6 +124,8 @@ class Supervisor:
         self._good, self._age = np.zeros(self._rest.size), 0
         self.fault, self.solve_us = Fault.NONE, float("nan")
         self.counts: Counter[str] = Counter()
+        self.firsts: dict[str, First] = {}
+        self._asked = 0
 
     def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
         """Run what is compiled, so that no compiler runs in the loop."""
@@ -129,23 +140,31 @@ class Supervisor:
             what the solver said, and the x (n,) that the arm follows.
         """
         begin = perf_counter_ns()
-        raised = False
+        raised = ""
         try:
             solution = session.solve(qp)
-        except Exception:  # noqa: BLE001 - whatever a solver throws, tip and RCM go on; it is counted
-            solution, raised = no_answer(qp.n, Status.NUMERICAL), True
+        except Exception as error:  # noqa: BLE001 - whatever a solver throws, tip and RCM go on; it is kept
+            solution, raised = no_answer(qp.n, Status.NUMERICAL), describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
         solution = well_formed(solution, qp.n)
         if self._stop_late and self._late:
-            solution = well_formed(self._stopped(session, qp, solution), qp.n)
+            try:
+                solution = well_formed(self._stopped(session, qp, solution), qp.n)
+            except Exception as error:  # noqa: BLE001 - as above
+                solution, raised = no_answer(qp.n, Status.NUMERICAL), raised or describe(error)
         self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
+        self._asked += 1
         if self.fault is _NO_FAULT:
             # A copy: the solver may write its next answer, or none, into the same memory.
             self._good, self._age = solution.x.copy(), 0
             return solution, self._good
-        self.counts[self.fault.label] += 1
+        label = self.fault.label
+        self.counts[label] += 1
+        if label not in self.firsts:
+            cure = f" ({solution.status.value})" if self.fault is Fault.FAILED else ""
+            self.firsts[label] = First(self._asked - 1, raised or self.fault.value + cure)
         return solution, self._replace(solution, qp, Z)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
@@ -181,10 +200,7 @@ class Supervisor:
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:
             return solution
         share = self._budget_us / self.solve_us
-        try:
-            return session.truncated(qp, max(1, int(share * solution.iterations)))
-        except Exception:  # noqa: BLE001 - as in solve
-            return no_answer(qp.n, Status.NUMERICAL)
+        return session.truncated(qp, max(1, int(share * solution.iterations)))
 
     def _replace(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Array:
         self._age += 1

@@ -29,6 +29,14 @@ def warnings(trace: Trace) -> list[str]:
     ]
 
 
+def refusals(trace: Trace) -> list[str]:
+    """A sentence on each kind of answer that the supervisor refused."""
+    return [
+        f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: {of['first']}"
+        for fault, of in trace.meta.get("faults", {}).items()
+    ]
+
+
 def run_table(name: str, trace: Trace, metrics: Mapping[str, float]) -> Table:
     """Metrics of one run, the ending in the first row; of a broken-off run every figure is marked as of a part."""
     of = part(trace)
@@ -44,5 +52,5 @@ def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
     of = part(trace).strip(" ()")
     return {
         "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}), **metrics,
-        "warnings": trace.meta.get("warnings", []),
+        "warnings": trace.meta.get("warnings", []), "faults": trace.meta.get("faults", {}),
     }  # fmt: skip

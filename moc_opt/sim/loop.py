@@ -120,6 +120,8 @@ def simulate(
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
         "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["ticks"]`` of
         ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, is what the guard warned of.
+        ``meta["faults"]`` is what a brain that counts them says of refused answers: label -> count, first_at_s, first
+        (in words).
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
@@ -177,6 +179,7 @@ def simulate(
     kept["rcm_error_registered_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], registered_m)
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": ended, **stopped}
     found |= {"ticks": stop_at + 1, "ticks_planned": ticks}
+    found["faults"] = getattr(brain, "faults", {})  # of the third level, where a brain has one
     if safe.warnings:
         begin_s = float(kept["t_s"][0])
         found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in safe.warnings]

@@ -155,16 +155,25 @@ class Exact:
         session.solve(qp)
         return session
 
-    def solve_batch(self, rows: Array) -> tuple[Array, Array, list[Status]]:
-        """Solve flat records (k, 10 n + 10) in threads: x (k, n), y (k, 6), statuses.
+    def solve_batch(self, rows: Array, threads: int | None = None) -> tuple[Array, Array, list[Status]]:
+        """Solve flat records (k, 10 n + 10): x (k, n), y (k, 6), statuses.
 
         x and y are NaN where the status is not SOLVED.
+
+        Args:
+            rows: the records.
+            threads: how many share the work; None: one a core.
+
+        Raises:
+            SolverError: fewer than one thread.
         """
+        if threads is not None and threads < 1:
+            raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")
         rows = np.ascontiguousarray(rows, dtype=float)
         n = (rows.shape[1] - 10) // 10
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows), dtype=np.int64)
         parts = np.array_split(
-            np.arange(len(rows)), os.cpu_count() or 1
+            np.arange(len(rows)), threads or os.cpu_count() or 1
         )  # the kernel holds no lock: threads do
         with ThreadPoolExecutor(len(parts)) as pool:
             jobs = [

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import importlib
-import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
 
-from moc_opt.errors import SolverError, UnknownNameError
+from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe
+from moc_opt.solvers import plugins
 from moc_opt.solvers.base import Solver
-
-ENTRY_POINTS = "moc_opt.solvers"
 
 # name -> (module, class, package that must be installed or "")
 BUILT_IN: dict[str, tuple[str, str, str]] = {
@@ -38,10 +36,6 @@ FAMILIES: dict[str, tuple[str, str]] = {
 }
 
 
-def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
-
-
 def names() -> list[str]:
     """Every registered name, installed or not; ``qpsolvers:NAME`` and ``casadi:NAME`` for what those find here."""
     return [name for name, reason in available().items() if reason is None or name in BUILT_IN]
@@ -59,34 +53,50 @@ def available() -> dict[str, str | None]:
         else:
             reasons = importlib.import_module(module).reasons()
             found.update({prefix + name: reason for name, reason in reasons.items()})
-    for name, point in _plugins().items():
-        try:
-            point.load()
-        except Exception as error:  # noqa: BLE001 - a broken plug-in must not hide the others
-            found[name] = f"entry point {point.value!r} does not load: {error}"
+    for name, points in plugins.plugins().items():
+        if _ours(name):
+            found[f"{name} ({plugins.in_words(points[0])})"] = _clash(name, points)
         else:
-            found.setdefault(name, None)
+            found[name] = plugins.reason(name, points)
     return found
 
 
+def _ours(name: str) -> bool:
+    return name in BUILT_IN or name.startswith(tuple(FAMILIES))
+
+
+def _clash(name: str, points: list[Any]) -> str:
+    module, attribute, _ = BUILT_IN.get(name, ("moc_opt.solvers.registry", "FAMILIES", ""))
+    claims = " and ".join(map(plugins.in_words, points))
+    return (
+        f"{claims}: the name {name!r} is that of a built-in solver ({module}:{attribute}), which is taken: "
+        "rename the entry point"
+    )
+
+
 def _factory(name: str) -> Callable[..., Solver]:
+    claimed = plugins.plugins().get(name, [])
+    if claimed and _ours(name):
+        warnings.warn(_clash(name, claimed), UserWarning, stacklevel=4)
     if name in BUILT_IN:
         module, attribute, package = BUILT_IN[name]
         if package and find_spec(package) is None:
             raise SolverError(f"solver {name!r} needs the package {package!r}: pip install {package}")
-        return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+        try:
+            return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
+        except ImportError as error:
+            raise SolverError(f"solver {name!r}: {describe(error)}: reinstall {package or 'moc_opt'}") from error
     for prefix, (package, module) in FAMILIES.items():
         if name.startswith(prefix) and find_spec(package) is not None:
             return importlib.import_module(module).factory(name.removeprefix(prefix))
-    plugins = _plugins()
-    if name in plugins:
-        return plugins[name].load()  # type: ignore[no-any-return]
+    if claimed:
+        return plugins.factory_of(name, claimed)
     raise UnknownNameError("solver", name, available())
 
 
 def accepts(name: str, setting: str) -> bool:
     """Whether the solver's factory takes a setting of that name."""
-    return setting in inspect.signature(_factory(name)).parameters
+    return setting in {parameter.name for parameter in plugins.parameters(_factory(name))}
 
 
 def defaults(name: str) -> dict[str, Any]:
@@ -96,8 +106,7 @@ def defaults(name: str) -> dict[str, Any]:
         UnknownNameError, SolverError: as ``create``.
     """
     factory = _factory(name)
-    parameters = inspect.signature(factory).parameters.values()
-    found = {p.name: p.default for p in parameters if p.default is not p.empty}
+    found = {p.name: p.default for p in plugins.parameters(factory) if p.default is not p.empty}
     made = factory.func if isinstance(factory, partial) else factory
     if is_dataclass(made):  # a signature has no more than a mark where a default is made anew each time
         found |= {f.name: f.default_factory() for f in fields(made) if f.default_factory is not MISSING}
@@ -109,14 +118,22 @@ def create(name: str, **settings: Any) -> Solver:
 
     Raises:
         UnknownNameError: with the nearest names.
-        SolverError: a package is missing, or a setting is unknown or out of range.
+        SolverError: a package is missing, a plug-in is no solver, or a setting is unknown or out of range.
     """
     factory = _factory(name)
+    points = [] if _ours(name) else plugins.plugins()[name]
     try:
-        return factory(**settings)
+        return plugins.made(name, points[0], factory, settings) if points else factory(**settings)
     except TypeError as error:
-        valid = [p for p in inspect.signature(factory).parameters if p != "name"]
+        valid = [p.name for p in plugins.parameters(factory) if p.name != "name"]
         unknown = sorted(set(settings) - set(valid))
         if unknown:
             raise UnknownNameError(f"setting of solver {name!r}", unknown[0], valid) from error
         raise SolverError(f"solver {name!r}: {error}") from error
+    except MocOptError:
+        raise
+    except Exception as error:
+        if not points:
+            raise
+        what = plugins.in_words(points[0])
+        raise SolverError(f"solver {name!r}: {what} cannot be made: {describe(error)}") from error
