@@ -355,5 +355,5 @@ def natural_max(trace: Trace) -> float:
 
 @metric
 def loss_max(trace: Trace) -> float:
-    """Largest self-motion loss over the subproblems: 0 at the optimum, 1 at the opposite end."""
+    """Largest share of the cost's range that an answer gave away: 0 at the optimum, 1 at the worst point."""
     return float(_known(trace, "loss").max())

@@ -18,11 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt import optimality
 from moc_opt.errors import SubproblemError
-from moc_opt.optimality import Residuals
+from moc_opt.optimality import RANK_TOLERANCE, Residuals
 
 Array = NDArray[np.float64]
 
-TIED = 1e-9  # tip and wrist are rigidly tied when u^T (J_T - J_W) is smaller than this, relative to the largest entry
 LARGEST_WEIGHT = 1e12
 WEIGHTS = ("c0", "c1", "c2", "damping")
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
@@ -228,7 +227,9 @@ class NullSpaceQP:
         u = np.linalg.eigh(difference @ difference.T)[1][:, 0]
         u = u * np.sign(u[np.argmax(np.abs(u))])
         lift = np.eye(6)
-        if self.n >= 3 and np.abs(u @ difference).max() <= TIED * np.abs(difference).max():
+        # [u; -u] / sqrt(2) is then the left singular vector of A that belongs to its sixth singular value.
+        sixth = np.sqrt(0.5) * np.linalg.norm(u @ difference)
+        if self.n >= 3 and sixth <= RANK_TOLERANCE * np.linalg.norm(self.A):
             k = int(np.argmin(np.abs(u)))
             across = np.cross(u, np.eye(3)[k])
             across /= np.linalg.norm(across)
@@ -244,8 +245,7 @@ class NullSpaceQP:
         """Judge an answer x (n,) with its duals y (6,); see ``moc_opt.optimality.Residuals``.
 
         Raises:
-            SubproblemError: when a shape is wrong, or the arm has too many joints to be judged (25 are not too many).
-                NaN in x is a bad answer, not an error.
+            SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
         """
         x = np.asarray(x, dtype=float)
         if x.shape != (self.n,):

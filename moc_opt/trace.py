@@ -78,7 +78,7 @@ class Trace:
             "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
             "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
             "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
-            "loss": Column("1", "(N,)", "self-motion loss, 0 optimum, 1 opposite end; NaN: no subproblem"),
+            "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
             "mu_bound": Column("m^3", "(N,)", "largest mu on the feasible self-motion; NaN: not scanned"),
         }
     )

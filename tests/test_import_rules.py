@@ -18,7 +18,7 @@ ROOMS = {
     "errors": ["moc_opt.errors"],
     "settings": ["moc_opt.settings"],
     "compiled": ["moc_opt.compiled", "moc_opt.lanes"],
-    "subproblem": ["moc_opt.subproblem", "moc_opt.optimality"],
+    "subproblem": ["moc_opt.subproblem", "moc_opt.optimality", "moc_opt.extremes"],
     "robots": ["moc_opt.robots"],
     "model": [
         "moc_opt.model", "moc_opt.model_kernels", "moc_opt.link_kernels", "moc_opt.state", "moc_opt.kinematics",

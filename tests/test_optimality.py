@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from moc_opt.errors import SubproblemError
+from moc_opt.optimality import Residuals
 from moc_opt.solvers.exact import Exact
+from moc_opt.subproblem import NullSpaceQP, judge
+from tests.hard_problems import rounded
 from tests.problems import random_problem
+from tests.wrong_answers import corners, cost, kernel, wrong_corners
 
 CASES = [(7, True), (7, False), (8, False)]
 
@@ -71,23 +74,280 @@ def test_best_natural_is_the_smallest_over_all_duals(n, structured):
         assert qp.residuals(x).natural_best == pytest.approx(high, rel=2e-3, abs=2e-9)
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
-def test_loss_runs_from_zero_to_one_along_the_self_motion(damping):
+def ends_of_the_swivel(qp):
+    """The optimum, the worst point, and the unit vector between them, of an arm with one freedom beside idle joints."""
+    x, _ = optimum(qp)
+    moving = np.abs(qp.A).max(0) > 1e-12
+    z = np.zeros(qp.n)
+    z[moving] = np.linalg.svd(qp.A[:, moving])[2][-1]
+    used = np.abs(z) > 1e-9
+    steps = np.stack([(qp.lower - x)[used] / z[used], (qp.upper - x)[used] / z[used]])
+    ends = x + np.outer([steps.min(0).max(), steps.max(0).min()], z)
+    return x, ends[np.argmax(cost(qp, ends))]
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5, 1e-3])
+def test_loss_is_the_share_of_the_cost_s_range(damping):
     rng = np.random.default_rng(8)
     for _ in range(10):
         qp = random_problem(rng, damping=damping)
-        x, _ = optimum(qp)
-        _, _, vh = np.linalg.svd(qp.A)
-        kernel = vh[5:]
-        line = kernel.T @ (kernel @ qp.grad_mu)
-        line /= np.linalg.norm(line)
-        used = np.abs(line) > 1e-9
-        steps = np.stack([(qp.lower - x)[used] / line[used], (qp.upper - x)[used] / line[used]])
-        low, high = steps.min(0).max(), steps.max(0).min()
-        worst = low if abs(low) > abs(high) else high
+        x, worst = ends_of_the_swivel(qp)
         assert qp.residuals(x).loss == pytest.approx(0.0, abs=1e-9)
-        assert qp.residuals(x + worst * line).loss == pytest.approx(1.0, abs=1e-9)
-        assert qp.residuals(x + 0.25 * worst * line).loss == pytest.approx(0.25, abs=1e-9)
+        assert qp.residuals(worst).loss == pytest.approx(1.0, abs=1e-9)
+        for share in (0.03, 0.25, 0.9):
+            between = x + share * (worst - x)
+            expected = (cost(qp, between) - cost(qp, x)) / (cost(qp, worst) - cost(qp, x))
+            found = qp.residuals(between)
+            assert found.loss == pytest.approx(expected, abs=1e-9)
+            assert found.distance == pytest.approx(share * np.abs(worst - x).max(), rel=1e-6)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("tilt", [1.0, 1e-3])
+@pytest.mark.parametrize("size", [1.0, 3e-4])
+@pytest.mark.parametrize("n", [7, 8, 9])
+def test_no_wrong_corner_is_verified(n, size, tilt, damping):
+    """Corners of the feasible set: A x = b and the box hold, whatever freedom there is left is used the wrong way."""
+    wrong = wrong_corners(n, n, 4, tilt=tilt, size=size, damping=damping)
+    assert len(wrong) > 10
+    found = judge(np.array([w.qp.row for w in wrong]), np.array([w.x for w in wrong]))
+    assert found.primal.max() < 1e-12
+    assert not found.verified().any()
+    np.testing.assert_allclose(found.loss, [w.share for w in wrong], atol=1e-6)
+    assert found.distance.min() > 1e-6
+    assert found.relative.max() > 1e-2 * size
+
+
+@pytest.mark.parametrize(
+    ("gates", "verified"),
+    [
+        ({}, True),
+        ({"primal": 2e-6}, False),
+        ({"relative": 2e-3}, False),
+        ({"loss": 2e-2}, False),
+        ({"relative": 1.0, "loss": 1.0, "distance": 1e-6}, True),
+        ({"relative": 1.0, "loss": 1.0, "distance": 1.1e-6}, False),
+        ({"primal": 2e-6, "distance": 0.0}, False),
+    ],
+)
+def test_each_gate_of_the_rule_decides_alone(gates, verified):
+    at_the_limit = {
+        "primal": 1e-6, "natural": 9.0, "natural_best": 9.0, "relative": 1e-3, "loss": 1e-2, "distance": 1.0,
+    }  # fmt: skip
+    figures = {key: np.array(value) for key, value in {**at_the_limit, **gates}.items()}
+    assert Residuals(**figures).verified() == verified
+    batch = Residuals(**{key: np.array([value, np.inf]) for key, value in figures.items()})
+    assert batch.verified().tolist() == [verified, False]
+
+
+def test_limits_of_the_rule_are_arguments():
+    figures = Residuals(*(np.array(f) for f in (1e-4, 0.0, 0.0, 1e-4, 1e-4, 1.0)))
+    assert figures.verified(primal=1e-4, relative=1e-4, loss=1e-4)
+    for tighter in ({"primal": 9e-5}, {"relative": 9e-5}, {"loss": 9e-5}):
+        assert not figures.verified(**{"primal": 1e-4, "relative": 1e-4, "loss": 1e-4, **tighter})
+
+
+def test_what_only_relative_sees():
+    """Half a percent short of the end of a wide box: little of the range, far from the optimum."""
+    qp = random_problem(np.random.default_rng(8), damping=0.0)
+    x, worst = ends_of_the_swivel(qp)
+    found = qp.residuals(x + 0.005 * (worst - x))
+    assert found.loss == pytest.approx(0.005, rel=1e-6)
+    assert found.relative > 2e-3
+    assert not found.verified()
+
+
+def test_what_only_loss_sees():
+    """The wrong end of a box so small that no residual in rad/s is large."""
+    small = wrong_corners(3, 7, 5, size=1e-4, least=0.5)
+    for w in small:
+        found = w.qp.residuals(w.x)
+        assert found.relative < 1e-3
+        assert found.loss > 0.5
+        assert found.distance > 1e-6
+        assert not found.verified()
+
+
+def sliver(width, damping=0.0):
+    """An arm whose swivel has ``width`` [rad/s] of room, the optimum, and the opposite end."""
+    qp = random_problem(np.random.default_rng(21), damping=damping)
+    x, worst = ends_of_the_swivel(qp)
+    z = (x - worst) / np.abs(x - worst).max()
+    j = int(np.argmax(np.abs(z)))
+    middle = 0.5 * (x + worst)
+    lower, upper = np.array(qp.lower), np.array(qp.upper)
+    lower[j], upper[j] = middle[j], middle[j] + width
+    thin = NullSpaceQP(
+        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, lower, upper, damping=damping
+    )
+    return thin, optimum(thin)[0], z
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+def test_within_the_primal_tolerance_of_an_optimum_is_right(damping):
+    qp, x, z = sliver(1e-5, damping)
+    for off, right in ((0.0, True), (9e-7, True), (1.5e-6, False), (1e-5, False)):
+        found = qp.residuals(x - off * z)
+        assert found.distance == pytest.approx(off, abs=1e-9)
+        assert found.loss == pytest.approx(off / 1e-5, abs=1e-3)
+        assert found.verified() == right
+
+
+def test_an_interval_of_rounding_has_no_ends():
+    qp, x, z = sliver(5e-10)
+    assert qp.residuals(x - 5e-10 * z).loss == 0.0
+    qp, x, z = sliver(5e-9)
+    assert qp.residuals(x - 5e-9 * z).loss == pytest.approx(1.0, abs=1e-4)
+
+
+def with_changes(qp, **changes):
+    parts = {key: getattr(qp, key) for key in (
+        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "damping"
+    )}  # fmt: skip
+    return NullSpaceQP(**{**parts, **changes})
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+@pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
+def test_an_idle_joint_is_judged_by_its_own_interval(pull, damping):
+    """Joint 7 moves nothing, so its optimum is where its own cost is least; the others' loss is not diluted by it."""
+    qp = random_problem(np.random.default_rng(14), damping=damping)
+    grad_mu = np.array(qp.grad_mu)
+    grad_mu[6] = pull
+    qp = with_changes(qp, grad_mu=grad_mu)
+    x, worst = ends_of_the_swivel(qp)
+    free = np.linspace(qp.lower[6], qp.upper[6], 2001)
+    costs = 0.5 * damping * free**2 - qp.c2 * pull * free
+    for k in (0, 700, 2000):
+        here = np.array(x)
+        here[6] = free[k]
+        found = qp.residuals(here)
+        spread = np.ptp(costs)
+        expected = (costs[k] - costs.min()) / spread if spread > 0.0 else 0.0
+        assert found.loss == pytest.approx(expected, abs=2e-3)
+        best = x[6] if spread > 0.0 else here[6]
+        assert found.distance == pytest.approx(abs(here[6] - best), abs=1e-9)
+        slope = damping * here[6] - qp.c2 * pull
+        size = max(qp.c2 * abs(pull), damping) or 1.0
+        for figure, s in ((found.natural_best, slope), (found.relative, slope / size)):
+            assert figure == pytest.approx(abs(here[6] - np.clip(here[6] - s, qp.lower[6], qp.upper[6])), abs=1e-12)
+    there = np.array(worst)
+    there[6] = x[6]
+    assert qp.residuals(there).loss == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_worst_idle_joint_counts():
+    """Two joints that move nothing: each can be the wrong one."""
+    qp = random_problem(np.random.default_rng(14), damping=1e-5)
+    A = np.array(qp.A)
+    A[:, 3] = 0.0
+    grad_mu = np.array(qp.grad_mu)
+    grad_mu[[3, 6]] = 2.0, -1.0
+    x = np.linalg.lstsq(A, A @ np.array(0.3 * qp.upper), rcond=1e-9)[0]
+    b = A @ x
+    qp = with_changes(qp, J_tip=A[:3], J_wrist=A[3:], v_tip=b[:3], v_wrist=b[3:], grad_mu=grad_mu)
+    x, _ = optimum(qp)
+    assert qp.residuals(x).verified()
+    for j, end in ((3, qp.lower[3]), (6, qp.upper[6])):
+        wrong = np.array(x)
+        wrong[j] = end
+        found = qp.residuals(wrong)
+        assert found.loss == pytest.approx(1.0, abs=1e-9)
+        assert found.distance == pytest.approx(qp.upper[j] - qp.lower[j])
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_a_gradient_that_is_rounding_on_the_kernel_asks_for_nothing(n):
+    qp = random_problem(np.random.default_rng(30), n, structured=False, damping=0.0)
+    Z = kernel(qp)
+    x = optimum(qp)[0]
+    across = qp.grad_mu - Z @ (Z.T @ qp.grad_mu)
+    size = np.abs(across).max() / np.abs(Z[:, 0]).max()
+    for share, flat in ((1e-10, True), (1e-8, False)):
+        problem = with_changes(qp, grad_mu=across + share * size * Z[:, 0])
+        best = optimum(problem)[0]
+        wrong = max(corners(problem, x), key=lambda c: float(cost(problem, c)))
+        found = problem.residuals(wrong)
+        assert (found.loss, found.relative, found.distance) == (0.0, 0.0, pytest.approx(0.0, abs=1e-12)) or not flat
+        assert found.verified() == flat
+        assert problem.residuals(best).verified()
+
+
+def test_relative_is_scaled_by_what_is_left_of_the_gradient():
+    """Almost all of grad_mu lies across the kernel: with it as the scale, a wrong end would leave 1e-3."""
+    rooms = []
+    for w in wrong_corners(5, 6, 8, tilt=1e-3):
+        z = kernel(w.qp)[:, 0]
+        for damping in (0.0, 1.0):  # with 1.0 the damping is the larger of the two scales
+            slope = z @ (damping * w.x - w.qp.c2 * w.qp.grad_mu)
+            scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), damping)
+            room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
+            rooms.append(max(room, 0.0) > abs(slope) / scale / np.abs(z).sum())
+            expected = min(abs(slope) / scale / np.abs(z).sum(), max(room, 0.0))
+            found = with_changes(w.qp, damping=damping).residuals(w.x)
+            assert found.relative == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    assert any(rooms)
+
+
+def test_where_a_and_b_leave_no_freedom_the_references_decide():
+    rng = np.random.default_rng(4)
+    J, x = rng.normal(size=(6, 6)), rng.uniform(-0.5, 0.5, 6)
+    b = J @ x
+    qp = NullSpaceQP(J[:3], J[3:], b[:3], b[3:], np.ones(6), -np.ones(6), np.ones(6))
+    found = qp.residuals(x)
+    assert found.verified()
+    assert (found.relative, found.loss, found.natural_best) == (0.0, 0.0, 0.0)
+    off = 1e-3 * rng.normal(size=6)
+    assert qp.residuals(x + off).distance == pytest.approx(np.abs(off).max(), rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_a_box_that_leaves_nothing(n):
+    qp = random_problem(np.random.default_rng(17), n, damping=1e-5)
+    x, _ = optimum(qp)
+    z = kernel(qp)[: n - 1 if n == 7 else n, 0]
+    z = np.append(z, np.zeros(n - len(z)))
+    for gap, empty in ((1e-3, True), (1e-8, False)):
+        lower, upper = np.array(qp.lower), np.array(qp.upper)
+        i, j = np.argsort(-np.abs(np.linalg.svd(qp.A[:, : 6 if n == 7 else 8])[2][-1]))[:2]
+        lower[:], upper[:] = x, x
+        lower[i] = upper[i] = x[i] + gap
+        shut = with_changes(qp, lower=lower, upper=upper)
+        found = shut.residuals(x)
+        assert i != j
+        assert (found.loss, found.distance == np.inf) == ((1.0, True) if empty else (0.0, False))
+
+
+def test_a_batch_may_mix_ranks_and_idle_joints():
+    rng = np.random.default_rng(40)
+    problems = [random_problem(rng, 7, structured=k % 2 == 0, damping=1e-5 * (k % 3)) for k in range(9)]
+    J = rng.normal(size=(6, 7))
+    problems.append(
+        NullSpaceQP(J[:3], J[3:], np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7))
+    )
+    X = np.array([np.clip(optimum(qp)[0] + 0.1 * (k % 2), qp.lower, qp.upper) for k, qp in enumerate(problems)])
+    together = judge(np.array([qp.row for qp in problems]).reshape(2, 5, -1), X.reshape(2, 5, 7))
+    for k, qp in enumerate(problems):
+        np.testing.assert_allclose([f.ravel()[k] for f in together], qp.residuals(X[k]), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("decimals", [7, 8, 10, 12])
+def test_rounded_jacobians_keep_their_freedoms(decimals):
+    rng = np.random.default_rng(decimals)
+    for k in range(6):
+        qp = rounded(random_problem(rng, 7 + k % 2, structured=k % 2 == 0, damping=0.0), decimals)
+        assert len(qp.reduced().b) == 5
+        x, _ = optimum(qp)
+        five = qp.reduced()
+        program = linprog(
+            -qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
+        )
+        assert -qp.grad_mu @ x == pytest.approx(program.fun, abs=1e-6)
+        assert qp.residuals(x).verified()
+        worst = linprog(
+            qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
+        )
+        assert qp.residuals(worst.x).loss == pytest.approx(1.0, abs=1e-5)
 
 
 def test_nan_is_infinitely_wrong():
@@ -102,16 +362,21 @@ def test_relative_measures_against_the_gradient():
     """Half the gradient left over is half the gradient, whatever its size."""
     rng = np.random.default_rng(10)
     qp = random_problem(rng, damping=0.0)
-    middle = optimum(random_with(qp, c2=0.001, damping=1.0))[0]
-    big, small = (random_with(qp, c2=c, damping=0.0).residuals(middle).relative for c in (1.0, 1e-6))
+    middle = optimum(with_changes(qp, c2=0.001, damping=1.0))[0]
+    big, small = (with_changes(qp, c2=c, damping=0.0).residuals(middle).relative for c in (1.0, 1e-6))
     assert big == pytest.approx(small, rel=1e-9)
 
 
-def random_with(qp, **changes):
-    return type(qp)(qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, qp.lower, qp.upper, **changes)
-
-
-def test_more_freedoms_than_can_be_judged_are_refused_at_once():
-    qp = random_problem(np.random.default_rng(9), 48)
-    with pytest.raises(SubproblemError, match=r"48 joints with 43 freedoms .* up to 25 joints"):
-        qp.residuals(*optimum(qp))
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+@pytest.mark.parametrize("n", [12, 16, 48])
+def test_arms_of_many_freedoms_are_judged_too(n, damping):
+    qp = random_problem(np.random.default_rng(9), n, damping=damping)
+    x, y = optimum(qp)
+    found = qp.residuals(x, y)
+    assert found.verified()
+    assert max(found.natural_best, found.relative, found.loss) < 1e-9
+    opposite, _ = optimum(with_changes(qp, grad_mu=-qp.grad_mu, damping=0.0))
+    wrong = qp.residuals(opposite)
+    assert wrong.loss > 0.5
+    assert wrong.relative > 1e-2
+    assert not wrong.verified()

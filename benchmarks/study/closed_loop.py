@@ -180,10 +180,8 @@ def run_one(
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
             part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
-    values = part.values
-    return Run(
-        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, values.get("faults", {})
-    )
+    values, faults = part.values, part.values.get("faults", {})
+    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, faults)
 
 
 def run_all(

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, PIVOT_TOLERANCE, STUCK
+from moc_opt.optimality import RANK_TOLERANCE
+from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, STUCK
 
 SX = Any
 
@@ -74,7 +75,7 @@ def triangulate(A: SX) -> Triangle:
     largest = smallest = diagonal[0]
     for length in diagonal[1:]:
         largest, smallest = ca.fmax(largest, length), ca.fmin(smallest, length)
-    return Triangle(reflections, ca.triu(T[:r, :]), smallest > PIVOT_TOLERANCE * largest)
+    return Triangle(reflections, ca.triu(T[:r, :]), smallest > RANK_TOLERANCE * largest)
 
 
 def null_vector(triangle: Triangle) -> SX:

@@ -32,7 +32,8 @@ def warnings(trace: Trace) -> list[str]:
 def refusals(trace: Trace) -> list[str]:
     """A sentence on each kind of answer that the supervisor refused."""
     return [
-        f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: {of['first']}"
+        f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
+        f"{of['first']}"
         for fault, of in trace.meta.get("faults", {}).items()
     ]
 

@@ -93,22 +93,29 @@ class DAQPSession:
         self._core.settings = {
             "primal_tol": settings.primal_tol, "dual_tol": settings.dual_tol, "iter_limit": settings.max_iter,
         }  # fmt: skip
-        self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
+        # Below zero where the library could not set the problem up: it raises at whatever follows but another setup.
+        self._flag, _ = self._core.setup(self._P, self._p, self._A, self._upper, self._lower, self._sense)
 
     def update(self, qp: NullSpaceQP) -> None:
-        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
-        if not self._load(qp):
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace.
+
+        So does one that follows a problem the library could not set up.
+        """
+        if self._flag < 0 or not self._load(qp):
             self._build(qp)
+            return
         sense = None
         if not self._settings.warm:
             self._sense[:] = self._fresh
             sense = self._sense
-        self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
+        self._flag = self._core.update(self._P, self._p, self._A, self._upper, self._lower, sense)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
         self.update(qp)
         core, n = self._core, self._shape[1]
+        if self._flag < 0:
+            return no_answer(n, _STATUS.get(self._flag, Status.NUMERICAL))
         x, _, code, info = core.solve()
         status = _STATUS.get(code, Status.NUMERICAL)
         if status not in _HAS_X:

@@ -30,11 +30,13 @@ from moc_opt.lanes import (
     unit,
     zeros,
 )
+from moc_opt.optimality import RANK_TOLERANCE
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-PIVOT_TOLERANCE = 1e-12  # relative to the largest pivot: below it a row repeats the others
+DOUBTFUL = 1e3  # pivots within this factor of the rank tolerance are looked at more closely
+LEFT = 1e-6  # |A x - b| that the dropped rows may be left with [m/s]; the judge's primal tolerance
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
 OK, EMPTY, STUCK = 0, 1, 2
@@ -60,6 +62,27 @@ class Plane(NamedTuple):
     m: int
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def repeats(W: Array, n: int, m: int, row: Array) -> bool:
+    """Whether the open rows repeat the others, by the rank tolerance on singular values.
+
+    A pivot alone overstates the singular value, up to a hundredfold: an open row is e^T A with a long e, which the
+    row operations hold. |e^T A| / |e| is what a singular value is the smallest of.
+    """
+    size, most = 0.0, 0.0
+    for k in range(6 * n):
+        size += row[k] * row[k]
+    for i in range(6):
+        if W[OPEN, i] > 0.0:
+            length, operations = 0.0, 0.0
+            for j in range(n):
+                length += W[i, j] * W[i, j]
+            for k in range(6):
+                operations += W[i, m + k] * W[i, m + k]
+            most = max(most, length / operations)
+    return bool(most <= RANK_TOLERANCE * RANK_TOLERANCE * size)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def eliminate(plane: Plane, row: Array) -> int:
     """Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
@@ -80,7 +103,9 @@ def eliminate(plane: Plane, row: Array) -> int:
                 most = larger(magnitude(load(W, i, c)) * W[OPEN, i], most)
         size = largest(most)
         start = size if k == 0 else start
-        if not size > PIVOT_TOLERANCE * start:
+        if not size > RANK_TOLERANCE / DOUBTFUL * start:
+            return k
+        if size < RANK_TOLERANCE * DOUBTFUL * start and repeats(W, n, m, row):
             return k
         inverse = 1.0 / size  # its sign is seen to when the pivot is found: the division takes as long
         pivot, column = 0, 0
@@ -98,6 +123,29 @@ def eliminate(plane: Plane, row: Array) -> int:
         for c in range(0, m + 8, 8):
             store(W, pivot, c, load(W, pivot, c) * inverse)
     return 6
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) -> bool:
+    """Whether no x in the box brings the dropped row i of W to what it asks for."""
+    lo, up = 7 * n + 6, 8 * n + 6
+    reach = tolerance
+    for j in range(n):
+        reach += abs(W[i, j]) * max(abs(row[lo + j]), abs(row[up + j]))
+    return bool(abs(W[i, m + B]) > reach)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def left_over(plane: Plane, x: Array) -> float:
+    """|A x - b|_inf of the answer x (n,): the dropped rows are what is left of it."""
+    W, most = plane.W, 0.0
+    for i in range(6):
+        if W[OPEN, i] > 0.0:
+            gap = -W[i, plane.m + B]
+            for j in range(plane.n):
+                gap += W[i, j] * x[j]
+            most = max(most, abs(gap))
+    return most
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

@@ -71,7 +71,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     plane = Plane(W, stack_indices(n + 1), stack_indices(6), n, m)
     rank = elimination.eliminate(plane, row)
     for i in range(6):
-        if W[OPEN, i] * abs(W[i, m + B]) > tolerance:
+        if W[OPEN, i] * abs(W[i, m + B]) > tolerance and elimination.contradicts(W, n, m, i, row, tolerance):
             return EMPTY  # a repeated row asks for another velocity than its twin
 
     # Particular solution, and the free columns that move the tip or the wrist.
@@ -98,7 +98,10 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     elif freedoms > 1:
         status = maximise_over_box(plane, rank, freedoms, V, row, tolerance)
     beyond = answer(plane, rank, V, row, x, y)
-    return EMPTY if status == OK and beyond > tolerance else status
+    if status == OK and beyond > tolerance:
+        return EMPTY
+    # Rows that are neither independent nor repeated: nobody can say which velocities they allow.
+    return STUCK if status == OK and elimination.left_over(plane, x) > elimination.LEFT else status
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.subproblem import TIED, NullSpaceQP, Reduced
+from moc_opt.optimality import RANK_TOLERANCE
+from moc_opt.subproblem import NullSpaceQP, Reduced
 
 Array = NDArray[np.float64]
 
@@ -30,11 +31,12 @@ def tool_direction(row: Array, n: int, u: Array) -> bool:
     The adjugate of (J_T - J_W)(J_T - J_W)^T is a multiple of u u^T; its longest column is taken.
     """
     D = np.empty((3, n))
-    largest = 0.0
+    size = 0.0
     for i in range(3):
         for j in range(n):
-            D[i, j] = row[i * n + j] - row[(i + 3) * n + j]
-            largest = max(largest, abs(D[i, j]))
+            tip, wrist = row[i * n + j], row[(i + 3) * n + j]
+            D[i, j] = tip - wrist
+            size += tip * tip + wrist * wrist
     a = b = c = d = e = f = 0.0
     for j in range(n):
         x, y, z = D[0, j], D[1, j], D[2, j]
@@ -58,10 +60,11 @@ def tool_direction(row: Array, n: int, u: Array) -> bool:
     if u[k] < 0.0:
         length = -length
     u[0], u[1], u[2] = u[0] / length, u[1] / length, u[2] / length
+    apart = 0.0
     for j in range(n):
-        if abs(u[0] * D[0, j] + u[1] * D[1, j] + u[2] * D[2, j]) > TIED * largest:
-            return False
-    return True
+        gap = u[0] * D[0, j] + u[1] * D[1, j] + u[2] * D[2, j]
+        apart += gap * gap
+    return bool(0.5 * apart <= RANK_TOLERANCE * RANK_TOLERANCE * size)
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,196 @@
+"""The smallest and the largest cost over a box cut by a plane: plain, slow, and independent of every solver.
+
+With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + damping/2 |w|^2 and the box is
+low <= Z w <= high. Everything rests on one step, the point of that set nearest to a given one: Lawson and Hanson,
+Solving Least Squares Problems (1974), chapter 23, turn it into non-negative least squares (algorithms LDP and NNLS).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import combinations, product
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
+FAR = 1e3  # box widths: how long a proximal step is
+ROUNDS = 200
+ROUNDING = 1e-14  # of numbers of order one
+SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
+FLAT = 1e-9  # a range of the cost below this fraction of slope times box width is rounding
+
+
+class Extremes(NamedTuple):
+    """What the cost can be over the feasible set, counted from its value at w = 0.
+
+    Attributes:
+        w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
+        least: a lower bound on the cost, by weak duality: that of w, where w is the optimum.
+        most: the largest cost; with damping and more than ``MOST_CORNERS`` candidates that of a corner where no
+            linearisation rises, which may be below it.
+        pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
+    """
+
+    w: Array
+    least: float
+    most: float
+    pull: Array
+
+
+def extremes(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> Extremes | None:
+    """Both ends of slope^T w + damping/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
+
+    Args:
+        Z: (n, r) orthonormal columns.
+        low, high: (n,) finite [rad/s].
+        slope: (r,); damping: zero or larger, and not zero with a slope of zero.
+    """
+    # In units of the box's width and of the steepest that the cost can be over it.
+    width = max(float((high - low).max()), 1e-12)
+    steep = max(float(np.linalg.norm(slope)), damping * width)
+    low, high, slope, damping = low / width, high / width, slope / steep, damping * width / steep
+    found = optimum(Z, low, high, slope, damping)
+    if found is None:
+        return None
+    w, force = found
+    forward, moved = Z @ slope, Z @ w
+    across = force - forward - damping * moved
+    pull = forward + across - Z @ (Z.T @ across)
+    least = _lower_bound(low, high, pull, damping)
+    most = _largest(Z, low, high, slope, damping, w)
+    if most - least <= FLAT:  # every point is optimal to rounding
+        least, most = 0.0, 1.0
+    return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
+
+
+def optimum(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> tuple[Array, Array] | None:
+    """The w (r,) of least cost and the multipliers (n,) of its bounds, by proximal steps from w = 0.
+
+    A step of a linear cost that is long enough ends at the optimum nearest to where it began (Ferris 1991).
+    """
+    w = np.zeros(len(slope))
+    if damping * FAR >= np.linalg.norm(slope):
+        found = nearest(Z, low, high, -slope / damping)
+        return None if found is None else (found[0], damping * found[1])
+    weight = damping + 1.0 / FAR
+    force = np.zeros(len(low))
+    for _ in range(ROUNDS):
+        found = nearest(Z, low, high, (w / FAR - slope) / weight)
+        if found is None:
+            return None
+        before, w, force = w, found[0], weight * found[1]
+        if np.abs(w - before).max() <= SETTLED:
+            break
+    return w, force
+
+
+def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
+    """The w (r,) of low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
+
+    f is above zero at lower bounds, below at upper ones, zero elsewhere. None where no w is allowed.
+    """
+    away = Z @ start
+    G, short = np.vstack([Z, -Z]), np.concatenate([low - away, away - high])
+    size = float(short.max())
+    if size <= 0.0:
+        return start, np.zeros(len(low))
+    u = nonnegative_least_squares(np.vstack([G.T, short / size]), np.append(np.zeros(len(start)), 1.0))
+    left = 1.0 - float(short @ u) / size
+    if left <= 1e-12:
+        return None
+    active = u > 0.0
+    u *= size / left
+    # Once more with the active bounds alone: the shortest step onto them, to rounding.
+    step, *_ = np.linalg.lstsq(G[active], short[active], rcond=None)
+    if (short - G @ step).max() > (short - G @ (G.T @ u)).max() + ROUNDING * max(size, 1.0):
+        step = G.T @ u
+    return start + step, u[: len(low)] - u[len(low) :]
+
+
+def nonnegative_least_squares(E: Array, f: Array) -> Array:
+    """u >= 0 (k,) with the smallest |E u - f|, E (m, k): Lawson and Hanson's algorithm NNLS."""
+    u = np.zeros(E.shape[1])
+    free = np.zeros(E.shape[1], dtype=bool)
+    for _ in range(30 * len(f)):
+        gain = np.where(free, -np.inf, E.T @ (f - E @ u))
+        while True:
+            j = int(np.argmax(gain))
+            if gain[j] <= ROUNDING:
+                return u
+            free[j] = True
+            wish = _least_squares(E, f, free)
+            if wish[j] > 0.0:
+                break
+            free[j], gain[j] = False, -np.inf  # it gained by rounding only
+        while wish[free].min() <= 0.0:
+            falling = free & (wish <= 0.0)
+            share = (u[falling] / (u[falling] - wish[falling])).min()
+            u = u + share * (wish - u)
+            free &= u > ROUNDING
+            u[~free] = 0.0
+            wish = _least_squares(E, f, free)
+        u = wish
+    return u
+
+
+def _least_squares(E: Array, f: Array, free: NDArray[np.bool_]) -> Array:
+    u = np.zeros(E.shape[1])
+    if free.any():
+        u[free] = np.linalg.lstsq(E[:, free], f, rcond=None)[0]
+    return u
+
+
+def _lower_bound(low: Array, high: Array, pull: Array, damping: float) -> float:
+    """Weak duality: with multipliers of A x = b the cost falls apart into one of each joint's own."""
+    best = np.clip(-pull / damping, low, high) if damping > 0.0 else np.where(pull > 0.0, low, high)
+    return float((pull * best + 0.5 * damping * best**2).sum())
+
+
+def _largest(Z: Array, low: Array, high: Array, slope: Array, damping: float, w: Array) -> float:
+    """The largest cost: a corner's, as the cost is convex; no less than that of the point ``w`` of the set."""
+    n, r = Z.shape
+
+    def cost(w: Array) -> float:
+        return float(slope @ w + 0.5 * damping * w @ w)
+
+    if damping == 0.0:
+        found = optimum(Z, low, high, -slope, 0.0)
+        return cost(w if found is None else found[0])
+    if comb(n, r) << r <= MOST_CORNERS:
+        return max(cost(w), _largest_corner(Z, low, high, slope, damping))
+    # Frank and Wolfe's steps uphill: each goes to the corner where the linearised cost is largest.
+    most = cost(w)
+    axis = np.eye(r)[0]
+    for ascent in (slope, -slope, axis, -axis):
+        for _ in range(ROUNDS):
+            found = optimum(Z, low, high, -ascent, 0.0)
+            if found is None or cost(found[0]) <= most + ROUNDING:
+                break
+            most, ascent = cost(found[0]), slope + damping * found[0]
+    return most
+
+
+def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> float:
+    """The largest cost over all corners: r joints at their bounds, the others follow."""
+    n, r = Z.shape
+    joints, sides = _choices(n, r)
+    basis = Z[joints]
+    sound = np.abs(np.linalg.det(basis)) > 1e-9
+    joints, basis = joints[sound], basis[sound]
+    ends = np.stack([low[joints], high[joints]], axis=-1)  # (k, r, 2)
+    bounds = ends[:, np.arange(r), sides]  # (k, 2^r, r)
+    w = np.linalg.solve(basis, np.swapaxes(bounds, 1, 2))  # (k, r, 2^r)
+    moved = Z @ w
+    inside = (moved >= low[:, None] - 1e-9) & (moved <= high[:, None] + 1e-9)
+    costs = np.einsum("krs,r->ks", w, slope) + 0.5 * damping * (w**2).sum(1)
+    return float(np.where(inside.all(1), costs, -np.inf).max(initial=-np.inf))
+
+
+@lru_cache(maxsize=8)
+def _choices(n: int, r: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return np.array(list(combinations(range(n), r))), np.array(list(product((0, 1), repeat=r)))

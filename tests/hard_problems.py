@@ -1,0 +1,48 @@
+"""Subproblems at the edge of what can be computed: rounded or nearly singular Jacobians, huge and tiny numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from moc_opt.subproblem import NullSpaceQP
+from tests.problems import Arm, random_problem
+
+
+def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
+    """The same problem with Jacobians of so many decimals; the references are consistent with the rounded ones."""
+    x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
+    A = np.round(qp.A, decimals)
+    return remade(qp, A, A @ x)
+
+
+def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
+    """The problem with other rows, and a box ``size`` times as wide."""
+    return NullSpaceQP(
+        A[:3], A[3:], b[:3], b[3:], qp.grad_mu, size * qp.lower, size * qp.upper, qp.c0, qp.c1, qp.c2, qp.damping, qp.q
+    )
+
+
+def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
+    """The same problem where the fifth singular value of A is ``size`` of the first; the tool is as rigid as before."""
+    u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
+    free = np.eye(6) - 0.5 * np.outer(np.r_[u, -u], np.r_[u, -u])
+    U, s, V = np.linalg.svd(free @ qp.A, full_matrices=False)
+    x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
+    s[4:] = size * s[0], 0.0
+    A = U * s @ V
+    return remade(qp, A, A @ x)
+
+
+def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
+    """Two of each kind, without and with damping; all but the largest and smallest are feasible."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for damping in (0.0, 1e-5):
+        for _ in range(2):
+            qp = random_problem(rng, n, arm=arm, structured=n == 7, damping=damping)
+            found += [rounded(qp, decimals) for decimals in range(3, 13)]
+            found += [nearly_singular(qp, 10.0**-k) for k in range(3, 15)]
+            found += [remade(qp, size * qp.A, size * qp.b) for size in (1e-12, 1e-6, 1e6, 1e12)]
+            found += [remade(qp, qp.A, size * qp.b, size) for size in (1e-12, 1e-6, 1e6, 1e12)]
+            found += [remade(qp, np.vstack([qp.J_tip, qp.J_tip]), np.r_[qp.v_tip, qp.v_tip])]
+    return found

@@ -1,0 +1,135 @@
+"""Smallest and largest cost over a cut box: against HiGHS, against all corners, and by their own certificate."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog, nnls
+
+from moc_opt import extremes as module
+from moc_opt.extremes import extremes, nearest, nonnegative_least_squares
+
+SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 11)])
+
+
+def cut_box(seed, shape, size=1.0):
+    """Z (n, r), low and high (n,) around a point that is allowed, and a slope (r,)."""
+    rng = np.random.default_rng(seed)
+    n, r = shape
+    Z = np.linalg.qr(rng.normal(size=shape))[0]
+    inside = size * Z @ rng.normal(size=r)
+    low, high = inside - size * rng.uniform(0.0, 2.0, n), inside + size * rng.uniform(0.0, 2.0, n)
+    return Z, low, high, rng.normal(size=r) * 10.0 ** rng.uniform(-6, 2)
+
+
+def program(Z, low, high, slope):
+    """The least linear cost, by HiGHS."""
+    found = linprog(
+        slope / np.abs(slope).max(), A_ub=np.vstack([Z, -Z]), b_ub=np.concatenate([high, -low]), bounds=(None, None)
+    )
+    assert found.status == 0
+    return found.fun * np.abs(slope).max()
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), shape=SHAPES, size=st.sampled_from([1.0, 1e-4]))
+def test_linear_costs_agree_with_highs(seed, shape, size):
+    Z, low, high, slope = cut_box(seed, shape, 1.0)
+    least, most = program(Z, low, high, slope), -program(Z, low, high, -slope)
+    found = extremes(Z, size * low, size * high, slope, 0.0)
+    spread = size * (most - least)
+    assert found.least == pytest.approx(size * least, abs=1e-6 * spread)
+    assert found.most == pytest.approx(size * most, abs=1e-6 * spread)
+    assert slope @ found.w == pytest.approx(found.least, abs=1e-9 * spread)
+    beyond = np.maximum(size * low - Z @ found.w, Z @ found.w - size * high).max()
+    assert beyond < 1e-11 * size
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), shape=SHAPES, weight=st.floats(-9.0, 2.0))
+def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight):
+    """Weak duality certifies the optimum; no random feasible point is better than it, or worse than the worst."""
+    Z, low, high, slope = cut_box(seed, shape)
+    damping = float(np.linalg.norm(slope) * 10.0**weight)
+    found = extremes(Z, low, high, slope, damping)
+    cost = lambda w: slope @ w + 0.5 * damping * (w * w).sum(0)  # noqa: E731
+    spread = found.most - found.least
+    assert cost(found.w) == pytest.approx(found.least, abs=1e-8 * spread)
+    assert np.maximum(low - Z @ found.w, Z @ found.w - high).max() < 1e-10
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(shape[1], 200))
+    moved = Z @ directions
+    with np.errstate(divide="ignore"):
+        room = np.where(moved > 0.0, (high - Z @ found.w)[:, None], (low - Z @ found.w)[:, None]) / moved
+    w = found.w[:, None] + directions * np.maximum(room.min(0), 0.0)  # points on the surface, the worst among corners
+    assert cost(w).min() >= found.least - 1e-9 * spread
+    if module.comb(*shape) << shape[1] <= module.MOST_CORNERS:
+        assert cost(w).max() <= found.most + 1e-9 * spread
+    np.testing.assert_allclose(Z.T @ found.pull, slope, atol=1e-9 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
+def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape, monkeypatch):
+    """A worst that is too small makes a loss that is too large: the safe side."""
+    exact = []
+    for seed in range(30):
+        Z, low, high, slope = cut_box(seed, shape)
+        damping = float(np.linalg.norm(slope))
+        whole = extremes(Z, low, high, slope, damping)
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "MOST_CORNERS", 0)
+            bound = extremes(Z, low, high, slope, damping)
+        assert bound.least == pytest.approx(whole.least, rel=1e-9)
+        assert whole.least < bound.most <= whole.most * (1.0 + 1e-9)
+        exact.append(bound.most > whole.most * (1.0 - 1e-6))
+    assert np.mean(exact) >= 0.5
+
+
+def test_an_optimum_that_is_not_unique_is_the_nearest_one():
+    Z, low, high = np.eye(3), -np.ones(3), np.ones(3)
+    found = extremes(Z, low, high, np.array([1.0, 0.0, 0.0]), 0.0)
+    np.testing.assert_allclose(found.w, [-1.0, 0.0, 0.0], atol=1e-11)
+    assert (found.least, found.most) == pytest.approx((-1.0, 1.0))
+
+
+def test_nothing_allowed_is_none():
+    Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
+    apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
+    assert nearest(Z, *apart, np.zeros(1)) is None
+    for damping in (0.0, 1.0):
+        assert extremes(Z, *apart, np.ones(1), damping) is None
+    touching = np.array([0.0, 0.5]), np.array([0.5, 2.0])
+    assert nearest(Z, *touching, np.zeros(1))[0] == pytest.approx([0.5 * np.sqrt(2.0)])
+
+
+def test_a_range_of_rounding_is_none_at_all():
+    Z = np.eye(2)
+    found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-12, 1.0]), np.array([1.0, 0.0]), 0.0)
+    assert (found.least, found.most) == (0.0, 1.0)
+    found = extremes(Z, np.array([0.0, 0.0]), np.array([1e-8, 1.0]), np.array([-1.0, 0.0]), 0.0)
+    assert found.least == pytest.approx(-1e-8)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), shape=SHAPES)
+def test_nearest_point_and_its_forces(seed, shape):
+    Z, low, high, _ = cut_box(seed, shape)
+    start = 5.0 * np.random.default_rng(seed + 1).normal(size=shape[1])
+    w, force = nearest(Z, low, high, start)
+    x = Z @ w
+    np.testing.assert_allclose(Z.T @ force, w - start, atol=1e-9)
+    assert np.maximum(low - x, x - high).max() < 1e-12 * 20
+    at_low, at_high = np.abs(x - low) < 1e-9, np.abs(x - high) < 1e-9
+    assert (force[~at_low] <= 0.0).all()
+    assert (force[~at_high] >= 0.0).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10**6), rows=st.integers(1, 8), columns=st.integers(1, 12), double=st.booleans())
+def test_non_negative_least_squares_agree_with_scipy(seed, rows, columns, double):
+    rng = np.random.default_rng(seed)
+    E, f = rng.normal(size=(rows, columns)), rng.normal(size=rows)
+    E = np.hstack([E, E]) if double else E  # columns that repeat others
+    u = nonnegative_least_squares(E, f)
+    assert u.min() >= 0.0
+    assert np.linalg.norm(E @ u - f) == pytest.approx(nnls(E, f)[1], abs=1e-9)
