@@ -107,7 +107,7 @@ def parts(
 ) -> dict[str, Timed]:
     """The parts of our tick, each on the same states: what the controller calls, called by itself."""
     n, gains = robot.n, settings.resolve_gains(robot.data.gains, robot.n)
-    numbers = np.array(gains[:4])
+    numbers, rcm_lambda = np.array(gains[:4]), settings.rcm_lambda or 0.0
     limits = manipulability.box_limits(
         robot.q_min, robot.q_max, robot.v_max,
         margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
@@ -133,11 +133,11 @@ def parts(
 
     def before(item: Any) -> None:
         state, tip_ref, trocar = item
-        tick.before_solver(state.record, n, tip_ref, trocar, numbers, 0, False, *fixed, Z, tau, row)
+        tick.before_solver(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda, *fixed, Z, tau, row)
 
     def low(item: Any) -> None:
         state, tip_ref, trocar = item
-        tick.tracking_torque(state.record, n, tip_ref, trocar, numbers, 0, False)
+        tick.tracking_torque(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda)
 
     def fill(item: Any) -> None:
         state, tip_ref, trocar = item
