@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.experiment import ablation
 from benchmarks.output import write_atomically
 from benchmarks.speeds.goals import GOALS
-from benchmarks.statistics import with_interval
+from benchmarks.statistics import spread
 from benchmarks.study.closed_loop import BASELINE
 from benchmarks.study.tables import SETTLED
 from moc_opt.errors import MocOptError
@@ -60,7 +60,7 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
             lines.append(_row([f"`{name}`{star}", *counts, *figures]))
     runs = closed[BASELINE].get("runs", 0)
     trials = f"{runs} {'trial' if runs == 1 else 'trials'} from random poses"
-    gain = with_interval(closed.get("exact", {}), "mu_gain_percent") or "not measured"
+    gain = spread(closed.get("exact", {}), "mu_gain_percent") or "not measured"
     wrong = {
         name.removesuffix("@default"): row["silently_wrong"]
         for name, row in summary.get("testsets", {}).items()

@@ -45,7 +45,7 @@ class Interval(NamedTuple):
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
-def with_interval(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
+def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
     """A figure of a summary with its interval, as text; None where there is none."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:

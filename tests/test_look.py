@@ -109,7 +109,7 @@ def test_a_report_without_a_map_says_why(runs: list[Run], tmp_path: Path) -> Non
 
 def outcome(trial: str, gain: float, group: str = "tuned", traces: Any = None) -> Outcome:
     metrics = {"mu_gain_percent": gain}
-    found = Measurement(group, "exact", "circle", trial, 0, "whole", "", metrics)
+    found = Measurement(group, "exact", "circle", trial, 0, "whole", metrics)
     return Outcome([found], {}, {"exact": 1} if traces is None else traces)
 
 

@@ -13,7 +13,7 @@ from benchmarks.experiment import ablation
 from benchmarks.experiment.figures import titles
 from benchmarks.experiment.verdict import FAILS, GAINS_ONLY, HOLDS
 from benchmarks.output import save_page
-from benchmarks.statistics import with_interval
+from benchmarks.statistics import spread
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
@@ -110,7 +110,7 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
                 for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off", "oscillated")
             },
             "controller": names[controller],
-            **{key: with_interval(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
+            **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
         }
         for controller, entries in summary[group].items()
     ]
@@ -129,7 +129,7 @@ def interval_rows(
     return [
         {
             **row, "controller": names[row["controller"]],
-            **{key: with_interval(row, f"{key}{suffix}") for key in keys},
+            **{key: spread(row, f"{key}{suffix}") for key in keys},
         }
         for row in rows
         if row["group"] == group
@@ -154,7 +154,7 @@ def verdict_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
 
 def goal_table(rows: Sequence[Mapping[str, Any]], group: str, solver: str) -> Table:
     """The goals of the best MOC."""
-    drawn = [{**row, "value": with_interval(row, "value")} for row in rows]
+    drawn = [{**row, "value": spread(row, "value")} for row in rows]
     return Table(f"Goals: MOC with {solver}, group {group}", GOAL, drawn)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.statistics import with_interval
+from benchmarks.statistics import spread
 from benchmarks.study.cells import RIGHTLY, answers_rightly, share_right
 from benchmarks.study.closed_loop import BASELINE, COMPARED
 from benchmarks.study.compare import WORDS
@@ -223,7 +223,7 @@ def tables(summary: Summary) -> dict[str, Table]:
 
 def _with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
     """The row with its changes against the baseline as texts, each with its interval."""
-    texts = {name: with_interval(row, name) for name in COMPARED.values()}
+    texts = {name: spread(row, name) for name in COMPARED.values()}
     return {**row, **{name.replace("_percent", "_interval"): text for name, text in texts.items()}}
 
 
@@ -341,8 +341,8 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
         trials = closed[best]["runs"]
         parts.append(
             f"in closed loop, over {trials} {'trial' if trials == 1 else 'trials'} from random poses, manipulability "
-            f"rose by {with_interval(closed[best], 'mu_gain_percent')} % with {best} and by "
-            f"{with_interval(closed[worst], 'mu_gain_percent')} % with {worst}"
+            f"rose by {spread(closed[best], 'mu_gain_percent')} % with {best} and by "
+            f"{spread(closed[worst], 'mu_gain_percent')} % with {worst}"
         )
     text = ". ".join(part[0].upper() + part[1:] for part in parts) + "." if parts else "Nothing was run."
     return " ".join([text, *(words[key] for key in ("prediction",) if key in words)])
