@@ -14,7 +14,8 @@ from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
 from moc_opt.sim.contact import Pushes, load_bodies, shaft_force
-from moc_opt.sim.elastic import DRIVE, GATHER, add_springs, check_substeps, stiffnesses
+from moc_opt.sim.elastic import add_springs, check_substeps
+from moc_opt.sim.joints import Joints
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import FORCE_SENSOR, MOUNT_SITE, TOOL_BODY, build_spec, compile_model, heavy_links
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
@@ -23,8 +24,6 @@ from moc_opt.sim.settings import PlantSettings
 Array = NDArray[np.float64]
 
 _RUNAWAY_RAD_PER_S = 1e3
-_SAGGING_ROUNDS = 12
-"""The weight bends a joint by milliradians, which changes the torque of the weight by a thousandth, and so on."""
 
 if mujoco.get_mju_user_warning() is None:
     # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm
@@ -155,7 +154,10 @@ class Plant:
                 "moc_opt.robots.load_data, which adds them"
             )
         numbers = self._tool, self._tip, self._wrist = tuple(bodies[name] for name in frames)
-        self._bind_joints()
+        joints = self._joints = Joints(self.data, self.settings, self.mismatch, model, state)
+        self._q, self._v, self._shown = joints.q, joints.v, joints.shown
+        self._act, self._gather = joints.act, joints.gather
+        self._drives = Drives(self.data.tau_max, self.settings.delay_ticks, joints.torque)
         self._xpos, self._told, self._trocar = state.xpos, np.zeros((2, 3)), np.zeros((2, 3))
         origin, point = state.subtree_com[model.body_rootid[self._tool]], np.zeros(3)
         self._load = partial(
@@ -174,44 +176,6 @@ class Plant:
         first = model.sensor(FORCE_SENSOR).adr[0]
         self._wrench = state.sensordata[first : first + 6]
         self._pushes = Pushes(bodies, model.body_ipos)
-
-    def _bind_joints(self) -> None:
-        """Joint coordinates and torques: MuJoCo's own arrays, unless joints are elastic or torques ripple."""
-        state, settings, data = self.mj_data, self.settings, self.data
-        rigid, smooth = not settings.elastic, settings.torque_ripple == 0.0
-        self._stride = 1 if rigid else 2  # coordinates of a joint: motor and spring
-        self._bias = state.qfrc_bias[:: self._stride]
-        self._gather = self._act = None
-        if rigid:
-            self._q, self._v = self._shown = state.qpos, state.qvel
-        else:
-            links, motors = (np.zeros(data.n), np.zeros(data.n)), (np.zeros(data.n), np.zeros(data.n))
-            self._q, self._v = links
-            self._shown = links if settings.encoder_side == "link" else motors
-            self._gather = partial(GATHER.code, state.qpos, state.qvel, *links, *motors)
-        self._torque = state.qfrc_applied if rigid and smooth else np.zeros(data.n)
-        if not (rigid and smooth):
-            self._act = partial(
-                DRIVE.code, self._torque, state.qpos, self._stride, settings.torque_ripple * data.tau_max,
-                settings.torque_ripple_per_turn, np.array(self.mismatch.ripple_phase),
-                state.qfrc_applied,
-            )  # fmt: skip
-        self._drives = Drives(data.tau_max, settings.delay_ticks, self._torque)
-
-    def _place(self, shown: Array) -> None:
-        """Put the arm at rest where its encoders, their bias aside, show (n,) [rad]; its springs bear its weight."""
-        state, model = self.mj_data, self.mj_model
-        state.qpos[:: self._stride] = shown
-        mujoco.mj_forward(model, state)
-        if self._gather is None:
-            return
-        stiffness = stiffnesses(self.data, self.settings)
-        for _ in range(_SAGGING_ROUNDS):
-            sag = -self._bias / stiffness
-            state.qpos[1::2] = sag
-            state.qpos[::2] = shown - sag if self.settings.encoder_side == "link" else shown
-            mujoco.mj_forward(model, state)
-        self._gather()
 
     def reset(self, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Start anew at time 0: no pushes, and the delay full of the torque that holds the arm still at q.
@@ -241,14 +205,9 @@ class Plant:
         self.mj_model.dof_damping[:] = self._drive_damping
         self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
-        self._place(start - self.mismatch.encoder_bias)
-        self._drives.start(self._bias)
-        self.mj_data.qvel[:: self._stride] = speed
-        if self._act is not None:
-            self._act()
-        mujoco.mj_forward(self.mj_model, self.mj_data)
-        if self._gather is not None:
-            self._gather()
+        self._joints.place(start - self.mismatch.encoder_bias)
+        self._drives.start(self._joints.bias)
+        self._joints.start(speed)
         q, v = self._encoders.start(*self._shown)
         self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
 
@@ -320,7 +279,7 @@ class Plant:
         """
         if not 0.0 < damping_Nm_s_per_rad < np.inf:
             raise PlantError(f"damping_Nm_s_per_rad = {damping_Nm_s_per_rad!r}: give a positive number")
-        drives = slice(None, None, self._stride)  # brakes sit at the motors
+        drives = self._joints.motors  # brakes sit there
         self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
@@ -359,7 +318,7 @@ class Plant:
     @property
     def applied_torque(self) -> Array:
         """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
-        return _readonly(self._torque)
+        return _readonly(self._joints.torque)
 
     @property
     def tip(self) -> Array:
