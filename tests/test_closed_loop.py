@@ -24,6 +24,9 @@ from tests import broken_solvers
 SHORT = Scenario(duration_s=0.1, bound_samples=2)
 
 
+STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D_N2": 1.0}
+
+
 @pytest.fixture(scope="module")
 def trial():
     return trials(SHORT, ["circle"], [3])["circle/3"]
@@ -79,7 +82,7 @@ def test_what_breaks_off_is_a_result(trial):
 
 def test_a_stopped_run_enters_no_mean_and_an_oscillating_one_is_counted(trial):
     """Both are whole rows of rows.parquet, the part marked as one."""
-    whole = trial.change(duration_s=2.0, control={"damping": 0.0, "K_N2": 80.0, "D_N2": 1.0, "gains": "default"})
+    whole = trial.change(duration_s=2.0, control={"damping": 0.0, **STIFF})
     shaken = whole.change(guard={"rcm_error_m": None, "trocar_force_N": None})
     stopped = trial.change(guard={"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6})
     with Worker() as worker:

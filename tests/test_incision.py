@@ -20,9 +20,11 @@ QUICK = {"bound_samples": 0, "judge": False}
 # The wall begins so far inside the limits that the circle leads joint 4 into it.
 WALL = {"position_margin_rad": 0.62}
 OFF = {"rcm_error_m": None, "trocar_force_N": None}
+STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0}
+MOC = {**STIFF, "K_N2": 80.0, "D_N2": 1.0, "limit_margin_rad": 0.0}
 LAWS = {
-    "default": {"limit_margin_rad": 0.0}, "tuned": {"preset": "tuned", "limit_margin_rad": 0.0},
-    "dcac": {"law": "dcac", "gains": "moc"}, "c": {"limit_margin_rad": 0.0, "backend": "c"},
+    "moc": MOC, "tuned": {"preset": "tuned", "limit_margin_rad": 0.0}, "dcac": {"law": "dcac", **STIFF},
+    "c": {**MOC, "backend": "c"},
 }  # fmt: skip
 
 

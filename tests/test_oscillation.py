@@ -21,6 +21,7 @@ from moc_opt.trace import MissingDataError, Trace
 PERIOD = 0.002
 NAMES = tuple(f"joint_{i}" for i in range(1, 8))
 QUICK = {"bound_samples": 0, "judge": False}
+STIFF = {"K_X": 3000.0, "D_X": 80.0, "K_N": 800.0, "D_N": 60.0, "K_N2": 80.0, "D_N2": 1.0}
 
 
 def made(joint=0, amplitude=0.0, hertz=50.0, column="v_rad_per_s", ticks=1500, period=PERIOD, where=None):
@@ -98,9 +99,9 @@ def test_what_cannot_be_judged_says_why():
 @pytest.mark.parametrize(
     ("changes", "joint"),
     [
-        ({"plant": {"delay_ticks": 2}, "control": {"K_N2": 80.0, "D_N2": 1.0}}, "joint_5"),
-        ({"plant": {"friction": 0.0}, "control": {"K_N2": 80.0, "D_N2": 1.0}}, "joint_7"),
-        ({"control": {"damping": 0.0, "K_N2": 80.0, "D_N2": 1.0}}, "joint_5"),
+        ({"plant": {"delay_ticks": 2}, "control": STIFF}, "joint_5"),
+        ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
+        ({"control": {**STIFF, "damping": 0.0}}, "joint_5"),
     ],
     ids=["delay", "no friction", "rho = 0"],
 )
