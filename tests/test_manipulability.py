@@ -282,6 +282,30 @@ def test_following_is_exact_near_the_straight_elbow(robot):
         np.testing.assert_allclose(Z @ Z.T, np.eye(2), atol=1e-14)
 
 
+def test_following_gives_up_before_the_rows_are_dependent(robot):
+    """What the others leave of a row, squared and over the row's own square: 4.6e-10 at 3e-5 rad, 5.1e-9 at 1e-4."""
+    for angle, follows in ((1e-4, True), (3e-5, False), (1e-5, False)):
+        s = straight_elbow(robot, angle)
+        Z = level3.null_space(straight_elbow(robot, 0.05).A)
+        assert level3.follow_null_space(s.A, s.tool_direction, Z) == follows
+
+
+@BOTH
+@pytest.mark.parametrize(("share", "follows"), [(0.9, True), (0.55, True), (0.45, False), (0.0, False)])
+def test_following_needs_half_of_every_row(share, follows, form, robot, regular_poses):
+    """A basis of which the new kernel holds less is not carried over: there is nothing to lie close to."""
+    s = robot.state(regular_poses(1)[0])
+    A, kernel = np.array(s.A), level3.null_space(s.A)
+    across = np.linalg.svd(A)[2][0]  # a direction that moves the tip
+    for row in (0, 1):
+        Z = kernel.copy()
+        Z[row] = share * kernel[row] + np.sqrt(1.0 - share**2) * across
+        assert of(level3.follow_null_space, form)(A, np.array(s.tool_direction), Z) == follows
+        if follows:
+            check_basis(Z, A)
+            np.testing.assert_allclose(Z, kernel, atol=1e-12)
+
+
 def test_following_fails_rather_than_returning_nonsense(robot, regular_poses):
     s = straight_elbow(robot, 0.0)
     Z = np.array(level3.null_space(robot.state(regular_poses(1)[0]).A))
