@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,9 @@ ROOT = Path(__file__).resolve().parent.parent
 DENSE = "moc_opt.control.dense"
 TEXT = (ROOT / "moc_opt" / "control" / "dense.py").read_text()
 TESTS = ["tests/test_dense.py"]
-needs_operators = pytest.mark.skipif("not __import__('importlib').util.find_spec('cosmic_ray')")
+needs_operators = pytest.mark.skipif(
+    find_spec("cosmic_ray") is None, reason="cosmic-ray is not installed: pip install 'moc-opt[mutation]'"
+)
 
 
 @pytest.fixture(scope="module")
