@@ -439,6 +439,6 @@ def test_no_self_motion_where_none_is_needed_or_none_helps(robot, regular_poses)
     A, b, Z, *_ = boxed(rng, robot, regular_poses(1)[0], 0.1)
     wide = np.full(7, 10.0)
     np.testing.assert_array_equal(level3.into_the_box(A, b, Z, -wide, wide, 50), np.zeros(7))
-    lower, upper = wide - 1.0, wide  # out of reach
-    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
+    for lower, upper in ((wide - 1.0, wide), (-wide, 1.0 - wide)):  # out of reach, above and below
+        np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
     np.testing.assert_array_equal(level3.into_the_box(np.full((6, 7), np.nan), b, Z, -wide, wide, 50), np.zeros(7))
