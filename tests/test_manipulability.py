@@ -442,3 +442,22 @@ def test_no_self_motion_where_none_is_needed_or_none_helps(robot, regular_poses)
     for lower, upper in ((wide - 1.0, wide), (-wide, 1.0 - wide)):  # out of reach, above and below
         np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
     np.testing.assert_array_equal(level3.into_the_box(np.full((6, 7), np.nan), b, Z, -wide, wide, 50), np.zeros(7))
+
+
+@BOTH
+def test_a_joint_that_has_no_part_in_the_self_motion_is_left_alone(form):
+    """Its column of Z is zero: nothing may be divided by it, and the others still find their way into the box."""
+    rng = np.random.default_rng(13)
+    Z = np.zeros((1, 7))
+    Z[0, [0, 1, 2, 4, 5, 6]] = rng.normal(size=6)
+    Z /= np.linalg.norm(Z)
+    A = np.linalg.qr(np.vstack([Z, rng.normal(size=(6, 7))]).T)[0].T[1:]  # orthonormal rows across Z
+    shortest = rng.normal(size=7)
+    shortest -= (Z @ shortest) @ Z
+    wanted = shortest + 0.3 * Z[0]
+    lower, upper = wanted - 0.01, wanted + 0.01
+    found = of(level3.into_the_box, form)(A, A @ shortest, Z, lower, upper, 50)
+    assert found[3] == 0.0
+    assert (shortest + found >= lower - 1e-6).all()
+    assert (shortest + found <= upper + 1e-6).all()
+    assert np.linalg.norm(found) < 0.3
