@@ -35,6 +35,18 @@ def test_independent_rows_lose_nothing(robot, regular_poses):
         assert_allclose(s.tool_direction @ s.J_wrist, s.tool_direction @ A5[:3], atol=1e-12)
 
 
+def test_the_first_direction_across_is_level_with_the_axis_that_the_tool_is_least_along():
+    """So that their cross product is never short: a tool along an axis, too."""
+    rng = np.random.default_rng(4)
+    tools = [*rng.normal(size=(40, 3)), *np.eye(3), *-np.eye(3), *(np.eye(3) + 1e-9)]
+    for u in tools:
+        u = u / np.linalg.norm(u)
+        _, across = independent_rows(np.zeros((6, 7)), u)
+        least = np.flatnonzero(np.abs(u) == np.abs(u).min())
+        assert 0.0 in across[0, least]
+        assert_allclose(np.vstack([across, u]) @ np.vstack([across, u]).T, np.eye(3), atol=1e-14)
+
+
 def test_both_points_get_their_accelerations(robot, regular_poses):
     rng = np.random.default_rng(2)
     for q in regular_poses(10):

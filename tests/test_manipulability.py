@@ -282,6 +282,30 @@ def test_following_is_exact_near_the_straight_elbow(robot):
         np.testing.assert_allclose(Z @ Z.T, np.eye(2), atol=1e-14)
 
 
+def test_following_gives_up_before_the_rows_are_dependent(robot):
+    """What the others leave of a row, squared and over the row's own square: 4.6e-10 at 3e-5 rad, 5.1e-9 at 1e-4."""
+    for angle, follows in ((1e-4, True), (3e-5, False), (1e-5, False)):
+        s = straight_elbow(robot, angle)
+        Z = level3.null_space(straight_elbow(robot, 0.05).A)
+        assert level3.follow_null_space(s.A, s.tool_direction, Z) == follows
+
+
+@BOTH
+@pytest.mark.parametrize(("share", "follows"), [(0.9, True), (0.55, True), (0.45, False), (0.0, False)])
+def test_following_needs_half_of_every_row(share, follows, form, robot, regular_poses):
+    """A basis of which the new kernel holds less is not carried over: there is nothing to lie close to."""
+    s = robot.state(regular_poses(1)[0])
+    A, kernel = np.array(s.A), level3.null_space(s.A)
+    across = np.linalg.svd(A)[2][0]  # a direction that moves the tip
+    for row in (0, 1):
+        Z = kernel.copy()
+        Z[row] = share * kernel[row] + np.sqrt(1.0 - share**2) * across
+        assert of(level3.follow_null_space, form)(A, np.array(s.tool_direction), Z) == follows
+        if follows:
+            check_basis(Z, A)
+            np.testing.assert_allclose(Z, kernel, atol=1e-12)
+
+
 def test_following_fails_rather_than_returning_nonsense(robot, regular_poses):
     s = straight_elbow(robot, 0.0)
     Z = np.array(level3.null_space(robot.state(regular_poses(1)[0]).A))
@@ -431,6 +455,25 @@ def test_no_self_motion_where_none_is_needed_or_none_helps(robot, regular_poses)
     A, b, Z, *_ = boxed(rng, robot, regular_poses(1)[0], 0.1)
     wide = np.full(7, 10.0)
     np.testing.assert_array_equal(level3.into_the_box(A, b, Z, -wide, wide, 50), np.zeros(7))
-    lower, upper = wide - 1.0, wide  # out of reach
-    np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
+    for lower, upper in ((wide - 1.0, wide), (-wide, 1.0 - wide)):  # out of reach, above and below
+        np.testing.assert_array_equal(level3.into_the_box(A, b, Z, lower, upper, 50), np.zeros(7))
     np.testing.assert_array_equal(level3.into_the_box(np.full((6, 7), np.nan), b, Z, -wide, wide, 50), np.zeros(7))
+
+
+@BOTH
+def test_a_joint_that_has_no_part_in_the_self_motion_is_left_alone(form):
+    """Its column of Z is zero: nothing may be divided by it, and the others still find their way into the box."""
+    rng = np.random.default_rng(13)
+    Z = np.zeros((1, 7))
+    Z[0, [0, 1, 2, 4, 5, 6]] = rng.normal(size=6)
+    Z /= np.linalg.norm(Z)
+    A = np.linalg.qr(np.vstack([Z, rng.normal(size=(6, 7))]).T)[0].T[1:]  # orthonormal rows across Z
+    shortest = rng.normal(size=7)
+    shortest -= (Z @ shortest) @ Z
+    wanted = shortest + 0.3 * Z[0]
+    lower, upper = wanted - 0.01, wanted + 0.01
+    found = of(level3.into_the_box, form)(A, A @ shortest, Z, lower, upper, 50)
+    assert found[3] == 0.0
+    assert (shortest + found >= lower - 1e-6).all()
+    assert (shortest + found <= upper + 1e-6).all()
+    assert np.linalg.norm(found) < 0.3

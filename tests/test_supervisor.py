@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.answers import answer_residuals, well_formed
@@ -18,6 +19,7 @@ from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
 from moc_opt.subproblem import NullSpaceQP, fields, judge
+from tests.problems import random_problem
 
 QUICK = {"bound_samples": 0, "duration_s": 0.4}
 
@@ -123,9 +125,14 @@ def near_a_limit(qp, Z):
     return NullSpaceQP.from_row(row), shortest
 
 
-def test_damping_keeps_off_the_limits(qp, Z):
+def test_damping_keeps_off_the_limits(recorded):
     """Once holding is over the elbow moves as far as the box asks for, and no further; or not at all, if told so."""
-    tight, shortest = near_a_limit(qp, Z)
+    rows = [NullSpaceQP.from_row(np.array(row)) for row in recorded]
+    cut = [(*near_a_limit(qp, null_space(qp.A)), null_space(qp.A)) for qp in rows]
+    # of those that have a way out, the one where the box cuts most off
+    some = [entry for entry in cut if solved(entry[0]).status is Status.SOLVED]
+    tight, shortest, Z = max(some, key=lambda entry: abs(entry[1][1]))
+    assert abs(shortest[1]) > 1e-3
     wrong = no_answer(7, Status.NUMERICAL)
     _, x = supervisor(hold_ticks=0).solve(Scripted(wrong), tight, Z)
     np.testing.assert_allclose(tight.A @ x, 0.0, atol=1e-12)  # tip and wrist do not notice
@@ -193,6 +200,23 @@ def test_an_answer_with_gaps_in_memory_is_an_answer(qp, Z):
     assert mine.fault is Fault.NONE
     np.testing.assert_array_equal(x, good.x)
     np.testing.assert_array_equal(solution.x, good.x)
+
+
+@pytest.mark.parametrize("y", [None, np.zeros(5), np.zeros(7), np.zeros((6, 1)), [0.0] * 6])
+@pytest.mark.parametrize("iterations", [3, "many", 2.5])
+def test_what_is_wrong_with_an_answer_is_left_out_of_it(y, iterations, qp):
+    """x that lies backwards in memory too: compiled code would read on beyond its first number."""
+    good = solved(qp)
+    for x in (good.x, good.x[::-1].copy()[::-1], good.x.astype(">f8").astype("<f8")):
+        found = well_formed(Solution(x, y, Status.SOLVED, iterations), 7)
+        np.testing.assert_array_equal(found.x, good.x)
+        assert found.x.strides == (8,)
+        assert found.y is None
+        assert found.iterations == (3 if iterations == 3 else 0)
+        kept = well_formed(Solution(x, good.y, Status.SOLVED, iterations), 7)
+        np.testing.assert_array_equal(kept.y, good.y)
+    for x in (good.x[:6], good.x.astype(np.float32), list(good.x), np.r_[good.x, 0.0], None):
+        assert np.isnan(well_formed(Solution(x, None, Status.SOLVED, 1), 7).x).tolist() == [True] * 7
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -268,6 +292,78 @@ def test_the_residuals_are_those_of_the_judge(recorded):
         assert answer_residuals(qp.row, 7, Zs, exact.x)[2:4] == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
+def along_the_line(qp, Z, x):
+    """What `answer_residuals` says of x, by search: a bounded minimizer for the optima, bisection for the residual."""
+    d = Z.T @ (Z @ qp.grad_mu)
+    d /= np.linalg.norm(d)
+    moving = np.abs(d) > 1e-9
+    ends = np.array([qp.lower - x, qp.upper - x])[:, moving] / d[moving]
+    low, high = min(ends.min(axis=0).max(), 0.0), max(ends.max(axis=0).min(), 0.0)
+
+    def distance(sign):
+        def cost(t):
+            return -sign * qp.c2 * (qp.grad_mu @ d) * t + 0.5 * qp.damping * ((x + t * d) @ (x + t * d))
+
+        edges = [t for t in (low, high) if np.isfinite(t)]
+        ends = (max(low, -1e3), min(high, 1e3))
+        inside = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-12})
+        return abs(min([*edges, inside.x], key=cost))
+
+    slope = d @ (qp.damping * x - qp.c2 * qp.grad_mu) / (qp.c2 * np.abs(qp.grad_mu).max())
+
+    def reaches(t):  # is there a w with d . w = slope and |x - clip(x - w)| <= t?
+        least = np.where(qp.upper - x <= t, -np.inf, -t)
+        most = np.where(x - qp.lower <= t, np.inf, t)
+        given = [d[j] * np.array([least[j], most[j]]) for j in np.flatnonzero(moving)]
+        return sum(g.min() for g in given) <= slope <= sum(g.max() for g in given)
+
+    short, long = 0.0, abs(slope) / np.abs(d).max() + 1.0
+    for _ in range(60):
+        middle = 0.5 * (short + long)
+        short, long = (short, middle) if reaches(middle) else (middle, long)
+    return long, distance(1.0), distance(-1.0)
+
+
+@pytest.mark.parametrize("structured", [True, False])
+@pytest.mark.parametrize("c2", [1e-3, 0.5])
+def test_the_residuals_along_the_line_against_a_search(c2, structured):
+    """Inside the box, at its sides and beyond them; where the damping decides, and where the box does."""
+    rng = np.random.default_rng(12)
+    seen = []
+    for number in range(60):
+        qp = random_problem(rng, structured=structured, c2=c2, damping=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
+        Zs = null_space(qp.A)
+        x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0] + rng.normal(size=len(Zs)) @ Zs
+        if number % 3:
+            x = np.clip(x, qp.lower, qp.upper)
+        primal, outside, relative, off, opposite_off = answer_residuals(qp.row, 7, Zs, x)
+        assert primal == pytest.approx(np.abs(qp.A @ x - qp.b).max(), abs=1e-12)
+        assert outside == pytest.approx(max(0.0, (qp.lower - x).max(), (x - qp.upper).max()), abs=1e-12)
+        wanted = along_the_line(qp, Zs, x)
+        assert relative == pytest.approx(wanted[0], rel=1e-9, abs=1e-12)
+        assert off == pytest.approx(wanted[1], rel=1e-5, abs=2e-6)
+        assert opposite_off == pytest.approx(wanted[2], rel=1e-5, abs=2e-6)
+        seen.append((outside, relative, off, opposite_off))
+    assert (np.median(seen, axis=0)[1:] > 1e-3).all()  # not a test of zeros
+
+
+def test_no_line_no_residual_along_it(qp, Z):
+    """Without a pull along the self-motion, or without a kernel, every feasible answer is an optimum."""
+    x = solved(qp).x
+    for row, Zs in ((np.array(qp.row), np.zeros((0, 7))), (still(qp, "grad_mu"), Z), (still(qp, "c2"), Z)):
+        assert answer_residuals(row, 7, Zs, x)[2:] == (0.0, 0.0, 0.0)
+    faint = np.array(qp.row)
+    fields(faint).grad_mu[:] *= 1e-9  # small is not none: what counts is its share along the self-motion
+    assert answer_residuals(faint, 7, Z, x + 0.1 * Z[0] + 0.1 * Z[1])[2] > 0.0
+
+
+def still(qp, name):
+    row = np.array(qp.row)
+    fields(row).grad_mu[:] *= name != "grad_mu"
+    row[6 * 7 + 8 + 3 * 7] *= name != "c2"
+    return row
+
+
 def test_who_claims_nothing_is_only_held_to_the_box(qp, Z):
     x = opposite(qp).x
     mine = supervisor()
@@ -275,6 +371,44 @@ def test_who_claims_nothing_is_only_held_to_the_box(qp, Z):
     assert mine.fault is Fault.NONE
     mine.solve(Scripted(Solution(qp.upper + 1.0, None, Status.MAX_ITER)), qp, Z)
     assert mine.fault is Fault.OUTSIDE
+
+
+@pytest.mark.parametrize("part", ["references", "box"])
+def test_a_claim_must_meet_references_and_box(part, qp, Z):
+    """Each on its own, just within its limit and just beyond; a claim is held to the same limit in both."""
+    good, limit = solved(qp), SupervisorSettings().primal_limit
+    for share, fault in ((0.9, Fault.NONE), (1.1, Fault.OUTSIDE)):
+        row = np.array(qp.row)
+        if part == "references":
+            fields(row).b[0] += share * limit
+        else:
+            fields(row).upper[:] = np.maximum(fields(row).upper, good.x)
+            fields(row).upper[6] = good.x[6] - share * limit
+            fields(row).lower[6] = good.x[6] - 1.0
+        moved = NullSpaceQP.from_row(row)
+        mine = supervisor(relative_limit=1e9, opposite_limit=1e9)
+        mine.solve(Scripted(good), moved, Z)
+        assert mine.fault is fault, (part, share)
+
+
+def test_the_clock_counts_the_solve_in_microseconds(qp, Z, monkeypatch):
+    monkeypatch.setattr("moc_opt.control.supervisor.perf_counter_ns", iter([7_000_000, 7_250_500]).__next__)
+    mine = supervisor(budget_us=250.4)
+    mine.solve(Scripted(solved(qp)), qp, Z)
+    assert mine.solve_us == pytest.approx(250.5)
+    assert mine.fault is Fault.LATE
+
+
+def test_settings_that_are_not_given_are_the_documented_ones():
+    assert SupervisorSettings().model_dump() == {
+        "check": True, "primal_limit": 1e-2, "box_limit": 0.1, "relative_limit": 0.05, "opposite_limit": 1e-3,
+        "hold_ticks": 10, "keep_off_limits": True, "budget_us": None, "late": "hold",
+    }  # fmt: skip
+    assert SupervisorSettings(hold_ticks=0).hold_ticks == 0
+    for field in ("primal_limit", "box_limit", "relative_limit", "opposite_limit", "budget_us"):
+        assert getattr(SupervisorSettings(**{field: 0.5}), field) == 0.5
+        with pytest.raises(ControlError, match=field):
+            SupervisorSettings(**{field: 0.0})
 
 
 def test_the_check_can_be_switched_off(qp, Z):
@@ -319,14 +453,17 @@ class Stoppable(Scripted):
         return self.cut
 
 
-@pytest.mark.parametrize(("us", "iterations", "allowed"), [(400.0, 40, 10), (1e6, 40, 1), (99.0, 40, None)])
+@pytest.mark.parametrize(
+    ("us", "iterations", "allowed"),
+    [(400.0, 40, 10), (1e6, 40, 1), (99.0, 40, None), (400.0, 1, 1), (400.0, 0, None)],
+)
 def test_a_late_solver_is_stopped_where_it_can_be(us, iterations, allowed, qp, Z):
     whole = solved(qp)._replace(iterations=iterations)
     session = Stoppable(whole, whole._replace(x=0.5 * whole.x, status=Status.MAX_ITER))
     mine = supervisor(times=[us], budget_us=100.0, late="iterate")
     solution, x = mine.solve(session, qp, Z)
     assert session.asked == ([] if allowed is None else [allowed])
-    assert mine.fault is (Fault.NONE if allowed is None else Fault.LATE)
+    assert mine.fault is (Fault.NONE if us < 100.0 else Fault.LATE)
     np.testing.assert_array_equal(x, whole.x if allowed is None else 0.5 * whole.x)
     assert solution.status is (Status.SOLVED if allowed is None else Status.MAX_ITER)
 

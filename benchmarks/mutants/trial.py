@@ -1,0 +1,247 @@
+"""One mutant before the tests, in a process of its own; nothing is written into the tree.
+
+The mutated text stands in for the module when it is imported. Its kernels, and those of every module that imports
+it, run as plain Python: a kernel from numba's cache would still be the one before the mutation.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.abc
+import importlib.util
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass, field
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+OURS = ("moc_opt", "benchmarks", "tests")
+_HEAVY = (
+    "numpy", "scipy.linalg", "scipy.optimize", "numba", "pinocchio", "casadi", "mujoco", "pydantic", "pytest",
+    "hypothesis.strategies", "qpsolvers", "pyarrow.parquet",
+)  # fmt: skip
+
+
+@dataclass
+class Outcome:
+    """What the tests said.
+
+    Attributes:
+        result: "survived", "killed" or "timed out".
+        by: the test that failed.
+        seconds: of wall clock.
+        tests: name -> (passed, seconds) of those that ran.
+    """
+
+    result: str
+    by: str = ""
+    seconds: float = 0.0
+    tests: dict[str, tuple[bool, float]] = field(default_factory=dict)
+
+
+def load_libraries() -> None:
+    """Import what all trials need, once: they are forked from this process."""
+    for name in _HEAVY:
+        importlib.import_module(name)
+
+
+def dependents(root: Path, module: str) -> set[str]:
+    """The module, and every module of the project that imports it, over any number of steps."""
+    trees: dict[str, ast.Module] = {}
+    for top in OURS:
+        for path in (root / top).rglob("*.py"):
+            parts = path.relative_to(root).with_suffix("").parts
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            trees[name] = ast.parse(path.read_text(encoding="utf-8"))
+    imports = {name: _imported(tree, trees.keys()) for name, tree in trees.items()}
+    found, grown = {module}, True
+    while grown:
+        more = {name for name, used in imports.items() if used & found} - found
+        found, grown = found | more, bool(more)
+    return found
+
+
+def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
+    """Modules of ours that a module names in an import: of `from a import b`, a.b where that is one, else a."""
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            whole = {alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {path if path in ours else node.module for path in whole.values()}
+    return found
+
+
+def judge(
+    root: Path,
+    module: str,
+    source: str | None,
+    plain: Collection[str],
+    tests: Sequence[str],
+    limit_s: float,
+    *,
+    keep_going: bool = False,
+) -> Outcome:
+    """Run tests against a mutated module, at most ``limit_s``.
+
+    Args:
+        root: of the tree.
+        module: dotted name of the module.
+        source: its text; None: as it is.
+        plain: modules whose kernels run as plain Python.
+        tests: files or single tests, as pytest names them; they run in this order.
+        limit_s: seconds.
+        keep_going: run all of them, also after one that failed.
+    """
+    begin = time.monotonic()
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        _child(writer, lambda: _run(root, module, source, plain, tests, keep_going))
+    os.close(writer)
+    said, late = _read(reader, begin + limit_s)
+    if late:
+        os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    seconds = time.monotonic() - begin
+    if late:
+        return Outcome("timed out", seconds=seconds)
+    if not said:
+        return Outcome("killed", "the process ended", seconds)
+    found = json.loads(said)
+    ran = {name: (passed, spent) for name, passed, spent in found["tests"]}
+    return Outcome("killed" if found["by"] else "survived", found["by"], seconds, ran)
+
+
+def _read(reader: int, until: float) -> tuple[bytes, bool]:
+    """All that the child says, and whether time was up first."""
+    import select
+
+    said = b""
+    with os.fdopen(reader, "rb", buffering=0) as pipe:
+        while (left := until - time.monotonic()) > 0:
+            if not select.select([pipe], [], [], left)[0]:
+                break
+            part = pipe.read(1 << 16)
+            if not part:
+                return said, False
+            said += part
+    return said, True
+
+
+def _child(writer: int, work: Callable[[], dict[str, Any]]) -> None:
+    os.setsid()  # so that what it starts ends with it
+    silence = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(silence, stream)
+    try:
+        said = work()
+    except BaseException as error:  # noqa: BLE001 - a mutant may throw anything, at any place
+        said = {"by": f"{type(error).__name__}: {error}"[:200], "tests": []}
+    with os.fdopen(writer, "wb") as pipe:
+        pipe.write(json.dumps(said).encode())
+    os._exit(0)
+
+
+def _run(
+    root: Path,
+    module: str,
+    source: str | None,
+    plain: Collection[str],
+    tests: Sequence[str],
+    keep_going: bool,
+) -> dict[str, Any]:
+    import pytest
+
+    os.chdir(root)
+    sys.path.insert(0, str(root))
+    for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
+        del sys.modules[name]
+    _interpret(plain)
+    if source is not None:
+        sys.meta_path.insert(0, _Mutated(module, source, root))
+    log = _Log(tests)
+    options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", *([] if keep_going else ["-x"])]
+    files = list(dict.fromkeys(test.split("::")[0] for test in tests))
+    code = pytest.main([*options, *files], plugins=[log])
+    by = log.failed or ("" if code in (0, 5) else f"pytest ended with {int(code)}")
+    return {"by": by, "tests": log.rows}
+
+
+class _Log:
+    """Picks the tests, and notes what became of them."""
+
+    def __init__(self, tests: Sequence[str]) -> None:
+        self._place = {name: k for k, name in enumerate(tests)}
+        self.rows: list[tuple[str, bool, float]] = []
+        self.failed = ""
+
+    def pytest_sessionstart(self) -> None:
+        from hypothesis import Phase, settings
+
+        # The first wrong example is enough: a smaller one would be looked for in vain.
+        quick = settings(settings.get_profile("repeatable"), phases=(Phase.explicit, Phase.generate))
+        settings.register_profile("mutation", quick)
+        settings.load_profile("mutation")
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        def place(item: Any) -> int | None:
+            return self._place.get(item.nodeid, self._place.get(item.nodeid.split("::")[0]))
+
+        kept = [item for item in items if place(item) is not None]
+        items[:] = sorted(kept, key=lambda item: place(item) or 0)
+
+    def pytest_collectreport(self, report: Any) -> None:
+        if report.failed:
+            self.failed = self.failed or f"{report.nodeid} (import)"
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        if report.failed:
+            self.failed = self.failed or report.nodeid
+        if report.when == "call" or report.outcome != "passed":
+            self.rows.append((report.nodeid, report.passed, report.duration))
+
+
+class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Loads one module from a text."""
+
+    def __init__(self, module: str, source: str, root: Path) -> None:
+        self._module, self._source = module, source
+        self._path = root.joinpath(*module.split(".")).with_suffix(".py")
+
+    def find_spec(self, name: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
+        if name != self._module:
+            return None
+        return importlib.util.spec_from_loader(name, self, origin=str(self._path))
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__file__ = str(self._path)
+        exec(compile(self._source, str(self._path), "exec"), module.__dict__)
+
+
+def _interpret(modules: Iterable[str]) -> None:
+    """From now on ``njit`` leaves the kernels of these modules as they are, with what our code asks of a kernel."""
+    import numba
+
+    compiled, plain = numba.njit, set(modules)
+
+    def njit(*given: Any, **options: Any) -> Any:
+        def decorate(function: Any) -> Any:
+            if function.__module__ not in plain:
+                return compiled(**options)(function)
+            function.py_func = function
+            function.compile = lambda kinds: None
+            function.get_overload = lambda kinds: function
+            return function
+
+        return decorate(given[0]) if given and callable(given[0]) else decorate
+
+    numba.njit = njit

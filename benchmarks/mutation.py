@@ -1,0 +1,221 @@
+"""How many small errors in the source do the tests find?
+
+python -m benchmarks.mutation [CONFIG.toml] [--out DIR] [--seed N] [--sample N] [--module NAME ...] [--quick]
+
+Mutates the control law and the supervisor one place at a time and runs the tests on each mutant. Nothing is written
+into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field
+from rich.table import Table
+
+from benchmarks import output
+from benchmarks.config import Configuration
+from benchmarks.mutants import trial
+from benchmarks.mutants.make import Mutant, MutationError, places, sample
+from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.report.console import console, progress
+from moc_opt.settings import Settings
+
+ROOT = Path(__file__).resolve().parent.parent
+BASELINE_S = 900.0
+
+
+class Equivalent(Settings):
+    """A mutant that no test can tell from the source, and why."""
+
+    KIND: ClassVar[str] = "[[equivalent]]"
+    module: str
+    before: str = Field(description="the line, without its indentation")
+    after: str = Field(description="what the mutant makes of it")
+    why: str = Field(min_length=20)
+
+
+class Config(Configuration):
+    """benchmarks/configs/mutation.toml."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    sample: int = Field(240, ge=1)
+    limit_s: float = Field(60.0, gt=0.0)
+    patience: float = Field(8.0, ge=2.0)
+    slowest_s: float = Field(5.0, gt=0.0)
+    share_wanted: float = Field(0.95, gt=0.0, le=1.0)
+    modules: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(min_length=1)
+    equivalent: tuple[Equivalent, ...] = ()
+
+    def choosing(self, names: Sequence[str] | None, count: int | None) -> Self:
+        """These modules alone, and that many mutants.
+
+        Raises:
+            UnknownNameError: a module that the configuration does not name.
+            MutationError: fewer than one mutant.
+        """
+        for name in names or ():
+            if name not in self.modules:
+                raise UnknownNameError("module", name, self.modules)
+        if count is not None and count < 1:
+            raise MutationError(f"--sample {count}: give 1 or more")
+        kept = {name: tests for name, tests in self.modules.items() if not names or name in names}
+        return self.model_copy(update={"modules": kept, "sample": count or self.sample})
+
+
+def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
+    """How many places for a mutation each module has, and a seeded sample over all of them."""
+    every = {name: places(ROOT, name) for name in config.modules}
+    pooled = [place for found in every.values() for place in found]
+    chosen = sample(ROOT, pooled, config.sample, np.random.default_rng(config.seed))
+    return {name: len(found) for name, found in every.items()}, chosen
+
+
+def usable_tests(config: Config, plain: set[str]) -> tuple[dict[str, float], dict[str, str]]:
+    """Tests that pass on the source as it is, with their seconds; and those left out, with the reason.
+
+    Raises:
+        MutationError: they take too long.
+    """
+    files = list(dict.fromkeys(file for mirrored in config.modules.values() for file in mirrored))
+    found = trial.judge(ROOT, next(iter(config.modules)), None, plain, files, BASELINE_S, keep_going=True)
+    if found.result == "timed out":
+        raise MutationError(f"the tests take longer than {BASELINE_S:g} s without any mutation")
+    left_out = {
+        name: "fails where kernels are plain Python" if not passed else f"takes {seconds:.0f} s"
+        for name, (passed, seconds) in found.tests.items()
+        if not passed or seconds > config.slowest_s
+    }
+    return {name: seconds for name, (_, seconds) in found.tests.items() if name not in left_out}, left_out
+
+
+def judge(
+    config: Config,
+    module: str,
+    chosen: Sequence[Mutant],
+    plain: set[str],
+    tests: Mapping[str, float],
+    advance: Callable[[str], None],
+) -> dict[str, Any]:
+    """All mutants of one module; what became of them.
+
+    Raises:
+        MutationError: none of the module's own tests can be used.
+    """
+    # The quick ones first: most mutants do not live to see the others.
+    mine = sorted((name for name in tests if name.split("::")[0] in config.modules[module]), key=lambda k: tests[k])
+    if not mine:
+        raise MutationError(f"{module}: no test of {', '.join(config.modules[module])} passes without a mutation")
+    limit_s = max(config.limit_s, config.patience * sum(tests[name] for name in mine))
+    known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
+    counts = {"killed": 0, "timed_out": 0, "survived": 0, "equivalent": 0}
+    survivors: list[dict[str, Any]] = []
+    equivalent: list[dict[str, Any]] = []
+    found_by: dict[str, int] = {}
+    for mutant in chosen:
+        outcome = trial.judge(ROOT, module, mutant.source, plain, mine, limit_s)
+        if outcome.result != "survived":
+            counts[outcome.result.replace(" ", "_")] += 1
+            found_by[outcome.by or "time limit"] = found_by.get(outcome.by or "time limit", 0) + 1
+        elif (why := known.get((mutant.before, mutant.after))) is not None:
+            counts["equivalent"] += 1
+            equivalent.append({**mutant.row(), "why": why})
+        else:
+            counts["survived"] += 1
+            survivors.append(mutant.row())
+        advance(f"{module}:{mutant.line}")
+    return {
+        **counts, **shares(counts), "survivors": survivors, "equivalents": equivalent, "found_by": found_by,
+    }  # fmt: skip
+
+
+def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
+    """Share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
+    found = counts["killed"] + counts["timed_out"]
+    real = found + counts["survived"]
+    every = real + counts["equivalent"]
+    return {"share_of_all": found / every if every else None, "share_found": found / real if real else None}
+
+
+def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
+    """Counts and shares over all modules."""
+    kinds = ("killed", "timed_out", "survived", "equivalent")
+    counts = {kind: sum(row[kind] for row in modules.values()) for kind in kinds}
+    found = shares(counts)
+    share = found["share_found"]
+    return {**counts, **found, "wanted": wanted, "reached": share is not None and share >= wanted}
+
+
+def table(summary: Mapping[str, Any]) -> Table:
+    """A line a module, and the total."""
+    shown = Table(title="mutants")
+    for column in ("module", "places", "tried", "killed", "timed out", "survived", "equivalent", "share found [%]"):
+        shown.add_column(column, justify="left" if column == "module" else "right")
+    for name, row in [*summary["modules"].items(), ("all", summary["total"])]:
+        tried = sum(row[kind] for kind in ("killed", "timed_out", "survived", "equivalent"))
+        share = "" if row["share_found"] is None else f"{100.0 * row['share_found']:.1f}"
+        figures = [row.get("places", ""), tried, row["killed"], row["timed_out"], row["survived"], row["equivalent"]]
+        shown.add_row(name, *map(str, figures), share)
+    return shown
+
+
+def run(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
+    """Everything, all files; returns the summary."""
+    trial.load_libraries()
+    numbers, chosen = draw(config)
+    plain = set().union(*(trial.dependents(ROOT, name) for name in config.modules))
+    modules: dict[str, Any] = {}
+    with progress("mutation", len(chosen)) as bar:
+        bar.at("the source as it is")
+        tests, left_out = usable_tests(config, plain)
+
+        def advance(text: str) -> None:
+            bar.at(text)
+            bar.advance()
+
+        for name in config.modules:
+            mine = [mutant for mutant in chosen if mutant.module == name]
+            if mine:
+                modules[name] = {"places": numbers[name], **judge(config, name, mine, plain, tests, advance)}
+    summary = {
+        "modules": modules, "total": total(modules, config.share_wanted), "tests": len(tests),
+        "tests_left_out": left_out,
+    }  # fmt: skip
+    output.write_json(out / "summary.json", summary)
+    rows = [{"module": name, **row} for name, found in modules.items() for row in found["survivors"]]
+    output.write_json(out / "environment.json", output.environment(config.model_dump(mode="json"), config.seed, argv))
+    if as_json:
+        print((out / "summary.json").read_text(), end="")
+        return summary
+    screen = console()
+    screen.print(table(summary))
+    for row in rows:
+        where = f"{row['module']}:{row['line']} {row['operator']}"
+        screen.print(f"{where}\n    {row['before']}\n    {row['after']}", markup=False)
+    return summary
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run it; 0, or 2 with a message where the input is wrong."""
+    options = output.parser("mutation", "Count the small errors in the source that the tests find.")
+    options.add_argument("--sample", type=int, metavar="N", help="mutants in all, instead of the configuration's")
+    options.add_argument("--module", nargs="+", metavar="NAME", help="these modules alone")
+    given = options.parse_args(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        config = Config.chosen(given, "mutation").choosing(given.module, 8 if given.quick else given.sample)
+        run(config, given.out, given.json, list(arguments or sys.argv[1:]))
+    except MocOptError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
