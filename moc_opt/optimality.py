@@ -26,11 +26,12 @@ from moc_opt.extremes import extremes
 
 Array = NDArray[np.float64]
 
-# Singular values of A below this fraction of |A|_F count as zero, here and wherever else a rank is decided. What such a
-# direction does to tip and wrist stays within the primal tolerance at joint speeds of a few rad/s. Jacobians
-# rounded to 7 decimals leave up to 7e-8 of the row that repeats the others, and the least of the five is above 6e-3
-# on 900 random arms.
-RANK_TOLERANCE = 1e-7
+# One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
+# TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
+# Jacobians rounded to 7 decimals leave up to 7e-8 of it; what such a row does to tip and wrist stays within the primal
+# tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
+TIED = 1e-7
+RANK_TOLERANCE = 1e-12
 # Singular values that may be divided by to bring x onto A x = b: near a straight elbow the smallest would
 # blow a residual of rounding size up to a rad/s.
 PROJECTION_TOLERANCE = 1e-6
@@ -141,12 +142,18 @@ def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
         (rank, row indices (m,), Z (m, n, n - rank)) for every rank that occurs.
     """
     _, s, vh = np.linalg.svd(A, full_matrices=True)
-    ranks = (s > RANK_TOLERANCE * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
+    ranked = ranks(s)
     groups = []
-    for rank in np.unique(ranks):
-        rows = np.flatnonzero(ranks == rank)
+    for rank in np.unique(ranked):
+        rows = np.flatnonzero(ranked == rank)
         groups.append((int(rank), rows, np.swapaxes(vh[rows, rank:, :], 1, 2)))
     return groups
+
+
+def ranks(s: Array) -> NDArray[np.intp]:
+    """Ranks of matrices with six rows from their singular values (..., 6 or fewer), in descending order."""
+    least = np.where(np.arange(s.shape[-1]) < 5, RANK_TOLERANCE, TIED)
+    return (s > least * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
 
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt import optimality
 from moc_opt.errors import SubproblemError
-from moc_opt.optimality import RANK_TOLERANCE, Residuals
+from moc_opt.optimality import TIED, Residuals
 
 Array = NDArray[np.float64]
 
@@ -229,7 +229,7 @@ class NullSpaceQP:
         lift = np.eye(6)
         # [u; -u] / sqrt(2) is then the left singular vector of A that belongs to its sixth singular value.
         sixth = np.sqrt(0.5) * np.linalg.norm(u @ difference)
-        if self.n >= 3 and sixth <= RANK_TOLERANCE * np.linalg.norm(self.A):
+        if self.n >= 3 and sixth <= TIED * np.linalg.norm(self.A):
             k = int(np.argmin(np.abs(u)))
             across = np.cross(u, np.eye(3)[k])
             across /= np.linalg.norm(across)

@@ -19,6 +19,7 @@ from moc_opt.solvers import Solver, Status, create
 from moc_opt.solvers.base import TruncatingSession, UpdatingSession
 from moc_opt.solvers.registry import available
 from moc_opt.subproblem import NullSpaceQP
+from tests.hard_problems import hard_problems
 from tests.problems import infeasible_problem, random_arm, random_problem, smooth_sequence
 
 COUNT = 24
@@ -316,6 +317,37 @@ def test_a_session_survives_any_problem(name):
         solution = session.solve(qp)
         assert solution.x.shape == (qp.n,)
         assert solution.status is not Status.SOLVED or np.isfinite(solution.x).all()
+
+
+# One bad problem may take these minutes by their own limits.
+HURRY: dict[str, dict[str, Any]] = {
+    "rnn": {"steps": 1000},
+    "qpsolvers:highs": {},
+    "qpsolvers:proxqp": {"options": {"max_iter": 20}},
+    "qpsolvers:osqp": {"options": {"max_iter": 500}},
+    "qpsolvers:scs": {"options": {"max_iters": 500}},
+}
+
+
+@every_solver
+def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
+    """Rounded, nearly singular, huge and tiny: cold and in a stream, with an update before it, there is a status."""
+    limits = expect(name)
+    extra = {"kinematics": kinematics()} if limits.arm else {}
+    chosen = create(name, **HURRY.get(name, limits.settings), **extra)
+    taken = [qp for qp in hard_problems(ARM if limits.arm else None) if chosen.supports(qp) is None][::2]
+    assert len(taken) > 20
+    stream = chosen.start(taken[0])
+    for qp in taken:
+        cold = chosen.start(qp)
+        if isinstance(stream, UpdatingSession):
+            stream.update(qp)
+        for solution in (cold.solve(qp), stream.solve(qp)):
+            assert isinstance(solution.status, Status)
+            assert solution.x.shape == (qp.n,)
+            assert solution.status is not Status.SOLVED or np.isfinite(solution.x).all()
+    if limits.solved == 1.0 and limits.recovers:
+        assert stream.solve(of(name)[0]).status is Status.SOLVED  # and goes on from there
 
 
 @every_solver

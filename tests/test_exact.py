@@ -12,6 +12,7 @@ from moc_opt.errors import SolverError
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.exact import Exact
 from moc_opt.subproblem import NullSpaceQP, judge
+from tests.hard_problems import nearly_singular, rounded
 from tests.problems import infeasible_problem, random_problem
 
 
@@ -220,6 +221,37 @@ def test_a_wedge_of_joints_that_move_almost_as_one(n):
         assert solution.status is Status.SOLVED
         assert found.verified()
         assert found.primal < 1e-13
+
+
+@pytest.mark.parametrize("decimals", [7, 8, 9, 10, 11, 12, 13, 14])
+def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
+    """The sixth row repeats the others up to rounding: it must not decide where the elbow goes."""
+    rng = np.random.default_rng(decimals)
+    refused = 0
+    for k in range(24):
+        qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, damping=0.0), decimals)
+        U = np.linalg.svd(qp.A)[0][:, :5]
+        program = linprog(
+            -qp.grad_mu, A_eq=U.T @ qp.A, b_eq=U.T @ qp.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
+        )
+        solution = solve(qp)
+        refused += solution.status is Status.NUMERICAL
+        if solution.status is not Status.NUMERICAL:
+            assert solution.status is Status.SOLVED or program.status == 2
+            assert -qp.grad_mu @ solution.x == pytest.approx(program.fun, abs=2e-6)
+            assert qp.residuals(solution.x, solution.y).verified()
+    assert refused <= (2 if decimals == 7 else 0)
+
+
+@pytest.mark.parametrize("decimals", range(3, 16))
+@pytest.mark.parametrize("singular", [False, True])
+def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
+    rng = np.random.default_rng(decimals)
+    for k in range(24):
+        plain = random_problem(rng, 7 + k % 3, structured=False, damping=0.0 if k % 2 else 1e-5)
+        qp = nearly_singular(plain, 10.0**-decimals) if singular else rounded(plain, decimals)
+        solution = solve(qp)
+        assert solution.status is not Status.SOLVED or qp.residuals(solution.x, solution.y).verified()
 
 
 def test_settings_are_checked():

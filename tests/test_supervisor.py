@@ -20,6 +20,7 @@ from moc_opt.solvers.exact import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
 from moc_opt.subproblem import NullSpaceQP, fields, judge
 from tests.problems import random_problem
+from tests.wrong_answers import wrong_corners
 
 QUICK = {"bound_samples": 0, "duration_s": 0.4}
 
@@ -409,6 +410,56 @@ def test_settings_that_are_not_given_are_the_documented_ones():
         assert getattr(SupervisorSettings(**{field: 0.5}), field) == 0.5
         with pytest.raises(ControlError, match=field):
             SupervisorSettings(**{field: 0.0})
+
+
+@pytest.mark.parametrize("status", [Status.MAX_ITER, Status.TIME_LIMIT])
+def test_who_claims_nothing_is_held_to_the_references_too(status, qp, Z):
+    """Inside the box, and yet tip and wrist would go elsewhere."""
+    best = solved(qp).x
+    for gap, fault in ((0.05, Fault.NONE), (0.2, Fault.OUTSIDE)):
+        way = np.linalg.svd(qp.A)[2][0]
+        x = best + gap * way / np.abs(qp.A @ way).max()
+        row = np.array(qp.row)
+        part = fields(row)
+        part.lower[:], part.upper[:] = np.minimum(part.lower, x), np.maximum(part.upper, x)
+        wide = NullSpaceQP.from_row(row)
+        mine = supervisor()
+        mine.solve(Scripted(Solution(x, None, status)), wide, Z)
+        assert mine.fault is fault
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("tilt", [1.0, 1e-3])
+@pytest.mark.parametrize("n", [7, 8, 9])
+def test_wrong_corners_of_several_freedoms_are_lies(n, tilt, damping):
+    """Two to four freedoms, and as much gradient along them as across, or a thousandth: claimed, and refused."""
+    wrong = wrong_corners(n, n, 10, tilt=tilt, damping=damping)
+    faults = []
+    for w in wrong:
+        mine = Supervisor(SupervisorSettings(), "damping", n)
+        mine.solve(Scripted(Solution(w.x, None, Status.SOLVED)), w.qp, null_space(w.qp.A))
+        faults.append(mine.fault)
+    assert np.mean([fault is Fault.LIED for fault in faults]) >= (1.0 if damping == 0.0 else 0.9)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), n=st.sampled_from([7, 8, 9, 10]), damping=st.sampled_from([0.0, 1e-5, 1e-3]),
+    off=st.sampled_from([0.0, 1e-7, 1e-5, 1e-4, 1e-3, 1e-2]),
+)  # fmt: skip
+def test_with_several_freedoms_too_what_is_verified_is_taken(seed, n, damping, off):
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, n, structured=False, damping=damping)
+    Z = null_space(problem.A)
+    x = solved(problem).x + off * Z.T @ rng.normal(size=len(Z))
+    found = problem.residuals(x)
+    mine = Supervisor(SupervisorSettings(), "damping", n)
+    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), problem, Z)
+    if found.verified():
+        assert mine.fault is Fault.NONE
+    assert off > 0.0 or found.verified()
+    relative = answer_residuals(problem.row, n, Z, x)[2]
+    assert relative <= found.relative * (1.0 + 1e-6) + 1e-6  # joints that hardly move do not end the line
 
 
 def test_the_check_can_be_switched_off(qp, Z):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from moc_opt.control.dense import cholesky, dot, gram, solve_factored, solve_in_place, times, transpose_times
 from moc_opt.control.feedforward import independent_rows
 from moc_opt.errors import ControlError
-from moc_opt.optimality import RANK_TOLERANCE
+from moc_opt.optimality import ranks
 
 Array = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
 def null_space(A: Array, like: Array | None = None) -> Array:
     """Orthonormal rows (r, n) of ker A by SVD, turned to lie closest to ``like`` (orthogonal Procrustes)."""
     _, s, vh = np.linalg.svd(A)
-    Z = vh[int((s > RANK_TOLERANCE * np.linalg.norm(s)).sum()) :]
+    Z = vh[int(ranks(s)) :]
     if like is not None and like.shape == Z.shape:
         left, _, right = np.linalg.svd(like @ Z.T)
         Z = left @ right @ Z

@@ -65,8 +65,9 @@ class SupervisorSettings(Settings):
         1e-2, gt=0.0, description="largest |A x - b| or box violation of a claim [m/s, rad/s]"
     )
     box_limit: float = Field(
-        0.1, gt=0.0, description="largest box violation of an answer that claims nothing [rad/s]"
-    )
+        0.1, gt=0.0,
+        description="largest |A x - b| or box violation of an answer that claims nothing [m/s, rad/s]",
+    )  # fmt: skip
     relative_limit: float = Field(
         0.05, gt=0.0, description="largest natural residual along the self-motion, cost scaled to one [rad/s]"
     )
@@ -180,7 +181,7 @@ class Supervisor:
         if self._check:
             box, claim, natural, turned = self._limits
             if status is not _SOLVED:
-                if outside > box:
+                if primal > box or outside > box:
                     return Fault.OUTSIDE
             elif primal > claim or outside > claim:
                 return Fault.OUTSIDE

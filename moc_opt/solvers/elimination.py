@@ -30,12 +30,12 @@ from moc_opt.lanes import (
     unit,
     zeros,
 )
-from moc_opt.optimality import RANK_TOLERANCE
+from moc_opt.optimality import RANK_TOLERANCE, TIED
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-DOUBTFUL = 1e3  # pivots within this factor of the rank tolerance are looked at more closely
+DOUBTFUL = 1e3  # a sixth pivot below this multiple of its tolerance is looked at more closely
 LEFT = 1e-6  # |A x - b| that the dropped rows may be left with [m/s]; the judge's primal tolerance
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
@@ -63,10 +63,10 @@ class Plane(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def repeats(W: Array, n: int, m: int, row: Array) -> bool:
-    """Whether the open rows repeat the others, by the rank tolerance on singular values.
+def own_part(W: Array, n: int, m: int, row: Array) -> float:
+    """How much the last open row has of its own, in units of the tolerance on the sixth singular value.
 
-    A pivot alone overstates the singular value, up to a hundredfold: an open row is e^T A with a long e, which the
+    A pivot alone overstates that value, up to a hundredfold: the open row is e^T A with a long e, which the
     row operations hold. |e^T A| / |e| is what a singular value is the smallest of.
     """
     size, most = 0.0, 0.0
@@ -80,13 +80,15 @@ def repeats(W: Array, n: int, m: int, row: Array) -> bool:
             for k in range(6):
                 operations += W[i, m + k] * W[i, m + k]
             most = max(most, length / operations)
-    return bool(most <= RANK_TOLERANCE * RANK_TOLERANCE * size)
+    return float(np.sqrt(most / size) / TIED)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def eliminate(plane: Plane, row: Array) -> int:
     """Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
 
+    The rank is -1 where a row is neither repeated nor independent: around the tolerances, where singular values and
+    pivots may disagree.
     Afterwards row pivots[k] of W reads x[order[k]] + sum_free W[., j] x[j] = b, for k < rank.
     """
     W, n, m = plane.W, plane.n, plane.m
@@ -103,10 +105,12 @@ def eliminate(plane: Plane, row: Array) -> int:
                 most = larger(magnitude(load(W, i, c)) * W[OPEN, i], most)
         size = largest(most)
         start = size if k == 0 else start
-        if not size > RANK_TOLERANCE / DOUBTFUL * start:
-            return k
-        if size < RANK_TOLERANCE * DOUBTFUL * start and repeats(W, n, m, row):
-            return k
+        if not size > 30.0 * RANK_TOLERANCE * start:
+            return k if k == 5 or not size > 0.1 * RANK_TOLERANCE * start else -1
+        if k == 5 and size < TIED * DOUBTFUL * start:
+            own = own_part(W, n, m, row)
+            if own <= 10.0:
+                return k if own <= 1.0 else -1
         inverse = 1.0 / size  # its sign is seen to when the pivot is found: the division takes as long
         pivot, column = 0, 0
         for i in range(6):

@@ -70,6 +70,8 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     V, W = stack(4, m), stack(7, m + 8)
     plane = Plane(W, stack_indices(n + 1), stack_indices(6), n, m)
     rank = elimination.eliminate(plane, row)
+    if rank < 0:
+        return STUCK
     for i in range(6):
         if W[OPEN, i] * abs(W[i, m + B]) > tolerance and elimination.contradicts(W, n, m, i, row, tolerance):
             return EMPTY  # a repeated row asks for another velocity than its twin

@@ -160,6 +160,8 @@ class QPSolver:
                     f"{self.name}: options = {dict(self.options)} are refused ({error}); "
                     "see the library's manual"
                 ) from error
+            except (QPError, ArithmeticError):
+                pass  # the problem's fault, not the options': `solve` will say so with a status
         return QPSolverSession(self)
 
 

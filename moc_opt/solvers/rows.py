@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.optimality import RANK_TOLERANCE
+from moc_opt.optimality import TIED
 from moc_opt.subproblem import NullSpaceQP, Reduced
 
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def tool_direction(row: Array, n: int, u: Array) -> bool:
     for j in range(n):
         gap = u[0] * D[0, j] + u[1] * D[1, j] + u[2] * D[2, j]
         apart += gap * gap
-    return bool(0.5 * apart <= RANK_TOLERANCE * RANK_TOLERANCE * size)
+    return bool(0.5 * apart <= TIED * TIED * size)
 
 
 @njit(cache=True, nogil=True)
