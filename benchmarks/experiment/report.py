@@ -166,7 +166,7 @@ def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             (row["case"], row["draw"]),
             {"about": row["about"], "draw": row["draw"], "trials": row["trials"], "holds": [], "decides": []},
         )
-        line[row["claim"]] = with_interval(row, "effect_percent")
+        line[row["claim"]] = spread(row, "effect_percent")
         line["holds"] += [row["claim"]] if row["confirmed"] else []
         line["decides"] += [row["claim"]] if row.get("decides") else []
     lines = [
