@@ -683,3 +683,12 @@ def test_a_trace_says_which_answers_were_refused_and_why():
         }
     }  # fmt: skip
     assert run(Scenario(duration_s=0.02, bound_samples=0)).meta["faults"] == {}
+
+
+@pytest.mark.parametrize("fallback", ["damping", "hold", "least-violation"])
+def test_what_stands_in_is_compiled_before_the_loop(fallback, qp, Z, monkeypatch):
+    ran = []
+    monkeypatch.setattr("moc_opt.control.supervisor.least_violation", lambda *given: ran.append("least-violation"))
+    monkeypatch.setattr("moc_opt.control.supervisor.into_the_box", lambda *given: ran.append("retreat"))
+    supervisor(fallback).warm_up(qp, Z)
+    assert sorted(ran) == (["least-violation"] if fallback == "least-violation" else []) + ["retreat"]
