@@ -88,7 +88,7 @@ def run_scenario(
             raise
     if trace.meta["ended"] != "completed":
         print(f"{scenario.name}: {trace.meta['ended']}", file=sys.stderr)
-    for fault, of in trace.meta["faults"].items():
+    for fault, of in trace.meta.get("faults", {}).items():
         times = f"{of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s"
         print(f"{scenario.name}: answer refused, {fault}: {times}: {of['first']}", file=sys.stderr)
     baseline = None

@@ -128,7 +128,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"error": None, "metrics": metrics, "faults": trace.meta["faults"]}, arrays)
+    yield Part({"error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}, arrays)
 
 
 def _settled(trial: Scenario, trace: Trace) -> dict[str, float]:

@@ -253,8 +253,8 @@ def simulate(
     kept = {name: column[: stop_at + 1] for name, column in kept.items()}
     kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
     kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
-    refused = getattr(brain, "faults", {})  # of the third level, where a brain has one
-    about = {"period_s": plant.settings.period_s, "ended": ended, **stopped, "faults": refused}
+    refused = {"faults": brain.faults} if hasattr(brain, "faults") else {}
+    about = {"period_s": plant.settings.period_s, "ended": ended, **stopped, **refused}
     trace = Trace(kept, {**about, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken
