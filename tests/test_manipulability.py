@@ -186,6 +186,14 @@ def test_null_space_of_an_arm(robot, regular_poses):
         check_basis(Z, A)
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_the_rank_does_not_depend_on_the_unit_of_length(scale, robot, regular_poses):
+    for q in regular_poses(5):
+        A = scale * robot.state(q).A
+        assert level3.null_space(A).shape == (2, 7)
+        assert level3.null_space(scale * straight_elbow(robot, 0.0).A).shape == (3, 7)
+
+
 @settings(max_examples=60)
 @given(seed=SEEDS, rows=st.integers(1, 6), n=st.integers(6, 9))
 def test_null_space_lies_closest_to_the_one_it_is_given(seed, rows, n):

@@ -150,7 +150,8 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
     arrays[TRAVELLING] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    yield Part({"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta["faults"]}, arrays)
+    found = {"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}
+    yield Part(found, arrays)
 
 
 def run_one(

@@ -179,7 +179,7 @@ def simulate(
     kept["rcm_error_registered_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], registered_m)
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": ended, **stopped}
     found |= {"ticks": stop_at + 1, "ticks_planned": ticks}
-    found["faults"] = getattr(brain, "faults", {})  # of the third level, where a brain has one
+    found |= {"faults": brain.faults} if hasattr(brain, "faults") else {}
     if safe.warnings:
         begin_s = float(kept["t_s"][0])
         found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in safe.warnings]
