@@ -94,7 +94,7 @@ def test_a_job_measures_both_sides(monkeypatch):
     assert (asked.count("dcac"), asked.count("moc")) == (2, 3)  # DCAC has no third level
     whole = run(variant(job.cases["soft"][0], MATCHED))
     by_case = {(m.group, m.controller): m.metrics for m in found}
-    assert by_case["soft", MATCHED]["tip_error_mean_mm"] == summarize(whole)["tip_error_mean_mm"]
+    assert by_case["soft", MATCHED]["tip_error_model_mean_mm"] == summarize(whole)["tip_error_model_mean_mm"]
     assert by_case["printed", MATCHED] == by_case["soft", MATCHED] != by_case["stiff", MATCHED]
     assert by_case["printed", "exact"] != by_case["soft", "exact"]
     assert set(by_case["soft", "exact"]) == {claim.metric for claim in CLAIMS}
@@ -111,7 +111,7 @@ def test_a_job_measures_both_sides(monkeypatch):
 def measured(case, trial, moc, dcac):
     """Errors and mu of one trial, all as multiples of one number."""
     return [
-        Measurement(case, name, "circle", trial, 0, "whole", "", {c.metric: value for c in CLAIMS})
+        Measurement(case, name, "circle", trial, 0, "whole", {c.metric: value for c in CLAIMS})
         for name, value in (("exact", moc), (MATCHED, dcac))
     ]
 
@@ -143,8 +143,8 @@ def test_what_decides_follows_from_the_numbers(made):
         "printed": True, "decides": False, "idle": True,
     }  # fmt: skip
     said = " ".join(ablation.headline(table))
-    assert "tip, rcm, force confirmed" in said
-    assert "decides (mu, tip, rcm, force)" in said
+    assert "tip, rcm confirmed" in said
+    assert "decides (mu, tip, rcm)" in said
     assert "idle" not in said
     assert ablation.headline([]) == []
     other = [{**row, "controller": DAMPED if row["case"] == "decides" else "exact"} for row in table]
@@ -165,4 +165,4 @@ def test_trials_that_broke_off_on_one_side_are_left_out_of_the_shift(made):
 def test_the_table_has_a_row_for_every_case_and_draw(made):
     table = ablation_table(ablation.rows(*made))
     assert len(table.rows) == 4 * 3
-    assert table.rows[0]["holds"] == "tip, rcm, force"
+    assert table.rows[0]["holds"] == "tip, rcm"

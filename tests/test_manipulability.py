@@ -113,7 +113,7 @@ def test_a_box_up_to_the_limit_presses_into_the_wall(robot, regular_poses):
     """Why the margin is there: box and guard disagree, and the tip pays for it."""
     trace = towards_a_limit(regular_poses(30)[13], limit_margin_rad=0.0)
     assert trace.limited.any()
-    assert trace.tip_error_m.max() > 0.01
+    assert trace.tip_error_m.max() > 4e-3  # twice what is allowed with the margin
 
 
 def test_a_wall_inside_the_box_is_refused():

@@ -86,8 +86,8 @@ def test_duals_are_those_of_the_six_linear_rows(kind):
         assert qp.residuals(found.x, -found.y).natural > 1e-5
 
 
-def test_sqp_finds_the_largest_swivel_without_damping():
-    """The exact Hessian is stationary at the smallest mu as well: BFGS is the default for that reason."""
+def test_sqp_without_damping_answers_by_bfgs_and_often_not_by_the_exact_hessian():
+    """Which is indefinite there: BFGS is the default for that reason."""
     rng = np.random.default_rng(5)
     losses = {"limited-memory": [], "exact": []}
     for _ in range(40):
@@ -98,7 +98,7 @@ def test_sqp_finds_the_largest_swivel_without_damping():
                 found.append(float(qp.residuals(solution.x).loss))
     assert len(losses["limited-memory"]) >= 38
     assert max(losses["limited-memory"]) < 0.1
-    assert max(losses["exact"]) > 0.9
+    assert len(losses["exact"]) <= 34
 
 
 def test_what_is_said_of_infeasible_problems():

@@ -357,7 +357,7 @@ def test_force_and_the_true_trocar_are_reported_and_not_counted():
     assert {name for name, row in rows.items() if row["verdict"] == verdict.REPEATS} == {"rcm_true", "force"}
     assert "matched_percent" in rows["force"]
     assert not [row for row in verdict.goals(found, "g", "exact") if "force" in row["goal"]]
-    said = report.headline({"verdict": list(rows.values()), "goals": [], "swivel": {}}, ["g"], "exact")
+    said = report.headline({"verdict": list(rows.values()), "goals": [], "swivel": {}, "ablation": []}, ["g"], "exact")
     assert "force" not in said[0]
 
 

@@ -164,7 +164,7 @@ BAD_TOML = {
     "negative friction": ("coulomb_friction_Nm = [1.0", "coulomb_friction_Nm = [-1.0", "coulomb_friction_Nm"),
     "home outside": ("q_rad = [0.595", "q_rad = [3.5", r"home\.q_rad.*\[1\]"),
     "home too long": ("q_rad = [0.595", "q_rad = [0.1, 0.595", r"home\.q_rad has 8 entries"),
-    "gain not a number": ("K_N2 = 80.0", 'K_N2 = "eighty"', r"gains\.default\.K_N2"),
+    "gain not a number": ("K_N2 = [20.0, 30.0,", 'K_N2 = ["eighty", 30.0,', r"gains\.default\.K_N2"),
 }
 
 

@@ -44,7 +44,7 @@ def test_json_begins_with_the_ending_and_is_json(capsys):
     assert text.lstrip("{ \n").startswith('"ended": "stopped: x"')
     assert json.loads(text, parse_constant=pytest.fail) == {
         "ended": "stopped: x", "part": "first 0.3 s of 0.4 s", "mu_mean": None, "loss_max": None,
-        "warnings": [WARNING],
+        "warnings": [WARNING], "faults": {},
     }  # fmt: skip
     assert "part" not in run_json(trace(), {})
 

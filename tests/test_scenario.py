@@ -491,7 +491,7 @@ def test_other_seed_other_trace():
 def nominal():
     """Both laws from the same poor swivel, in the plant that equals the model, with matched gains."""
     base = Scenario(
-        duration_s=2.0, start=POOR, plant={"preset": "nominal"}, bound_samples=9
+        duration_s=3.0, start=POOR, plant={"preset": "nominal"}, bound_samples=9
     )
     return {law: run(base.change(control={"law": law})) for law in ("moc", "dcac")}
 
@@ -514,7 +514,7 @@ def test_tip_follows_and_the_shaft_stays_in_the_trocar(nominal):
     assert dcac.rcm_error_m.max() < 1e-3
     assert moc.tip_error_m.max() < 1e-3  # while the elbow swings over at half its joints' speed
     assert moc.rcm_error_m.max() < 4e-3
-    settled = moc.t_s > 1.5
+    settled = moc.t_s > 2.2
     assert moc.tip_error_m[settled].max() < 2e-4
     assert moc.rcm_error_m[settled].max() < 2e-3
 

@@ -325,14 +325,16 @@ def along_the_line(qp, Z, x):
     return long, distance(1.0), distance(-1.0)
 
 
-@pytest.mark.parametrize("structured", [True, False])
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
-def test_the_residuals_along_the_line_against_a_search(c2, structured):
-    """Inside the box, at its sides and beyond them; where the damping decides, and where the box does."""
+def test_the_residuals_along_the_line_against_a_search(c2):
+    """The elbow swivel alone, inside the box, at its sides and beyond: where the damping decides, and where the box does.
+
+    With several freedoms the way down is another one; see the wrong corners above.
+    """
     rng = np.random.default_rng(12)
     seen = []
     for number in range(60):
-        qp = random_problem(rng, structured=structured, c2=c2, damping=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
+        qp = random_problem(rng, c2=c2, damping=c2 * 10.0 ** rng.uniform(-2.0, 1.0))
         Zs = null_space(qp.A)
         x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0] + rng.normal(size=len(Zs)) @ Zs
         if number % 3:

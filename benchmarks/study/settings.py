@@ -103,7 +103,7 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
         TIGHT: ({"cost_scale": 1.0, "eps": 1e-9, "hessian": "exact"}, "both tolerances 1e-9"),
         RECOMMENDED: (
             {},
-            "BFGS: the exact Hessian is indefinite without damping and finds the smallest mu; costs x 1e5 make "
+            "BFGS: the exact Hessian is indefinite without damping and often finds no answer; costs x 1e5 make "
             "the identity, where BFGS begins, the true Hessian",
         ),
     },

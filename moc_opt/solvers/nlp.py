@@ -142,8 +142,8 @@ class SQP(NLP):
     """CasADi's sqpmethod on its active-set QP solver qrqp; iterations are major ones.
 
     BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default damping of
-    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where damping = 0: then about one answer
-    in ten is the swivel where mu is *smallest*, as that is stationary too.
+    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where damping = 0: then three problems in ten
+    stay without an answer.
     """
 
     cost_scale: float = 1e5
