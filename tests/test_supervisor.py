@@ -327,7 +327,7 @@ def along_the_line(qp, Z, x):
 
 @pytest.mark.parametrize("c2", [1e-3, 0.5])
 def test_the_residuals_along_the_line_against_a_search(c2):
-    """The elbow swivel alone, inside the box, at its sides and beyond: where the damping decides, and where the box does.
+    """The elbow swivel alone, inside the box, at its sides and beyond: where damping decides, and where the box does.
 
     With several freedoms the way down is another one; see the wrong corners above.
     """
