@@ -74,6 +74,8 @@ def summarise(
     summary["verdict"] = [row for pair in each for row in verdict.verdicts(found, *pair)]
     summary["phases"] = [row for pair in each for row in verdict.travelling(found, *pair)]
     summary["goals"] = verdict.goals(found, config.best, config.best_solver)
+    if config.elsewhere is not None:
+        summary["goals_elsewhere"] = verdict.goals(found, config.elsewhere, config.best_solver)
     summary["swivel"] = paper_swivel.summary(swivel)
     return summary, found, broken
 

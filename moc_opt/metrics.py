@@ -227,14 +227,26 @@ def rcm_error_max_mm(trace: Trace) -> float:
 
 @metric
 def rcm_error_registered_mean_mm(trace: Trace) -> float:
-    """Mean distance of the shaft's line from the trocar that the controller was told [mm]: its own share."""
+    """Mean distance of the true shaft's line from the trocar as registered by touch [mm]."""
     return 1e3 * float(_floats(trace, "rcm_error_registered_m").mean())
 
 
 @metric
 def rcm_error_registered_max_mm(trace: Trace) -> float:
-    """Largest distance of the shaft's line from the trocar that the controller was told [mm]."""
+    """Largest distance of the true shaft's line from the trocar as registered by touch [mm]."""
     return 1e3 * float(_floats(trace, "rcm_error_registered_m").max())
+
+
+@metric
+def rcm_error_model_mean_mm(trace: Trace) -> float:
+    """Mean distance of the shaft from the registered trocar by the robot's own kinematics [mm]."""
+    return 1e3 * float(_floats(trace, "rcm_error_model_m").mean())
+
+
+@metric
+def rcm_error_model_max_mm(trace: Trace) -> float:
+    """Largest distance of the shaft from the registered trocar by the robot's own kinematics [mm]."""
+    return 1e3 * float(_floats(trace, "rcm_error_model_m").max())
 
 
 @metric

@@ -111,14 +111,14 @@ class RobotModel:
             mu[k] = self._tip_manipulability(self._axes, self._places, self._offsets, self._moves)
         return mu
 
-    def tip_along(self, poses: Array) -> Array:
-        """Tip (k,3) [m] at the poses (k,n) [rad]."""
-        tips = np.empty((len(poses), 3))
-        last, offset = self._pin_data.oMi[self.n], self._offsets[0]
+    def tool_along(self, poses: Array) -> tuple[Array, Array]:
+        """Tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
+        tips, wrists = np.empty((2, len(poses), 3))
+        last, (tip, wrist) = self._pin_data.oMi[self.n], self._offsets[:2]
         for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
             pin.forwardKinematics(self._pin, self._pin_data, q)
-            tips[k] = last.act(offset)
-        return tips
+            tips[k], wrists[k] = last.act(tip), last.act(wrist)
+        return tips, wrists
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""

@@ -28,6 +28,7 @@ from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import judge
 from moc_opt.tasks import Trocar
+from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace import Trace
 
 Array = NDArray[np.float64]
@@ -152,14 +153,20 @@ class Setup:
         return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
 
     def _with_model_error(self, trace: Trace) -> Trace:
-        """With the tip's error as the robot's own kinematics have it; without, where its encoders see no links."""
+        """With tip and RCM error as the robot's own kinematics have them; without, where its encoders see no links."""
         plant = self.scenario.plant
         if plant.elastic and plant.encoder_side == "motor":
             return trace
         if not self.plant.mismatch.displaces:
-            return trace.with_columns(tip_error_model_m=trace.tip_error_m)
-        tips = self.robot.tip_along(trace.q_rad + self.plant.mismatch.encoder_bias)
-        return trace.with_columns(tip_error_model_m=np.linalg.norm(trace.tip_ref_m - tips, axis=1))
+            return trace.with_columns(
+                tip_error_model_m=trace.tip_error_m, rcm_error_model_m=trace.rcm_error_registered_m
+            )
+        tips, wrists = self.robot.tool_along(trace.q_rad + self.plant.mismatch.encoder_bias)
+        told = trace.trocar_registered_m - self.touched.trocar
+        return trace.with_columns(
+            tip_error_model_m=np.linalg.norm(trace.tip_ref_m - tips, axis=1),
+            rcm_error_model_m=shaft_distance(tips, wrists, told),
+        )
 
     def _mu_bound(self, trace: Trace) -> Array:
         """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""

@@ -56,8 +56,9 @@ class Trace:
             "tip_error_model_m": Column("m", "(N,)", "the same by the robot's own kinematics, sensor noise aside"),
             "rcm_error_m": Column("m", "(N,)", "distance of the shaft's line from the trocar"),
             "rcm_error_registered_m": Column(
-                "m", "(N,)", "the same from the trocar that the controller was told: less the registration's error"
+                "m", "(N,)", "the same from the trocar as registered by touch: less the registration's error"
             ),
+            "rcm_error_model_m": Column("m", "(N,)", "the latter by the robot's own kinematics, sensor noise aside"),
             "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
             "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
             "status": Column("", "(N,)", "status the solver claimed; 'none' without a third level", "text"),

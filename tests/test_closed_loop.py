@@ -138,7 +138,7 @@ def traced(controller, travels, tip_mm, trial="t", timed=True, mu=1.0):
     flags[list(travels)] = True
     error = 1e-3 * np.asarray(tip_mm, dtype=float)
     columns = {"t_s": np.arange(10) * 0.002, "mu": np.full(10, mu), "tip_error_model_m": error, "rcm_error_m": error,
-               "rcm_error_registered_m": 0.5 * error, "solve_us": np.full(10, 5.0 if timed else 500.0),
+               "rcm_error_model_m": 0.5 * error, "solve_us": np.full(10, 5.0 if timed else 500.0),
                "travelling": flags}  # fmt: skip
     metrics = {"mu_mean": mu, "tip_error_model_mean_mm": 1e3 * error.mean(), "deadline_misses": 0.0 if timed else 9.0}
     return Run(controller, trial, metrics, columns, timed=timed)
@@ -155,7 +155,7 @@ def test_settled_ticks_are_one_set_for_all_controllers_of_a_trial():
     }  # fmt: skip
     for name in (BASELINE, "a", "b"):
         assert found[name]["tip_error_model_settled_mean_mm"] == pytest.approx(7.5)  # ticks 6 to 9
-        assert found[name]["rcm_error_registered_settled_mean_mm"] == pytest.approx(3.75)
+        assert found[name]["rcm_error_model_settled_mean_mm"] == pytest.approx(3.75)
 
 
 def test_where_no_tick_is_settled_there_is_no_figure():

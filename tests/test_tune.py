@@ -17,7 +17,7 @@ from moc_opt.control.settings import TUNED
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 
 GOOD = {
-    "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_registered_mean_mm": 0.12,
+    "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_model_mean_mm": 0.12,
     "torque_rate": 500.0,
     **{f"settled_{name}_high": 0.0 for name in tune.ERRORS}, **{f"travelling_{name}": 0.0 for name in tune.ERRORS},
 }  # fmt: skip
@@ -87,7 +87,7 @@ def test_rho_follows_the_ratio():
         ("gain", 10.0),
         ("worst_gain", -0.5),
         ("tip_error_model_mean_mm", 0.12),
-        ("rcm_error_registered_mean_mm", 0.25),
+        ("rcm_error_model_mean_mm", 0.25),
         *((f"settled_{error}_high", 6.0) for error in tune.ERRORS),
     ],
 )
@@ -104,7 +104,7 @@ def test_a_missed_goal_costs_more_than_anything_else(name, value):
         ("torque_rate", 600.0),
         ("gain", 18.0),
         ("tip_error_model_mean_mm", 0.08),
-        ("travelling_rcm_error_registered_mean_mm", 10.0),
+        ("travelling_rcm_error_model_mean_mm", 10.0),
     ],
 )
 def test_costs_rise_where_it_gets_worse(name, worse):
@@ -117,7 +117,7 @@ def test_a_settled_phase_that_never_came_is_a_missed_goal():
 
 
 def outcome(group, controller, rate, mu=0.3, gain=0.0, trial=0):
-    metrics = {"torque_rate_rms_Nm_per_s": rate, "tip_error_model_mean_mm": 0.05, "rcm_error_registered_mean_mm": 0.12,
+    metrics = {"torque_rate_rms_Nm_per_s": rate, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.12,
                "mu_mean": mu, "mu_gain_percent": gain}  # fmt: skip
     entry = Measurement(group, controller, "circle", f"circle/{trial}", 1, "whole", metrics)
     return Outcome([entry], {}, {}, [])

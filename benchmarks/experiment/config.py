@@ -29,6 +29,7 @@ class Group(Settings):
     about: str = ""
     control: dict[str, Any] = Field(default_factory=dict)
     task: dict[str, Any] = Field(default_factory=dict)
+    start: dict[str, Any] = Field(default_factory=dict)
 
 
 class Swivel(Settings):
@@ -52,6 +53,7 @@ class Config(Configuration):
     processes: int = Field(2, ge=1)
     best: str = "tuned"
     best_solver: str = "exact"
+    elsewhere: str | None = Field(None, description="a group of other starts, of which the goals are asked too")
     groups: dict[str, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
@@ -76,8 +78,9 @@ class Config(Configuration):
         Raises:
             MocOptError: the first thing that is wrong.
         """
-        for group in (self.best, self.swivel.group, *([self.ablation.group] if self.ablation.cases else [])):
-            if group not in self.groups:
+        named = (self.best, self.swivel.group, self.ablation.group if self.ablation.cases else None, self.elsewhere)
+        for group in named:
+            if group is not None and group not in self.groups:
                 raise UnknownNameError("group", group, self.groups)
         if self.best_solver not in self.solvers:
             raise UnknownNameError("best_solver", self.best_solver, self.solvers)
@@ -112,11 +115,12 @@ class Config(Configuration):
     def base(self, group: str) -> Scenario:
         """The scenario that a group's trials share."""
         table = self.groups[group]
-        return self.scenario.change(control=table.control, task=table.task)
+        return self.scenario.change(control=table.control, task=table.task, start=table.start)
 
     def same_path(self, group: str) -> bool:
         """Whether a group's trials follow the paths of the best group, at the same time."""
-        return self.groups[group].task == self.groups[self.best].task
+        mine, best = self.groups[group], self.groups[self.best]
+        return (mine.task, mine.start) == (best.task, best.start)
 
     def procedures(self, out: Path) -> list[ProcedureJob]:
         """The whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""

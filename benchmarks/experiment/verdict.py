@@ -50,9 +50,15 @@ class Claim:
 CLAIMS = (
     Claim("mu", "manipulability rises by more than 7 %", "mu_mean", 7.0, upwards=True),
     Claim("tip", "tip accuracy is better", "tip_error_model_mean_mm"),
-    Claim("rcm", "the RCM error is smaller (registered trocar)", "rcm_error_registered_mean_mm"),
+    Claim("rcm", "the RCM error is smaller", "rcm_error_model_mean_mm"),
 )
-BESIDE = (
+"""By the robot's own kinematics from the registered trocar, as the paper measured them."""
+PATIENT = (
+    Claim("tip_registered", "the tip is nearer to its path in the patient", "tip_error_registered_mean_mm"),
+    Claim("rcm_registered", "the shaft is nearer to the incision in the patient", "rcm_error_registered_mean_mm"),
+)
+"""The same in the frame that was registered by touch: calibration errors count, those of the registration do not."""
+REPEATED = (
     Claim("rcm_true", "the RCM error is smaller (true trocar)", "rcm_error_mean_mm"),
     Claim("force", "the contact force is smaller", "trocar_force_mean_N"),
 )
@@ -60,7 +66,7 @@ BESIDE = (
 LIMITS = (
     ("tip", "tip_error_model_mean_mm", 0.1),
     ("rcm", "rcm_error_mean_mm", 0.5),
-    ("rcm_registered", "rcm_error_registered_mean_mm", 0.2),
+    ("rcm_model", "rcm_error_model_mean_mm", 0.2),
 )
 LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0
 
@@ -108,11 +114,11 @@ def judge_claim(claim: Claim, own: Interval | None, matched: Interval | None) ->
 def verdicts(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
     """One row a claim: verdict, and the effect against each DCAC with its interval; then what is reported beside."""
     rows = []
-    for claim in (*CLAIMS, *BESIDE):
+    for claim in (*CLAIMS, *PATIENT, *REPEATED):
         effects = {name: effect(found, group, moc, name, claim.metric) for name in BASELINES}
         row: dict[str, Any] = {
             "group": group, "controller": moc, "claim": claim.name, "text": claim.text,
-            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]) if claim in CLAIMS else REPEATS,
+            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]) if claim not in REPEATED else REPEATS,
         }  # fmt: skip
         for name, key in ((OWN, "own"), (MATCHED, "matched"), (DAMPED, "damped")):
             change = effects[name]
@@ -159,7 +165,7 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
         row: dict[str, Any] = {"group": group, "controller": moc, "phase": phase, "trials": len(mine)}
         row["share_of_ticks"] = float(np.mean([m.metrics["share_of_ticks"] for m in mine]))
         row["ticks"] = float(sum(m.metrics["ticks"] for m in mine))
-        for claim in (*CLAIMS, *BESIDE):
+        for claim in (*CLAIMS, *PATIENT, *REPEATED):
             row[claim.metric] = float(
                 np.average(
                     [m.metrics[claim.metric] for m in mine], weights=[m.metrics["ticks"] for m in mine]
@@ -178,7 +184,7 @@ def intervals(
     """Mean over the trials of every metric, those of the claims with their intervals; the gain is that of the means."""
     mine = [m for m in found if (m.group, m.controller, m.phase) == (group, controller, phase)]
     values: dict[str, float] = {"trials": float(len(mine))}
-    of_claims = {claim.metric for claim in (*CLAIMS, *BESIDE)}
+    of_claims = {claim.metric for claim in (*CLAIMS, *PATIENT, *REPEATED)}
     for metric in dict.fromkeys(name for m in mine for name in m.metrics):
         data = [m.metrics[metric] for m in mine if metric in m.metrics]
         if metric == "mu_gain_percent":

@@ -26,8 +26,8 @@ Array = NDArray[Any]
 
 BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
 KEPT = (
-    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_registered_m",
-    "trocar_force_N", "solve_us", "tick_us",
+    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_model_m", "trocar_force_N",
+    "solve_us", "tick_us",
 )  # fmt: skip
 TRAVELLING = "travelling"  # column of a run: its own elbow is on its way
 POSES = (
@@ -42,10 +42,10 @@ PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and af
 BEAT_S = 0.5
 HUNG = "hung"
 SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
-SETTLED = ("tip_error_model", "rcm_error_registered", "rcm_error")
+SETTLED = ("tip_error_model", "rcm_error_model", "rcm_error")
 COMPARED = {
     "mu_mean": "mu_gain_percent", "tip_error_model_mean_mm": "tip_change_percent",
-    "rcm_error_registered_mean_mm": "rcm_change_percent",
+    "rcm_error_model_mean_mm": "rcm_change_percent",
 }  # fmt: skip
 CLOCKS = ("deadline_misses",)  # counts that the clock decides
 AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")

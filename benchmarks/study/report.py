@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 SCREEN = ("testsets", "closed_loop", "prediction", "troubles", "not_run")
 METRICS = {
-    "mu_mean": "µ [m³]", "tip_error_model_mean_mm": "tip error [mm]", "rcm_error_registered_mean_mm": "RCM error [mm]",
+    "mu_mean": "µ [m³]", "tip_error_model_mean_mm": "tip error [mm]", "rcm_error_model_mean_mm": "RCM error [mm]",
     "torque_rate_rms_Nm_per_s": "chatter [Nm/s]",
 }  # fmt: skip
 
