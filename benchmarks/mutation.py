@@ -70,7 +70,7 @@ class Config(Configuration):
 
 
 def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
-    """How many places for a mutation each module has, and a seeded sample over all of them."""
+    """Count the places for a mutation in each module, and draw a seeded sample over all of them."""
     every = {name: places(ROOT, name) for name in config.modules}
     pooled = [place for found in every.values() for place in found]
     chosen = sample(ROOT, pooled, config.sample, np.random.default_rng(config.seed))
@@ -78,7 +78,7 @@ def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
 
 
 def usable_tests(config: Config, plain: set[str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Tests that pass on the source as it is, with their seconds; and those left out, with the reason.
+    """Find the tests that pass on the source as it is, with their seconds; and those left out, with the reason.
 
     Raises:
         MutationError: they take too long.
@@ -103,12 +103,12 @@ def judge(
     tests: Mapping[str, float],
     advance: Callable[[str], None],
 ) -> dict[str, Any]:
-    """All mutants of one module; what became of them.
+    """Run the tests on all mutants of one module, and count what became of them.
 
     Raises:
         MutationError: none of the module's own tests can be used.
     """
-    # The quick ones first: most mutants do not live to see the others.
+    # The quick ones first: most mutants are killed before the others run.
     mine = sorted((name for name in tests if name.split("::")[0] in config.modules[module]), key=lambda k: tests[k])
     if not mine:
         raise MutationError(f"{module}: no test of {', '.join(config.modules[module])} passes without a mutation")
@@ -136,7 +136,7 @@ def judge(
 
 
 def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
-    """Share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
+    """Compute the share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
     found = counts["killed"] + counts["timed_out"]
     real = found + counts["survived"]
     every = real + counts["equivalent"]
@@ -144,7 +144,7 @@ def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
 
 
 def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
-    """Counts and shares over all modules."""
+    """Sum the counts over all modules, and compute their shares."""
     kinds = ("killed", "timed_out", "survived", "equivalent")
     counts = {kind: sum(row[kind] for row in modules.values()) for kind in kinds}
     found = shares(counts)
@@ -153,7 +153,7 @@ def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, 
 
 
 def table(summary: Mapping[str, Any]) -> Table:
-    """A line a module, and the total."""
+    """Lay out a line a module, and the total."""
     shown = Table(title="mutants")
     for column in ("module", "places", "tried", "killed", "timed out", "survived", "equivalent", "share found [%]"):
         shown.add_column(column, justify="left" if column == "module" else "right")
@@ -166,7 +166,7 @@ def table(summary: Mapping[str, Any]) -> Table:
 
 
 def run(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+    """Make and judge the mutants, write all files, print; return the summary."""
     trial.load_libraries()
     numbers, chosen = draw(config)
     plain = set().union(*(trial.dependents(ROOT, name) for name in config.modules))

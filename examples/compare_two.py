@@ -10,10 +10,10 @@ import moc_opt as mo
 first, second = [*sys.argv[1:], "exact", "rnn"][:2]
 trial = mo.Scenario(seed=1, start={"swivel": "random"})
 baseline = mo.run(trial.change(control={"law": "dcac"}))
-results = [
-    mo.summarize(mo.run(trial.change(solver={"name": name, "settings": {}})), baseline)
-    for name in (first, second)
-]
-print(f"{'metric':28s}{first:>14s}{second:>14s}")
-for metric in sorted(set(results[0]) & set(results[1])):
-    print(f"{metric:28s}{results[0][metric]:14.4g}{results[1][metric]:14.4g}")
+runs = {name: mo.run(trial.change(solver={"name": name, "settings": {}})) for name in (first, second)}
+for name, trace in runs.items():
+    print(f"{name} {trace.meta['ended']}")
+results = [mo.summarize(trace, baseline) for trace in runs.values()]
+print(f"{'metric':30s}" + "".join(f"{name:>14s}" for name in runs))
+for metric in results[0]:
+    print(f"{metric:30s}" + "".join(f"{result.get(metric, float('nan')):14.4g}" for result in results))

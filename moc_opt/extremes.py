@@ -43,12 +43,13 @@ class Extremes(NamedTuple):
 
 
 def extremes(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> Extremes | None:
-    """Both ends of slope^T w + damping/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
+    """Find both ends of slope^T w + damping/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
 
     Args:
         Z: (n, r) orthonormal columns.
-        low, high: (n,) finite [rad/s].
-        slope: (r,); damping: zero or larger, and not zero with a slope of zero.
+        low, high: (n,) the box less x0, finite [rad/s].
+        slope: (r,) gradient of the cost at w = 0.
+        damping: zero or larger, and not zero with a slope of zero.
     """
     # In units of the box's width and of the steepest that the cost can be over it.
     width = max(float((high - low).max()), 1e-12)
@@ -69,9 +70,10 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, damping: float) ->
 
 
 def optimum(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> tuple[Array, Array] | None:
-    """The w (r,) of least cost and the multipliers (n,) of its bounds, by proximal steps from w = 0.
+    """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None where no w is allowed.
 
-    A step of a linear cost that is long enough ends at the optimum nearest to where it began (Ferris 1991).
+    By proximal steps from w = 0: a step of a linear cost that is long enough ends at the optimum nearest to where it
+    began (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
     if damping * FAR >= np.linalg.norm(slope):
@@ -90,7 +92,7 @@ def optimum(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> 
 
 
 def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Array] | None:
-    """The w (r,) of low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
+    """Find the w (r,) of low <= Z w <= high that is nearest to ``start``, and f (n,) with w - start = Z^T f.
 
     f is above zero at lower bounds, below at upper ones, zero elsewhere. None where no w is allowed.
     """
@@ -113,7 +115,7 @@ def nearest(Z: Array, low: Array, high: Array, start: Array) -> tuple[Array, Arr
 
 
 def nonnegative_least_squares(E: Array, f: Array) -> Array:
-    """u >= 0 (k,) with the smallest |E u - f|, E (m, k): Lawson and Hanson's algorithm NNLS."""
+    """Find the u >= 0 (k,) with the smallest |E u - f|, E (m, k): Lawson and Hanson's algorithm NNLS."""
     u = np.zeros(E.shape[1])
     free = np.zeros(E.shape[1], dtype=bool)
     for _ in range(30 * len(f)):

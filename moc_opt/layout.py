@@ -18,7 +18,7 @@ from moc_opt.tasks import Reference, Trocar, make_path
 Array = NDArray[np.float64]
 
 MOST_TICKS = 5_000_000
-"""Of a run: almost three hours at 500 Hz. More is a slip of the pen, and would not fit into memory."""
+"""Of a run: almost three hours at 500 Hz. More would not fit into memory."""
 
 _POSE_STREAM = (1,)
 """Spawn key of the random pose's seed: its draws leave those of swivel, plant and faults as they are."""
@@ -39,7 +39,7 @@ class Layout:
 
 
 def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generator) -> Layout:
-    """Choose the start and lay the task out from it; nothing that cannot be done passes.
+    """Choose the start, lay the task out from it, and check that the arm can do it.
 
     Raises:
         ScenarioError: the start is outside the limits or singular, no random start can do the task, the trocar is not
@@ -92,6 +92,6 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
 
 
 def breathing(scenario: Scenario) -> tuple[float, float, tuple[float, float, float]]:
-    """How the trocar moves: amplitude [m], period [s], direction."""
+    """Return how the trocar moves: amplitude [m], period [s], direction."""
     trocar = scenario.trocar
     return trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction

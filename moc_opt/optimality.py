@@ -1,7 +1,7 @@
 """How an answer to the null-space subproblem is judged: one set of residuals for every solver.
 
 All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
-a single tick or a whole recording. None of them asks the solver what it thinks of its answer.
+a single tick or a whole recording. None of them uses the status that the solver reports.
 
 On A x = b the tracking terms of the cost are constant. What is left, damping/2 |x|^2 - c2 grad_mu^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
@@ -69,7 +69,7 @@ class Residuals(NamedTuple):
     distance: Array
 
     def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
-        """Whether the answer is optimal to these tolerances (bool, batch shape).
+        """Decide whether the answer is optimal to these tolerances (bool, batch shape).
 
         Feasible within ``primal``, and either that near to an optimum, or good by ``relative`` and ``loss``.
         """
@@ -136,7 +136,7 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
 
 
 def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
-    """Orthonormal bases of ker A for a batch ``A`` (k, 6, n), grouped by rank.
+    """Compute orthonormal bases of ker A for a batch ``A`` (k, 6, n), grouped by rank.
 
     Returns:
         (rank, row indices (m,), Z (m, n, n - rank)) for every rank that occurs.
@@ -151,7 +151,7 @@ def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
 
 
 def ranks(s: Array) -> NDArray[np.intp]:
-    """Ranks of matrices with six rows from their singular values (..., 6 or fewer), in descending order."""
+    """Decide the ranks of matrices with six rows from their singular values (..., 6 or fewer), in descending order."""
     least = np.where(np.arange(s.shape[-1]) < 5, RANK_TOLERANCE, TIED)
     return (s > least * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
 

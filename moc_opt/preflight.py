@@ -1,4 +1,4 @@
-"""What is checked before anything moves: the start's limits and rank, the whole path's reach; and random starts."""
+"""Checks before anything moves (limits and rank at the start, reach along the whole path), and random starts."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KEPT_MARGIN_RAD = 0.05
 DRAWS = 200
 """Poses that are tried for a random start."""
 SPACING_M = 0.005
-"""Distance of the points at which the path is looked at [m]."""
+"""Distance between the points at which the path is checked [m]."""
 
 
 def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:

@@ -130,3 +130,8 @@ def test_default_weights():
     """rho/c2 between 1e-3 and 1e-1 is useful."""
     default = ControlSettings()
     assert 1e-3 <= default.damping / default.c2 <= 1e-1
+
+
+def test_gains_given_as_a_table_are_sent_to_where_they_belong():
+    with pytest.raises(ControlError, match=r"gains = .*single gains are keys of \[control\] itself"):
+        ControlSettings(gains={"K_N2": 80.0})

@@ -191,3 +191,9 @@ def test_only_rows_with_the_flag_compete_for_the_emphasis():
         cells = Table("t", [Column("solver", "solver"), column], rows).cells(column)
         names[among] = [row["solver"] for row, cell in zip(rows, cells, strict=True) if cell.best]
     assert names == {"": ["wrong"], "ok": ["good"]}
+
+
+@pytest.mark.parametrize(("title", "ends"), [("Times", "Times.</b>"), ("Do they hold?", "Do they hold?</b>")])
+def test_a_title_ends_with_one_mark(title: str, ends: str) -> None:
+    source = Table(title, [Column("name", "name")], [{"name": "a"}]).to_html(1)
+    assert ends in source

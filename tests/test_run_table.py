@@ -28,13 +28,22 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     metrics = {"completed": 0.0, "share_of_run": 0.75, "mu_mean": 0.25}
     table = run_table("slip", trace("stopped: x", 3, warnings=[WARNING]), metrics)
     assert [row["metric"] for row in table.rows] == [
-        "ended", "completed", "share_of_run", "mu_mean (first 0.3 s of 0.4 s)"
+        "ended", "completed", "share_of_run", "mu_mean (part)"
     ]  # fmt: skip
+    assert table.title == "slip (first 0.3 s of 0.4 s)"
     assert table.rows[0]["value"] == "stopped: x"
     assert "the RCM error was above 6 mm from t = 1.250 s on, 11 mm at most" in " ".join(table.to_text().split())
     whole = run_table("slip", trace(), metrics)
     assert [row["metric"] for row in whole.rows] == ["ended", *metrics]
     assert warnings(trace()) == []
+
+
+def test_each_figure_has_the_notation_that_suits_it():
+    """In one notation for all, one rounding error would turn millimetres and counts into powers of ten."""
+    figures = {"tip_error_mean_mm": 0.28412, "claimed_solved": 4034.0, "primal_max": 2.91e-16, "mu_mean": float("nan")}
+    table = run_table("circle", trace(), figures)
+    assert [row["value"] for row in table.rows[1:4]] == ["0.2841", "4034", "2.910e-16"]
+    assert table.to_text().count("e-") == 1
 
 
 def test_json_begins_with_the_ending_and_is_json(capsys):

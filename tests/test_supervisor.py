@@ -1,4 +1,4 @@
-"""Nobody trusts the third level: what is refused, what stands in, and what never changes because of it."""
+"""The supervisor of the third level: what is refused, what stands in, and what never changes because of it."""
 
 import itertools
 

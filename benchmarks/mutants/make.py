@@ -60,7 +60,7 @@ class Mutant:
 
 
 def module_file(root: Path, module: str) -> Path:
-    """The source of a dotted name.
+    """Find the source of a dotted name.
 
     Raises:
         MutationError: there is none.
@@ -81,7 +81,11 @@ class Place:
 
 
 def places(root: Path, module: str) -> list[Place]:
-    """Every place of every operator, in order."""
+    """List every place of every operator, in order.
+
+    Raises:
+        MutationError: no such module, or cosmic-ray is not installed.
+    """
     text = module_file(root, module).read_text(encoding="utf-8")
     idle, found = _idle_lines(text), []
     for name in OPERATORS:
@@ -92,7 +96,7 @@ def places(root: Path, module: str) -> list[Place]:
 
 
 def mutant(root: Path, place: Place) -> Mutant | None:
-    """The module with the error at that place; None where it would be the same program, or none."""
+    """Make the error at that place; None where it leaves the same program, or no valid one."""
     text = module_file(root, place.module).read_text(encoding="utf-8")
     if place.operator == "ReplaceAugmented":
         return _made(place, text, _augmented(text)[place.occurrence])
@@ -102,7 +106,7 @@ def mutant(root: Path, place: Place) -> Mutant | None:
 
 
 def sample(root: Path, found: Sequence[Place], count: int, rng: np.random.Generator) -> list[Mutant]:
-    """``count`` mutants drawn without replacement, by module and line; all where there are not so many."""
+    """Draw ``count`` mutants without replacement, ordered by module and line; all where there are not so many."""
     drawn: list[Mutant] = []
     for k in rng.permutation(len(found)):
         made = mutant(root, found[k]) if len(drawn) < count else None

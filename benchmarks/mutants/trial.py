@@ -1,4 +1,4 @@
-"""One mutant before the tests, in a process of its own; nothing is written into the tree.
+"""The tests run against one mutant, in a process of its own; nothing is written into the tree.
 
 The mutated text stands in for the module when it is imported. Its kernels, and those of every module that imports
 it, run as plain Python: a kernel from numba's cache would still be the one before the mutation.
@@ -52,7 +52,7 @@ def load_libraries() -> None:
 
 
 def dependents(root: Path, module: str) -> set[str]:
-    """The module, and every module of the project that imports it, over any number of steps."""
+    """Find the module, and every module of the project that imports it, over any number of steps."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
@@ -187,7 +187,7 @@ class _Log:
     def pytest_sessionstart(self) -> None:
         from hypothesis import Phase, settings
 
-        # The first wrong example is enough: a smaller one would be looked for in vain.
+        # The first wrong example is enough: no time is spent on a smaller one.
         quick = settings(settings.get_profile("repeatable"), phases=(Phase.explicit, Phase.generate))
         settings.register_profile("mutation", quick)
         settings.load_profile("mutation")

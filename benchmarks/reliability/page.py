@@ -48,7 +48,7 @@ PROMISES = (
     ),
     (
         "A measurement that cannot be true is bridged for `patience_ticks` ticks; then the drives brake, the torque "
-        "carries the arm's weight in the last pose that was believed, and the run ends with the trace so far and "
+        "carries the arm's weight in the last plausible pose, and the run ends with the trace so far and "
         "`meta[\"ended\"] = \"stopped: ...\"`. The same happens when the controller breaks down, when its torque is no "
         "number, and when the tip has been far from its reference for a while: an unstable loop does not go on.",
         "NaN, jumps, a controller that raises, and five ticks of delay, in the plant.",
@@ -84,8 +84,9 @@ LIMITS = """\
 - A solver that never comes back is not interrupted: it runs in the control process, and its lateness is seen when it
   returns. A solver's own time limit is what bounds it; a watchdog that cuts the drives belongs in the arm's own
   controller.
-- The residual check looks along the self-motion that raises manipulability. On an arm with one elbow swivel this is
-  the whole feasible set; on others a lie across that line is seen only through its reference and box violations.
+- The residual check looks along one line. On an arm with one elbow swivel this is the whole feasible set; with several
+  freedoms it is the steepest way down that the box leaves open at the answer. A wrong end is seen there; how much is
+  lost across that line is not.
 - A lie whose answer is the optimum all the same, because the box leaves nothing else or the gradient is zero along the
   self-motion, is not refused: it does no harm. Such answers are counted as harmless, by the judge that also verifies
   honest ones, not by the supervisor.
@@ -93,8 +94,8 @@ LIMITS = """\
   damped self-motion do, manipulability is not raised, and the RCM error is that of the poses it passes, some percent
   more or less than on the way that the third level would have taken. Joints are kept off their limits only where some
   self-motion does it; where none does, the guard's wall acts.
-- Delay: the `tuned` gains bear three ticks from command to torque (6 ms); with four the loop is unstable and the guard
-  stops it. The preset `robust` bears four, at half as much tip error again.
+- Delay: the default and the `tuned` gains bear three ticks from command to torque (6 ms); with four the loop of
+  `tuned` is unstable and the guard stops it. The preset `robust` bears four, at half as much tip error again.
 - Limits on the incision, and what they stand on: over 44 sound runs of `default`, `tuned`, `robust`, `rnn` and DCAC
   on four paths the largest mean is 0.1 to 4.0 mm of RCM error and 0.5 to 3.2 N; over 20 with the paper's parameters
   3.9 to 9.0 mm and 3.1 to 7.1 N, so that these may warn. Arms that stand at a joint's wall had 8 to 33 mm and 6 to 26

@@ -1,4 +1,4 @@
-"""What an arm can know of its incision: how far the shaft passes from the registered trocar, and the trocar's force.
+"""What an arm measures at its incision: how far the shaft passes from the registered trocar, and the trocar's force.
 
 The force comes from the six-axis sensor at the tool's mount. In tool axes (z along the shaft, L from mount to tip, the
 trocar a depth d before the tip) the tool's own weight is taken off the reading; what is left across the shaft are the
@@ -30,7 +30,7 @@ _GRAVITY_M_PER_S2 = 9.81
 
 @njit(cache=True, nogil=True)
 def rcm_error(pose: Array, point: Array) -> float:
-    """Distance of the shaft's line from the trocar P [m].
+    """Return the distance of the shaft's line from the trocar P [m].
 
     Args:
         pose: (4, 3) rows: the tool's axes x, y, z (along the shaft), and its tip X [m].
@@ -47,7 +47,7 @@ def rcm_error(pose: Array, point: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: float) -> float:
-    """Force of the trocar on the shaft, across it [N]; NaN where the sensor's reading is no number.
+    """Return the force of the trocar on the shaft, across it [N]; NaN where the sensor's reading is no number.
 
     Args:
         pose: (4, 3) as for ``rcm_error``.
@@ -68,21 +68,21 @@ def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: 
     return float(np.sqrt(force_x * force_x + force_y * force_y))
 
 
-_QUIET, _LOUD, _DEAF = 0, 1, 2
+_BELOW, _ABOVE, _NO_READING = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
 def _take(
-    pose: Array, trocar: Array, wrench: Array, mass: float, length: float, share: float, loud: Array, means: Array
+    pose: Array, trocar: Array, wrench: Array, mass: float, length: float, share: float, lowest: Array, means: Array
 ) -> int:
-    """Move both mean squares on; whether one is above ``loud`` (2,), or the sensor's reading is no number."""
+    """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number."""
     point = trocar[0]
     distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, mass, length)
     means[0] += share * (distance * distance - means[0])
     if not np.isfinite(force):
-        return _DEAF
+        return _NO_READING
     means[1] += share * (force * force - means[1])
-    return _QUIET if means[0] <= loud[0] and means[1] <= loud[1] else _LOUD
+    return _BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else _ABOVE
 
 
 _TAKE = Entry(_take, MATRIX, MATRIX, VECTOR, float64, float64, float64, VECTOR, VECTOR)
@@ -102,12 +102,12 @@ class Watched:
     largest: float = 0.0
 
     @property
-    def loud(self) -> float:
+    def lowest_square(self) -> float:
         """Square of the lower of both levels; infinite where both are off."""
         return min((level**2 for level in (self.warning, self.limit) if level is not None), default=np.inf)
 
     def take(self, value: float, tick: int) -> str:
-        """Note the value; the reason to stop where it is above the limit."""
+        """Note the value; return the reason to stop where it is above the limit."""
         if self.warning is not None and value > self.warning:
             self.first_tick = tick if self.first_tick < 0 else self.first_tick
             self.largest = max(self.largest, value)
@@ -144,12 +144,12 @@ class Incision:
 
     def forget(self) -> None:
         """Begin anew: nothing seen yet."""
-        self._means, self._tick, self._deaf = np.zeros(2), -1, 0
+        self._means, self._tick, self._unread = np.zeros(2), -1, 0
         self._watched = [Watched(*given) for given in self._levels]
-        self._loud = np.array([watched.loud for watched in self._watched])
+        self._lowest = np.array([watched.lowest_square for watched in self._watched])
 
     def look(self, q: Array, trocar: Array, wrench: Array) -> str:
-        """Take in one tick; the reason to stop, or nothing.
+        """Take in one tick; return the reason to stop, or "".
 
         Args:
             q: (n,) believed pose [rad].
@@ -157,12 +157,12 @@ class Incision:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         """
         self._tick += 1
-        found = self._take(self._pose(q), trocar, wrench, *self._tool, self._share, self._loud, self._means)
-        if found == _QUIET:
-            self._deaf = 0
+        found = self._take(self._pose(q), trocar, wrench, *self._tool, self._share, self._lowest, self._means)
+        if found == _BELOW:
+            self._unread = 0
             return ""
-        self._deaf = self._deaf + 1 if found == _DEAF else 0
-        if self._deaf > self._patience and np.isfinite(self._loud[1]):
+        self._unread = self._unread + 1 if found == _NO_READING else 0
+        if self._unread > self._patience and np.isfinite(self._lowest[1]):
             return "the wrench sensor's readings are no numbers"
         reason = ""
         for watched, square in zip(self._watched, self._means.tolist(), strict=True):
@@ -170,7 +170,7 @@ class Incision:
         return reason
 
     def warnings(self, period: float) -> list[dict[str, Any]]:
-        """What has been above its warning level: name, when first [s], and the largest value."""
+        """List what has been above its warning level: name, when first [s], and the largest value."""
         return [
             {
                 "of": w.name, "first_s": w.first_tick * period, "largest": w.scale * w.largest, "unit": w.unit,

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, field_validator
 
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
@@ -131,6 +131,15 @@ class ControlSettings(Settings):
     backend: Literal["python", "c"] = Field(
         default="python", description="'c' compiles the whole tick; solver 'exact' only"
     )
+
+    @field_validator("gains", mode="before")
+    @classmethod
+    def _name_of_a_table(cls, given: Any) -> Any:
+        if isinstance(given, Mapping):
+            raise ValueError(  # noqa: TRY004 - pydantic turns no other error into the field's
+                "give the name of a table of the robot's file; single gains are keys of [control] itself"
+            )
+        return given
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:

@@ -1,4 +1,4 @@
-"""Nobody trusts the third level: every answer is checked before the arm follows it.
+"""The supervisor of the third level: every answer is checked before the arm follows it.
 
 Tip and RCM control never depend on a solver. An answer that raised, is missing, is not finite, came
 too late, or is claimed to be optimal and is not, is replaced: by the last good one for a few ticks,

@@ -1,10 +1,11 @@
-"""One run as a table and as JSON: how it ended comes first, and figures of a part say that they are."""
+"""One run as a table and as JSON: how it ended comes first, and figures of a part say that they are one."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from moc_opt.report.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace import Trace
 
@@ -39,13 +40,22 @@ def refusals(trace: Trace) -> list[str]:
 
 
 def run_table(name: str, trace: Trace, metrics: Mapping[str, float]) -> Table:
-    """Metrics of one run, the ending in the first row; of a broken-off run every figure is marked as of a part."""
+    """Lay out the metrics of one run, the ending in the first row.
+
+    Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
+    """
     of = part(trace)
     rows: list[dict[str, Any]] = [{"metric": "ended", "value": str(trace.meta.get("ended", "unknown"))}]
     for metric, value in metrics.items():
-        rows.append({"metric": metric if metric in WHOLE_RUN else metric + of, "value": value})
+        marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
+        rows.append({"metric": marked, "value": _written(value)})
     columns = [Column("metric", "metric"), Column("value", "value")]
     return Table(f"{name}{of}", columns, rows, caption="\n".join(warnings(trace)))
+
+
+def _written(value: float) -> str | Missing:
+    """One figure in its own notation: from millimetres to rounding errors, no single one reads well for all."""
+    return missing(value) or Notation.of([value], digits=4)(value)
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:

@@ -34,13 +34,14 @@ def draw(table: Table, number: int | None) -> str:
     ]
     body = "\n".join(f"<tr>{''.join(row)}</tr>" for row in zip(*drawn, strict=True))
     label = f"Table {number}. " if number else ""
+    title = escape(table.title) + ("" if table.title.endswith(("?", "!", ".")) else ".")
     caption = f" {escape(table.caption)}" if table.caption else ""
     notes = " ".join(
         f"<span><sup>{letter}</sup>&nbsp;{escape(reason)}</span>" for reason, letter in letters.items()
     )
     name = f'aria-label="{escape(table.title)}"'
     return (
-        f'<figure class="table"><figcaption><b>{label}{escape(table.title)}.</b>{caption}</figcaption>'
+        f'<figure class="table"><figcaption><b>{label}{title}</b>{caption}</figcaption>'
         f'<div class="scroll" tabindex="0" role="region" {name}><table {name}>'
         f"<thead><tr>{''.join(heads)}</tr></thead>\n<tbody>{body}</tbody></table></div>"
         + (f'<p class="notes">{notes}</p>' if notes else "")

@@ -26,7 +26,7 @@ from moc_opt.sim.settings import PlantSettings
 Array = NDArray[np.float64]
 
 _MOST_RAD_A_STEP = 1.0
-"""Of the fastest oscillation: explicit springs of MuJoCo are stable below 2."""
+"""Phase of the fastest oscillation in one plant step: explicit springs of MuJoCo are stable below 2."""
 
 
 def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -> None:
@@ -44,7 +44,7 @@ def add_springs(data: RobotData, spec: mujoco.MjSpec, settings: PlantSettings) -
 
 
 def stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
-    """The joints' stiffnesses (n,) [Nm/rad]; all 0 where they are rigid.
+    """Return the joints' stiffnesses (n,) [Nm/rad]; all 0 where they are rigid.
 
     Raises:
         PlantError: their number is not that of the joints.
@@ -59,7 +59,7 @@ def stiffnesses(data: RobotData, settings: PlantSettings) -> Array:
 
 
 def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantSettings) -> None:
-    """Whether the plant step follows the springs, at the present pose.
+    """Check that the plant step is fine enough for the springs, at the present pose.
 
     Raises:
         PlantError: it is too coarse; the message says how many substeps are needed.
@@ -96,6 +96,6 @@ def _gather(pairs: Array, rates: Array, q: Array, v: Array, theta: Array, omega:
 
 
 DRIVE = Entry(_drive, VECTOR, VECTOR, int64, VECTOR, float64, VECTOR, VECTOR)
-"""The drives' torque (n,) and the ripple on it, put on the motors; a joint has `stride` coordinates."""
+"""Puts the drives' torque (n,) and its ripple [Nm] on the motors; a joint has `stride` coordinates."""
 GATHER = Entry(_gather, *[VECTOR] * 6)
-"""Positions and velocities (n,) of links and motors, from MuJoCo's pairs."""
+"""Takes positions [rad] and velocities [rad/s] (n,) of links and motors from MuJoCo's pairs."""

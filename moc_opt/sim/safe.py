@@ -1,4 +1,4 @@
-"""A controller behind its guard, as every closed loop calls it: simulation, procedure and live page."""
+"""A controller and its guard, as every closed loop calls them: simulation, procedure and live page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class Pilot(Protocol):
-    """A controller as a guarded loop calls it."""
+    """What a guarded loop asks of a controller: torque from measurements."""
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Get ready at the first measurement."""
@@ -55,7 +55,7 @@ class Watchdog(Protocol):
         ...
 
     def follow(self, tip: Array, tip_ref: Array) -> None:
-        """Take note of where the brain sees the tip (3,), and where it should be, (3, 3) rows X_d, dX_d, ddX_d."""
+        """Take note of where the controller sees the tip (3,), and where it should be, (3, 3) rows X_d, dX_d, ddX_d."""
         ...
 
     def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
@@ -88,7 +88,7 @@ class Watchdog(Protocol):
 
 
 class Safe:
-    """A brain behind its guard; without one, the brain alone.
+    """A controller whose measurements and torques pass through its guard; without a guard, the controller alone.
 
     Args:
         brain: the controller.
@@ -98,10 +98,10 @@ class Safe:
 
     def __init__(self, brain: Pilot, guard: Watchdog | None, sent: Array) -> None:
         self._brain, self._guard, self._sent = brain, guard, sent
-        self._sees_tip = hasattr(brain, "tip")  # a brain may say where it sees the tip (3,) [m]
+        self._sees_tip = hasattr(brain, "tip")  # a controller may say where it sees the tip (3,) [m]
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
-        """Believe the first measurement, and get the brain ready at it."""
+        """Take the first measurement as it is, and start controller and guard at it."""
         self._brain.start(seen.q, seen.v, tip_ref, trocar)
         if self._guard is not None:
             self._guard.start(seen.q, seen.v)
@@ -122,7 +122,7 @@ class Safe:
         return [] if self._guard is None else self._guard.warnings
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] for this period, within its limits; that of a damped stop once the arm is lost."""
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once the arm is lost."""
         guard = self._guard
         if guard is None:
             return self._brain.tick(seen.q, seen.v, tip_ref, trocar)

@@ -1,4 +1,4 @@
-"""Solvers of third parties, found by their entry points; what is wrong with one is said and hides no other."""
+"""Solvers of third parties, found by their entry points; one that is broken is reported and hides no other."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _GUIDE = "docs/extending.md shows a whole solver"
 
 
 def plugins() -> dict[str, list[EntryPoint]]:
-    """Name -> the different entry points that claim it; one that is announced twice counts once."""
+    """Map each name to the different entry points that claim it; one that is announced twice counts once."""
     return _scan(tuple(sys.path), entry_points)
 
 
@@ -32,13 +32,13 @@ def _scan(path: tuple[str, ...], look: Callable[..., Iterable[EntryPoint]]) -> d
 
 
 def in_words(point: EntryPoint) -> str:
-    """The entry point and the package that announces it, for messages."""
+    """Name the entry point and the package that announces it, for messages."""
     package = getattr(point.dist, "name", None)
     return f"entry point {point.value!r}" + (f" of package {package!r}" if package else "")
 
 
 def factory_of(name: str, points: list[EntryPoint]) -> Callable[..., Solver]:
-    """What makes the solver.
+    """Load the class or function that makes the solver.
 
     Raises:
         SolverError: several claim the name, the entry point cannot be imported, or it is no solver.
@@ -63,7 +63,7 @@ def factory_of(name: str, points: list[EntryPoint]) -> Callable[..., Solver]:
 
 
 def made(name: str, point: EntryPoint, factory: Callable[..., Solver], settings: Mapping[str, Any]) -> Solver:
-    """The solver with these settings.
+    """Make the solver with these settings.
 
     Raises:
         SolverError: what it makes is no solver.
@@ -76,7 +76,10 @@ def made(name: str, point: EntryPoint, factory: Callable[..., Solver], settings:
 
 
 def reason(name: str, points: list[EntryPoint]) -> str | None:
-    """None where the solver can be made, else why not. Settings without a default are left for `create` to ask for."""
+    """Say why the solver cannot be made; None where it can.
+
+    Settings without a default are left for `create` to ask for.
+    """
     try:
         factory = factory_of(name, points)
         if all(p.default is not p.empty or p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD) for p in parameters(factory)):
@@ -89,7 +92,7 @@ def reason(name: str, points: list[EntryPoint]) -> str | None:
 
 
 def parameters(factory: Callable[..., Any]) -> list[inspect.Parameter]:
-    """The settings that a factory takes; none where it does not say."""
+    """List the settings that a factory takes; none where its signature is unknown."""
     try:
         return list(inspect.signature(factory).parameters.values())
     except (TypeError, ValueError):
