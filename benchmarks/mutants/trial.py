@@ -67,6 +67,22 @@ def dependents(root: Path, module: str) -> set[str]:
     return found
 
 
+def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
+    """Modules whose compiled kernels may hold what stands in that line of a module.
+
+    All that ``dependents`` finds; none where a module without numba has the line in a function: a kernel takes
+    constants and kernels from other modules, and compiles no plain function.
+    """
+    path = root.joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = any(
+        isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or line) for node in tree.body
+    )
+    if inside and not any(name.split(".")[0] == "numba" for name in _imported(tree, ())):
+        return frozenset()
+    return frozenset(dependents(root, module))
+
+
 def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
     """Modules of ours that a module names in an import: of `from a import b`, a.b where that is one, else a."""
     found: set[str] = set()
