@@ -193,6 +193,14 @@ def test_levels_may_be_equal_and_are_compared_where_both_are_given():
             GuardSettings(**{field: low})
 
 
+@pytest.mark.parametrize("field", ["rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N"])
+@pytest.mark.parametrize("value", [0.0, -0.5])
+def test_a_level_is_above_zero(field, value):
+    off = dict.fromkeys(("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N"))
+    with pytest.raises(ControlError, match=field):
+        GuardSettings(**{**off, field: value})
+
+
 def test_defaults_are_those_of_the_documentation():
     """Each number bounds what an arm may do near a patient: a change of one is a decision, and is made here too."""
     assert GuardSettings().model_dump() == {

@@ -401,6 +401,36 @@ def test_a_box_that_touches_in_a_point_has_its_optimum_there(n):
         assert not found.verified()
 
 
+@pytest.mark.parametrize("n", [7, 8])
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+def test_beyond_the_worst_point_the_loss_is_one(n, damping):
+    """And beyond the optimum it is no gain."""
+    qp = random_problem(np.random.default_rng(8), n, damping=damping)
+    x = optimum(qp)[0]
+    worst = ends_of_the_swivel(qp)[1] if n == 7 else max(corners(qp, x), key=lambda c: float(cost(qp, c)))
+    for beyond in (0.1, 2.0):
+        assert qp.residuals(worst + beyond * (worst - x)).loss == 1.0
+        assert 0.0 <= qp.residuals(x + beyond * (x - worst)).loss <= 1.0
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+def test_a_swivel_that_is_shut_in_a_point_has_its_optimum_there(damping):
+    qp = random_problem(np.random.default_rng(17), damping=damping)
+    x, worst = ends_of_the_swivel(qp)
+    z = (worst - x) / np.linalg.norm(worst - x)
+    lower, upper = np.array(qp.lower), np.array(qp.upper)
+    lower[:6] = upper[:6] = x[:6]
+    j = int(np.argmax(np.abs(z)))
+    lower[j] = upper[j] = x[j] + 1e-8
+    shut = with_changes(qp, lower=lower, upper=upper)
+    assert shut.residuals(x).verified()
+    for way in (0.1, -0.3):
+        found = shut.residuals(x + way * z)
+        assert found.distance == pytest.approx(abs(way) * np.abs(z).max(), abs=3e-6)
+        assert found.loss == 0.0
+        assert not found.verified()
+
+
 def test_nan_is_infinitely_wrong():
     qp = random_problem(np.random.default_rng(9))
     found = qp.residuals(np.full(7, np.nan))

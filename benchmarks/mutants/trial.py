@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -51,7 +52,8 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
-def dependents(root: Path, module: str) -> set[str]:
+@cache
+def dependents(root: Path, module: str) -> frozenset[str]:
     """The module, and every module of the project that imports it, over any number of steps."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
@@ -64,7 +66,7 @@ def dependents(root: Path, module: str) -> set[str]:
     while grown:
         more = {name for name, used in imports.items() if used & found} - found
         found, grown = found | more, bool(more)
-    return found
+    return frozenset(found)
 
 
 def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
@@ -80,7 +82,7 @@ def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
     )
     if inside and not any(name.split(".")[0] == "numba" for name in _imported(tree, ())):
         return frozenset()
-    return frozenset(dependents(root, module))
+    return dependents(root, module)
 
 
 def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
