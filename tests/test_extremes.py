@@ -143,6 +143,18 @@ def test_nearest_point_and_its_forces(seed, shape):
     assert (force[~at_high] >= 0.0).all()
 
 
+@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
+def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
+    """A bound that hardly depends on w has to be met by going far."""
+    for seed in range(10):
+        z = np.append(small, np.random.default_rng(seed).normal(size=3))
+        Z = (z / np.linalg.norm(z))[:, None]
+        far = np.full(3, 10.0 / small)
+        low, high = np.append(0.7, -far), np.append(1.0, far)
+        w, _ = nearest(Z, low, high, np.zeros(1))
+        assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
+
+
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), rows=st.integers(1, 8), columns=st.integers(1, 12), double=st.booleans())
 def test_non_negative_least_squares_agree_with_scipy(seed, rows, columns, double):

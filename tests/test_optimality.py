@@ -413,6 +413,21 @@ def test_beyond_the_worst_point_the_loss_is_one(n, damping):
         assert 0.0 <= qp.residuals(x + beyond * (x - worst)).loss <= 1.0
 
 
+@pytest.mark.parametrize("n", [7, 8])
+def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
+    """A damped cost without gradient is least at rest; with rest outside the box, it is least at the box."""
+    qp = random_problem(np.random.default_rng(60), n, structured=False, damping=1.0)
+    z = kernel(qp)[:, 0]
+    j = int(np.argmax(np.abs(z)))
+    lower = -np.ones(n)
+    lower[j] = 0.1
+    still = with_changes(qp, v_tip=np.zeros(3), v_wrist=np.zeros(3), grad_mu=np.zeros(n), lower=lower, upper=np.ones(n))
+    found = still.residuals(np.zeros(n))
+    assert found.distance >= 0.1 - 1e-9
+    assert found.primal == pytest.approx(0.1)
+    assert still.residuals(optimum(still)[0]).verified()
+
+
 @pytest.mark.parametrize("damping", [0.0, 1e-5])
 def test_a_swivel_that_is_shut_in_a_point_has_its_optimum_there(damping):
     qp = random_problem(np.random.default_rng(17), damping=damping)
