@@ -2,15 +2,15 @@
 
 python -m benchmarks.mutation [CONFIG.toml] [--out DIR] [--seed N] [--sample N] [--module NAME ...] [--quick]
 
-Mutates the control law and the supervisor one place at a time and runs the tests on each mutant. Nothing is written
-into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
+Mutates the control law, its guard and supervisor, and the judge of answers one place at a time and runs the tests on
+each mutant. Nothing is written into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
@@ -70,56 +70,50 @@ class Config(Configuration):
 
 
 def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
-    """Count the places for a mutation in each module, and draw a seeded sample over all of them."""
+    """How many places for a mutation each module has, and a seeded sample over all of them."""
     every = {name: places(ROOT, name) for name in config.modules}
     pooled = [place for found in every.values() for place in found]
     chosen = sample(ROOT, pooled, config.sample, np.random.default_rng(config.seed))
     return {name: len(found) for name, found in every.items()}, chosen
 
 
-def usable_tests(config: Config, plain: set[str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Find the tests that pass on the source as it is, with their seconds; and those left out, with the reason.
+def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[dict[str, float], dict[str, str]]:
+    """Tests of a module that pass on the source as it is, with their seconds; those left out, with the reason.
 
     Raises:
-        MutationError: they take too long.
+        MutationError: they take too long, or none is left.
     """
-    files = list(dict.fromkeys(file for mirrored in config.modules.values() for file in mirrored))
-    found = trial.judge(ROOT, next(iter(config.modules)), None, plain, files, BASELINE_S, keep_going=True)
+    found = trial.judge(ROOT, module, None, plain, config.modules[module], BASELINE_S, keep_going=True)
     if found.result == "timed out":
-        raise MutationError(f"the tests take longer than {BASELINE_S:g} s without any mutation")
+        raise MutationError(f"{module}: its tests take longer than {BASELINE_S:g} s without any mutation")
+    fails = "fails where kernels are plain Python" if plain else "fails"
     left_out = {
-        name: "fails where kernels are plain Python" if not passed else f"takes {seconds:.0f} s"
+        name: f"takes {seconds:.0f} s" if passed else fails
         for name, (passed, seconds) in found.tests.items()
         if not passed or seconds > config.slowest_s
     }
-    return {name: seconds for name, (_, seconds) in found.tests.items() if name not in left_out}, left_out
-
-
-def judge(
-    config: Config,
-    module: str,
-    chosen: Sequence[Mutant],
-    plain: set[str],
-    tests: Mapping[str, float],
-    advance: Callable[[str], None],
-) -> dict[str, Any]:
-    """Run the tests on all mutants of one module, and count what became of them.
-
-    Raises:
-        MutationError: none of the module's own tests can be used.
-    """
-    # The quick ones first: most mutants are killed before the others run.
-    mine = sorted((name for name in tests if name.split("::")[0] in config.modules[module]), key=lambda k: tests[k])
-    if not mine:
+    # The quick ones first: most mutants do not live to see the others.
+    ranked = sorted((seconds, name) for name, (_, seconds) in found.tests.items() if name not in left_out)
+    if not ranked:
         raise MutationError(f"{module}: no test of {', '.join(config.modules[module])} passes without a mutation")
-    limit_s = max(config.limit_s, config.patience * sum(tests[name] for name in mine))
+    return {name: seconds for seconds, name in ranked}, left_out
+
+
+def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]) -> dict[str, Any]:
+    """All mutants of one module; what became of them."""
     known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
     counts = {"killed": 0, "timed_out": 0, "survived": 0, "equivalent": 0}
     survivors: list[dict[str, Any]] = []
     equivalent: list[dict[str, Any]] = []
     found_by: dict[str, int] = {}
+    usable: dict[frozenset[str], tuple[dict[str, float], dict[str, str]]] = {}
     for mutant in chosen:
-        outcome = trial.judge(ROOT, module, mutant.source, plain, mine, limit_s)
+        plain = trial.may_hold(ROOT, module, mutant.line)
+        if plain not in usable:
+            usable[plain] = usable_tests(config, module, plain)
+        tests = usable[plain][0]
+        limit_s = max(config.limit_s, config.patience * sum(tests.values()))
+        outcome = trial.judge(ROOT, module, mutant.source, plain, list(tests), limit_s)
         if outcome.result != "survived":
             counts[outcome.result.replace(" ", "_")] += 1
             found_by[outcome.by or "time limit"] = found_by.get(outcome.by or "time limit", 0) + 1
@@ -132,11 +126,15 @@ def judge(
         advance(f"{module}:{mutant.line}")
     return {
         **counts, **shares(counts), "survivors": survivors, "equivalents": equivalent, "found_by": found_by,
+        "tests": [
+            {"used": len(tests), "left_out": left_out, "kernels": "plain Python" if plain else "compiled"}
+            for plain, (tests, left_out) in usable.items()
+        ],
     }  # fmt: skip
 
 
 def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
-    """Compute the share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
+    """Share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
     found = counts["killed"] + counts["timed_out"]
     real = found + counts["survived"]
     every = real + counts["equivalent"]
@@ -144,7 +142,7 @@ def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
 
 
 def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
-    """Sum the counts over all modules, and compute their shares."""
+    """Counts and shares over all modules."""
     kinds = ("killed", "timed_out", "survived", "equivalent")
     counts = {kind: sum(row[kind] for row in modules.values()) for kind in kinds}
     found = shares(counts)
@@ -153,7 +151,7 @@ def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, 
 
 
 def table(summary: Mapping[str, Any]) -> Table:
-    """Lay out a line a module, and the total."""
+    """A line a module, and the total."""
     shown = Table(title="mutants")
     for column in ("module", "places", "tried", "killed", "timed out", "survived", "equivalent", "share found [%]"):
         shown.add_column(column, justify="left" if column == "module" else "right")
@@ -166,14 +164,12 @@ def table(summary: Mapping[str, Any]) -> Table:
 
 
 def run(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Make and judge the mutants, write all files, print; return the summary."""
+    """Everything, all files; returns the summary."""
     trial.load_libraries()
     numbers, chosen = draw(config)
-    plain = set().union(*(trial.dependents(ROOT, name) for name in config.modules))
     modules: dict[str, Any] = {}
     with progress("mutation", len(chosen)) as bar:
         bar.at("the source as it is")
-        tests, left_out = usable_tests(config, plain)
 
         def advance(text: str) -> None:
             bar.at(text)
@@ -182,11 +178,8 @@ def run(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, 
         for name in config.modules:
             mine = [mutant for mutant in chosen if mutant.module == name]
             if mine:
-                modules[name] = {"places": numbers[name], **judge(config, name, mine, plain, tests, advance)}
-    summary = {
-        "modules": modules, "total": total(modules, config.share_wanted), "tests": len(tests),
-        "tests_left_out": left_out,
-    }  # fmt: skip
+                modules[name] = {"places": numbers[name], **judge(config, name, mine, advance)}
+    summary = {"modules": modules, "total": total(modules, config.share_wanted)}
     output.write_json(out / "summary.json", summary)
     rows = [{"module": name, **row} for name, found in modules.items() for row in found["survivors"]]
     output.write_json(out / "environment.json", output.environment(config.model_dump(mode="json"), config.seed, argv))

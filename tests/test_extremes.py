@@ -68,6 +68,25 @@ def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weig
     np.testing.assert_allclose(Z.T @ found.pull, slope, atol=1e-9 * np.abs(slope).max())
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), shape=st.sampled_from([(5, 2), (7, 2), (8, 3)]),
+    weight=st.sampled_from([0.0, 1e-3, 1.0]),
+    size=st.sampled_from([1e-6, 1e-4, 1e3]), steep=st.sampled_from([1e-6, 1e3]),
+)  # fmt: skip
+def test_the_units_of_speed_and_cost_do_not_matter(seed, shape, weight, size, steep):
+    Z, low, high, slope = cut_box(seed, shape)
+    slope = slope / np.linalg.norm(slope)
+    one = extremes(Z, low, high, slope, weight)
+    other = extremes(Z, size * low, size * high, steep * slope, steep / size * weight)
+    np.testing.assert_allclose(other.w / size, one.w, atol=1e-7)
+    np.testing.assert_allclose(other.pull / steep, one.pull, atol=1e-7)
+    spread = one.most - one.least
+    assert (other.least, other.most) == pytest.approx(
+        (size * steep * one.least, size * steep * one.most), abs=1e-9 * size * steep * spread
+    )
+
+
 @pytest.mark.parametrize("shape", [(7, 2), (8, 3), (9, 4)])
 def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape, monkeypatch):
     """A worst that is too small makes a loss that is too large: the safe side."""
@@ -122,6 +141,18 @@ def test_nearest_point_and_its_forces(seed, shape):
     at_low, at_high = np.abs(x - low) < 1e-9, np.abs(x - high) < 1e-9
     assert (force[~at_low] <= 0.0).all()
     assert (force[~at_high] >= 0.0).all()
+
+
+@pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
+def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
+    """A bound that hardly depends on w has to be met by going far."""
+    for seed in range(10):
+        z = np.append(small, np.random.default_rng(seed).normal(size=3))
+        Z = (z / np.linalg.norm(z))[:, None]
+        far = np.full(3, 10.0 / small)
+        low, high = np.append(0.7, -far), np.append(1.0, far)
+        w, _ = nearest(Z, low, high, np.zeros(1))
+        assert Z[0] @ w == pytest.approx(0.7, rel=1e-14)
 
 
 @settings(max_examples=60, deadline=None)

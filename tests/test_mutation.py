@@ -43,6 +43,18 @@ def test_kernels_run_as_plain_python_in_every_module_that_could_have_frozen_the_
     assert not {"moc_opt.model_kernels", "moc_opt.solvers.exact", "moc_opt.sim.plant"} & plain
 
 
+@pytest.mark.parametrize("module", ["moc_opt.optimality", "moc_opt.extremes"])
+def test_a_plain_function_is_in_no_kernel_and_a_constant_may_be(module):
+    """The judge's tests ask the compiled exact solver, which cannot run as plain Python."""
+    lines = make.module_file(ROOT, module).read_text().splitlines()
+    constant = next(k for k, line in enumerate(lines, start=1) if " = 1e-" in line and not line.startswith(" "))
+    body = next(k for k, line in enumerate(lines, start=1) if line.startswith("    return "))
+    assert trial.may_hold(ROOT, module, constant) == trial.dependents(ROOT, module)
+    assert trial.may_hold(ROOT, module, body) == set()
+    in_a_kernel = TEXT.splitlines().index("    m = S.shape[0]") + 1
+    assert trial.may_hold(ROOT, DENSE, in_a_kernel) == trial.dependents(ROOT, DENSE)
+
+
 def test_the_source_itself_survives(plain):
     found = judge(TEXT, plain)
     assert (found.result, found.by) == ("survived", "")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from moc_opt import optimality
 from moc_opt.optimality import Residuals
 from moc_opt.solvers.exact import Exact
 from moc_opt.subproblem import NullSpaceQP, judge
@@ -348,6 +349,101 @@ def test_rounded_jacobians_keep_their_freedoms(decimals):
             qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
         )
         assert qp.residuals(worst.x).loss == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.2])
+def test_natural_is_the_residual_of_the_whole_cost(damping):
+    """By its definition with the P and p of the problem, anywhere, feasible or not."""
+    rng = np.random.default_rng(50)
+    for n in (7, 8):
+        qp = with_changes(random_problem(rng, n, structured=False), c0=0.3, c1=2.5, c2=0.7, damping=damping)
+        for _ in range(10):
+            x, y = rng.uniform(1.3 * qp.lower, 1.3 * qp.upper), rng.normal(size=6)
+            slope = qp.P @ x + qp.p + qp.A.T @ y
+            found = qp.residuals(x, y)
+            expected = np.abs(x - np.clip(x - slope, qp.lower, qp.upper)).max()
+            assert found.natural == pytest.approx(expected, rel=1e-9)
+            beyond = np.maximum(qp.lower - x, x - qp.upper).max()
+            assert found.primal == pytest.approx(max(np.abs(qp.A @ x - qp.b).max(), beyond), rel=1e-12)
+            bad = np.array(y)
+            bad[3] = np.nan
+            for none in (None, bad):  # no dual: the best one stands for it
+                without = qp.residuals(x, none)
+                assert without.natural == without.natural_best == found.natural_best
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1.0, 1e3, 1e6])
+def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
+    """A column of rounding, 1e-13 of A, moves nothing, and one of 1e-11 does, whatever the unit."""
+    rng = np.random.default_rng(51)
+    A = rng.normal(size=(6, 8))
+    A /= np.linalg.norm(A)
+    for column, idle in ((1e-13, True), (1e-11, False)):
+        A[:, 4] *= column / np.linalg.norm(A[:, 4])
+        [(rows, moves)] = optimality._idle_patterns(scale * A[None])
+        assert rows.tolist() == [0]
+        assert moves.tolist() == [j != 4 or not idle for j in range(8)]
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_a_box_that_touches_in_a_point_has_its_optimum_there(n):
+    """Judged from elsewhere on A x = b, the distance is that to the point, and what is there is right."""
+    qp = random_problem(np.random.default_rng(17), n, structured=False, damping=1e-5)
+    x, z = optimum(qp)[0], kernel(qp)[:, 0]
+    lower, upper = np.array(x), np.array(x)
+    lower[0] = upper[0] = x[0] + 1e-8
+    shut = with_changes(qp, lower=lower, upper=upper)
+    assert shut.residuals(x).verified()
+    for way in (0.1, -0.3):
+        found = shut.residuals(x + way * z)
+        assert found.distance == pytest.approx(abs(way) * np.abs(z).max(), abs=3e-6)
+        assert found.loss == 0.0
+        assert not found.verified()
+
+
+@pytest.mark.parametrize("n", [7, 8])
+@pytest.mark.parametrize("damping", [0.0, 1e-3])
+def test_beyond_the_worst_point_the_loss_is_one(n, damping):
+    """And beyond the optimum it is no gain."""
+    qp = random_problem(np.random.default_rng(8), n, damping=damping)
+    x = optimum(qp)[0]
+    worst = ends_of_the_swivel(qp)[1] if n == 7 else max(corners(qp, x), key=lambda c: float(cost(qp, c)))
+    for beyond in (0.1, 2.0):
+        assert qp.residuals(worst + beyond * (worst - x)).loss == 1.0
+        assert 0.0 <= qp.residuals(x + beyond * (x - worst)).loss <= 1.0
+
+
+@pytest.mark.parametrize("n", [7, 8])
+def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
+    """A damped cost without gradient is least at rest; with rest outside the box, it is least at the box."""
+    qp = random_problem(np.random.default_rng(60), n, structured=False, damping=1.0)
+    z = kernel(qp)[:, 0]
+    j = int(np.argmax(np.abs(z)))
+    lower = -np.ones(n)
+    lower[j] = 0.1
+    still = with_changes(qp, v_tip=np.zeros(3), v_wrist=np.zeros(3), grad_mu=np.zeros(n), lower=lower, upper=np.ones(n))
+    found = still.residuals(np.zeros(n))
+    assert found.distance >= 0.1 - 1e-9
+    assert found.primal == pytest.approx(0.1)
+    assert still.residuals(optimum(still)[0]).verified()
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-5])
+def test_a_swivel_that_is_shut_in_a_point_has_its_optimum_there(damping):
+    qp = random_problem(np.random.default_rng(17), damping=damping)
+    x, worst = ends_of_the_swivel(qp)
+    z = (worst - x) / np.linalg.norm(worst - x)
+    lower, upper = np.array(qp.lower), np.array(qp.upper)
+    lower[:6] = upper[:6] = x[:6]
+    j = int(np.argmax(np.abs(z)))
+    lower[j] = upper[j] = x[j] + 1e-8
+    shut = with_changes(qp, lower=lower, upper=upper)
+    assert shut.residuals(x).verified()
+    for way in (0.1, -0.3):
+        found = shut.residuals(x + way * z)
+        assert found.distance == pytest.approx(abs(way) * np.abs(z).max(), abs=3e-6)
+        assert found.loss == 0.0
+        assert not found.verified()
 
 
 def test_nan_is_infinitely_wrong():

@@ -1,4 +1,4 @@
-"""The tests run against one mutant, in a process of its own; nothing is written into the tree.
+"""One mutant before the tests, in a process of its own; nothing is written into the tree.
 
 The mutated text stands in for the module when it is imported. Its kernels, and those of every module that imports
 it, run as plain Python: a kernel from numba's cache would still be the one before the mutation.
@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
@@ -51,8 +52,9 @@ def load_libraries() -> None:
         importlib.import_module(name)
 
 
-def dependents(root: Path, module: str) -> set[str]:
-    """Find the module, and every module of the project that imports it, over any number of steps."""
+@cache
+def dependents(root: Path, module: str) -> frozenset[str]:
+    """The module, and every module of the project that imports it, over any number of steps."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
@@ -64,7 +66,23 @@ def dependents(root: Path, module: str) -> set[str]:
     while grown:
         more = {name for name, used in imports.items() if used & found} - found
         found, grown = found | more, bool(more)
-    return found
+    return frozenset(found)
+
+
+def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
+    """Modules whose compiled kernels may hold what stands in that line of a module.
+
+    All that ``dependents`` finds; none where a module without numba has the line in a function: a kernel takes
+    constants and kernels from other modules, and compiles no plain function.
+    """
+    path = root.joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = any(
+        isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or line) for node in tree.body
+    )
+    if inside and not any(name.split(".")[0] == "numba" for name in _imported(tree, ())):
+        return frozenset()
+    return dependents(root, module)
 
 
 def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
@@ -187,7 +205,7 @@ class _Log:
     def pytest_sessionstart(self) -> None:
         from hypothesis import Phase, settings
 
-        # The first wrong example is enough: no time is spent on a smaller one.
+        # The first wrong example is enough: a smaller one would be looked for in vain.
         quick = settings(settings.get_profile("repeatable"), phases=(Phase.explicit, Phase.generate))
         settings.register_profile("mutation", quick)
         settings.load_profile("mutation")
