@@ -379,6 +379,21 @@ def test_a_solver_that_refuses(robot):
     assert np.isfinite(controller.tick(state, tip_ref, trocar)).all()
 
 
+@pytest.mark.parametrize("at", ["supports", "start"])
+@pytest.mark.parametrize("error", [RuntimeError, SystemExit])
+def test_a_solver_that_raises_before_the_first_tick(robot, at, error):
+    class Boom(Reusing):
+        pass
+
+    def misbehave(self, qp):
+        raise error("no licence")
+
+    setattr(Boom, at, misbehave)
+    words = f"solver 'boom' cannot run in this controller: {error.__name__}: no licence"
+    with pytest.raises(ControlError, match=words):
+        started(robot, Boom("boom"))
+
+
 # --- what cannot be ---
 
 

@@ -220,6 +220,35 @@ def test_what_is_wrong_with_an_answer_is_left_out_of_it(y, iterations, qp):
         assert np.isnan(well_formed(Solution(x, None, Status.SOLVED, 1), 7).x).tolist() == [True] * 7
 
 
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (None, "solve returned a NoneType: return a Solution"),
+        (Solution(np.zeros(7), None, "great"), "the status is a str: give a Status"),
+        (Solution([0.0] * 7, None, Status.SOLVED), "x is a list: give an array of float64"),
+        (Solution(np.zeros(7, np.float32), None, Status.SOLVED), "x is an array of float32"),
+        (Solution(np.zeros(3), None, Status.SOLVED), "x has shape (3,): give (7,)"),
+    ],
+)
+def test_an_answer_of_a_wrong_form_is_told_from_a_solver_in_trouble(answer, words, qp, Z):
+    mine = supervisor()
+    mine.solve(Scripted(answer), qp, Z)
+    (first,) = mine.firsts.values()
+    assert words in first.text
+
+
+def test_a_solver_that_exits_does_not_end_the_run(qp, Z):
+    class Exits:
+        def solve(self, qp):
+            raise SystemExit("enough")
+
+    mine = supervisor()
+    _, x = mine.solve(Exits(), qp, Z)
+    assert mine.fault is Fault.RAISED
+    assert mine.firsts["raised"].text == "SystemExit: enough"
+    assert np.isfinite(x).all()
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("place", range(7))
 def test_what_is_not_finite_is_told_by_nan(bad, place, qp, Z):

@@ -42,6 +42,19 @@ def well_formed(solution: object, n: int) -> Solution:
     return Solution(x, y, status, iterations if isinstance(iterations, int) else 0)
 
 
+def malformed(solution: object, n: int) -> str:
+    """What of an answer is not as ``Solution`` wants it, so that it has no x; "" where it has one."""
+    if not isinstance(solution, Solution):
+        return f"solve returned a {type(solution).__name__}: return a Solution"
+    if not isinstance(solution.status, Status):
+        return f"the status is a {type(solution.status).__name__}: give a Status"
+    x = solution.x
+    if not isinstance(x, np.ndarray) or x.dtype != _DOUBLE:
+        kind = f"an array of {x.dtype}" if isinstance(x, np.ndarray) else f"a {type(x).__name__}"
+        return f"x is {kind}: give an array of float64"
+    return "" if x.shape == (n,) else f"x has shape {x.shape}: give ({n},)"
+
+
 @njit(cache=True, nogil=True)
 def freedoms(row: Array, n: int, r: int) -> int:
     """How many of the r dimensions of ker A move joints that move tip or wrist; the others are idle joints."""

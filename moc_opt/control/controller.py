@@ -15,7 +15,7 @@ from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
 from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.control.supervisor import Fault, Supervisor
-from moc_opt.errors import ControlError
+from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.model import RobotModel, RobotState
 from moc_opt.model_kernels import state_views
 from moc_opt.solvers.base import Session, Solution, Solver
@@ -148,7 +148,7 @@ class Controller:
         """Forget the past and set up the solver for problems like the one at ``state``.
 
         Raises:
-            ControlError: the solver says that it cannot take the subproblem.
+            ControlError: the solver says that it cannot take the subproblem, or raises when it is asked or started.
         """
         self._forget()
         self._Z = manipulability.null_space(state.A)
@@ -158,10 +158,7 @@ class Controller:
         if self.solver is not None:
             references = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
             qp = self._build(state, *references)
-            reason = self.solver.supports(qp)
-            if reason is not None:
-                raise ControlError(f"solver {self.solver.name!r} cannot run in this controller: {reason}")
-            self._session = self.solver.start(qp)
+            self._session = _started(self.solver, qp)
             self._listener = (
                 cast(ObservesVelocity, self._session) if hasattr(self._session, "observe") else None
             )
@@ -260,6 +257,20 @@ class Controller:
         views = state_views.py_func(state.record, state.n)
         if not manipulability.follow_null_space(views.A, views.u, self._Z):
             self._Z = manipulability.null_space(state.A, like=self._Z)
+
+
+def _started(solver: Solver, qp: NullSpaceQP) -> Session:
+    """A session for problems like ``qp``, or a ControlError in the words of the solver or of what it raised."""
+    refusal = f"solver {solver.name!r} cannot run in this controller: "
+    try:
+        reason = solver.supports(qp)
+        if reason is None:
+            return solver.start(qp)
+    except MocOptError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise ControlError(refusal + describe(error)) from error
+    raise ControlError(refusal + reason)
 
 
 def _read_only(array: Array) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.control.answers import RESIDUALS, well_formed
+from moc_opt.control.answers import RESIDUALS, malformed, well_formed
 from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.settings import Settings
@@ -144,16 +144,16 @@ class Supervisor:
         raised = ""
         try:
             solution = session.solve(qp)
-        except Exception as error:  # noqa: BLE001 - whatever a solver throws, tip and RCM go on; it is kept
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
             solution, raised = no_answer(qp.n, Status.NUMERICAL), describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
-        solution = well_formed(solution, qp.n)
+        given, solution = solution, well_formed(solution, qp.n)
         if self._stop_late and self._late:
             try:
                 solution = well_formed(self._stopped(session, qp, solution), qp.n)
-            except Exception as error:  # noqa: BLE001 - as above
+            except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
                 solution, raised = no_answer(qp.n, Status.NUMERICAL), raised or describe(error)
         self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
         self._asked += 1
@@ -165,7 +165,8 @@ class Supervisor:
         self.counts[label] += 1
         if label not in self.firsts:
             cure = f" ({solution.status.value})" if self.fault is Fault.FAILED else ""
-            self.firsts[label] = First(self._asked - 1, raised or self.fault.value + cure)
+            said = raised or malformed(given, qp.n) or self.fault.value + cure
+            self.firsts[label] = First(self._asked - 1, said)
         return solution, self._replace(solution, qp, Z)
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
