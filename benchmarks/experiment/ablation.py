@@ -188,4 +188,4 @@ def headline(table: Sequence[Mapping[str, Any]]) -> list[str]:
     held = [row["claim"] for row in over_all if row["case"] == over_all[0]["case"] and row["confirmed"]]
     sentence = f"Table I as printed, against matched DCAC over all draws: {', '.join(held) or 'no claim'} confirmed."
     parts = [f"{about} ({', '.join(claims)})" for about, claims in deciding.items()]
-    return [sentence, f"What decides on a claim: {'; '.join(parts) or 'no exchange'}."]
+    return [sentence, f"Replacements in Table I that turn a claim: {'; '.join(parts) or 'no exchange'}."]

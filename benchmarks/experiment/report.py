@@ -207,12 +207,13 @@ def headline(summary: Summary, groups: Sequence[str], solver: str) -> list[str]:
             f"{label}: {', '.join(names)}"
             for label, names in (
                 ("hold", held),
-                ("hold only because of the gains", gains),
+                ("hold only against DCAC's own, softer gains", gains),
                 ("do not hold", failed),
             )
             if names
         ]
-        found.append(f"Group {group}, MOC with {solver}, of the paper's claims {'; '.join(parts)}.")
+        who = f"Group {group}, MOC with {solver}{_shaking(summary, group, solver)}"
+        found.append(f"{who}: of the paper's claims {'; '.join(parts)}.")
         felt = [f"{v['text']}: {v['verdict']}" for v in rows if v["claim"] in {claim.name for claim in PATIENT}]
         if felt:
             found.append(f"Group {group}, in the patient's frame, calibration errors included: {'; '.join(felt)}.")
@@ -221,15 +222,22 @@ def headline(summary: Summary, groups: Sequence[str], solver: str) -> list[str]:
     missed = [goal["text"] for goal in goals if not goal["reached"]]
     found.append(
         f"{len(goals) - len(missed)} of {len(goals)} goals are reached"
-        + (f"; missed: {', '.join(missed)}." if missed else ".")
+        + (f"; missed: {'; '.join(missed)}." if missed else ".")
     )
     swivel = summary["swivel"]
     if "gain_at_maximum_percent" in swivel and "gain_max_percent" in swivel:
         found.append(
-            f"A start at the largest mu changes it by {swivel['gain_at_maximum_percent']:+.2g} %, other starts by "
-            f"{swivel['gain_min_percent']:+.2g} to {swivel['gain_max_percent']:+.2g} %."
+            f"MOC changes the mean mu by {swivel['gain_at_maximum_percent']:+.2g} % from a start at the largest mu, by "
+            f"{swivel['gain_min_percent']:+.2g} to {swivel['gain_max_percent']:+.2g} % from others."
         )
     return found
+
+
+def _shaking(summary: Summary, group: str, solver: str) -> str:
+    """ " (10 of 45 trials oscillate)", empty where none does."""
+    row = summary.get(group, {}).get(solver, {})
+    count = row.get("oscillated", 0)
+    return f" ({count} of {row['trials']:g} trials oscillate)" if count else ""
 
 
 def print_tables(
