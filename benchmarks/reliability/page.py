@@ -44,7 +44,7 @@ PROMISES = (
         "limit for its speed, is braked.",
         "Hypothesis over states and torques; a saboteur that asks for twice the largest torques in random directions "
         "does not get a joint of the plant past its position limit.",
-        "`tests/test_guard.py`",
+        "`tests/test_guard_runs.py`",
     ),
     (
         "A measurement that cannot be true is bridged for `patience_ticks` ticks; then the drives brake, the torque "
@@ -52,7 +52,7 @@ PROMISES = (
         "`meta[\"ended\"] = \"stopped: ...\"`. The same happens when the controller breaks down, when its torque is no "
         "number, and when the tip has been far from its reference for a while: an unstable loop does not go on.",
         "NaN, jumps, a controller that raises, and five ticks of delay, in the plant.",
-        "`tests/test_guard.py`, this benchmark",
+        "`tests/test_guard_runs.py`, this benchmark",
     ),
     (
         "The shaft stays near the registered trocar, and the trocar is not pressed hard: each as a root mean square "
@@ -61,7 +61,7 @@ PROMISES = (
         "An arm that its wall keeps 14 mm off goes on without the limit and is stopped with it; a trocar that slips "
         "by 100 mm; under DCAC and MOC, in Python and in C, on the live page and in the procedure; the force against "
         "statics and the plant.",
-        "`tests/test_incision.py`",
+        "`tests/test_incision_runs.py`",
     ),
     (
         "A run that oscillates says so: `meta[\"ended\"] = \"oscillated: joint_7 at 47 Hz, 0.51 rad/s\"`. What did "
@@ -69,7 +69,7 @@ PROMISES = (
         "first, figures of a part are marked, and stopped runs enter no mean of a benchmark.",
         "Two ticks of delay and an idle joint without friction, under one gain of 80 for all joints; sound runs of "
         "every preset; synthetic motions of known size and frequency, on both sides of each limit.",
-        "`tests/test_oscillation.py`, `tests/test_guard.py`",
+        "`tests/test_oscillation.py`, `tests/test_guard_runs.py`",
     ),
     (
         "Bad input ends in success or in a MocOptError whose message names the field: never a traceback from inside, a "

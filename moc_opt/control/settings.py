@@ -50,6 +50,7 @@ GAINS = Gains._fields
 # that goes up to the limits of the joints themselves.
 PAPER: dict[str, Any] = {
     "gains": None,
+    "feedforward": False,
     "rcm_lambda": 0.5,
     "k0_per_s": 0.1,
     "damping": 0.0,
@@ -106,7 +107,9 @@ class ControlSettings(Settings):
         default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
     )
     projector: Literal["dynamic", "static", "printed"] = "dynamic"
-    feedforward: bool = Field(default=False, description="acceleration feed-forward of tip and wrist")
+    feedforward: bool = Field(
+        default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
+    )
     observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
     limit_torque: bool = True
 
