@@ -13,7 +13,7 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
 
 EXACT = solvers.create("exact")
-QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0, "K_N2": 80.0, "D_N2": 1.0}
+QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0, "K_N2": 80.0, "D_N2": 1.0, "feedforward": False}
 
 
 def reference(state, speed=0.01):
@@ -131,7 +131,7 @@ def test_projector_is_a_setting(projector, robot):
 def test_feedforward_is_a_setting(robot):
     state = robot.state(robot.data.q_home)
     plain, _, tip_ref, trocar = started(robot, None, state, **QUIET)
-    fed, *_ = started(robot, None, state, feedforward=True, **QUIET)
+    fed, *_ = started(robot, None, state, **{**QUIET, "feedforward": True})
     tip_ref[2] = [0.5, 0.0, -0.5]
     extra = fed.tick(state, tip_ref, trocar) - plain.tick(state, tip_ref, trocar)
     np.testing.assert_allclose(state.J_tip @ np.linalg.solve(state.M, extra), tip_ref[2], atol=1e-9)

@@ -210,7 +210,7 @@ def test_bad_input_gives_a_message_and_the_run_goes_on(page: Any, live: LivePage
     until(lambda: live.run.moment().t_s > t + 0.2, "the run stands still")
     enter(field, "2500")
     click(apply)
-    until(lambda: live.run.gains["K_X"] == 2500.0, "a good one is taken")
+    until(lambda: live.run.gains.K_X == 2500.0, "a good one is taken")
 
 
 def test_the_elbow_is_pushed_and_the_clock_stopped(page: Any, live: LivePage) -> None:

@@ -116,7 +116,7 @@ def test_the_papers_claims_stand_beside_what_decides_on_them(folder):
     assert first in text
     assert "| the RCM error is smaller | +3.0 (-2.0 to +8.0): does not hold |  |" in text
     assert "-77" not in text
-    assert "What decides on a claim: one number (tip)." in text
+    assert "Replacements in Table I that turn a claim: one number (tip)." in text
     (folder / "paper" / "summary.json").write_text(json.dumps({"goals": GOALS}))
     assert readme.main(arguments(folder, "paper")) == 0
     assert "claim" not in (folder / "README.md").read_text()

@@ -349,6 +349,7 @@ def plant_tip_off(setup):
 
 RECORDED = {
     "law": "dcac", "K_X": 2000.0, "D_X": 80.0, "K_N": 600.0, "D_N": 60.0, "observer_gain_per_s": 20.0,
+    "feedforward": False,
 }  # fmt: skip
 RECORDING = {
     "q_rad": [0.5950106130093401, -0.890409338843198, -0.9999657883573064, 1.449792586360487, 0.77000691514235,
