@@ -13,7 +13,9 @@ from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
 
 EXACT = solvers.create("exact")
-QUIET = {"observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0, "K_N2": 80.0, "D_N2": 1.0, "feedforward": False}
+QUIET = {
+    "observer_gain_per_s": 0.0, "limit_torque": False, "ramp_s": 0.0, "K_N2": 80.0, "D_N2": 1.0, "feedforward": False,
+}  # fmt: skip
 
 
 def reference(state, speed=0.01):

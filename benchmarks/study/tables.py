@@ -92,8 +92,8 @@ def _times(suffix: str = "") -> list[Column]:
 SOLVER = Column("solver", "solver")
 SETTLED = (
     "Settled are the ticks of a trial at which the elbow of no controller with a third level is on its way to its "
-    "optimum: the same ticks for all controllers. RCM errors are from the trocar that the controller was told; from "
-    "the true one, the registration's error comes on top."
+    "optimum: the same ticks for all controllers. Tip and RCM errors are by the robot's own kinematics, from the "
+    "registered trocar: what a controller can answer for."
 )
 TRIALS = _count("runs", "trials", text="each from a pose of its own, drawn by its seed")
 CLOSED = [
