@@ -457,7 +457,7 @@ def test_observer_sees_the_limited_torque(robot):
 
 def test_observer_is_taken_off_the_torque(robot):
     """With an external torque seen, the command is the same law less the estimate."""
-    with_one, state, tip_ref, trocar = started(robot, None, observer_gain_per_s=20.0, limit_torque=False)
+    with_one, state, tip_ref, trocar = started(robot, None, **{**QUIET, "observer_gain_per_s": 20.0})
     without, *_ = started(robot, None, **QUIET)
     moving = robot.state(state.q, np.full(7, 0.3))  # a momentum that no torque explains
     difference = with_one.tick(moving, tip_ref, trocar) - without.tick(moving, tip_ref, trocar)
