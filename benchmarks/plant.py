@@ -9,7 +9,6 @@ Every trial is run under DCAC and MOC with the same gains, in the plant without 
 from __future__ import annotations
 
 import math
-import re
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -190,10 +189,8 @@ def write_page(text: str, page: Path = PAGE) -> None:
     Raises:
         ScenarioError: the page has no such marks.
     """
-    old = page.read_text(encoding="utf-8")
-    marks = re.compile(r"(<!-- plant -->\n).*?(<!-- /plant -->)", flags=re.S)
-    new, found = marks.subn(lambda m: m[1] + text + "\n" + m[2], old)
-    if not found:
+    new = output.fill_section(page.read_text(encoding="utf-8"), "plant", text)
+    if new is None:
         raise ScenarioError(f"{page}: put <!-- plant --> and <!-- /plant --> where the table goes")
     output.write_atomically(page, new.encode())
 

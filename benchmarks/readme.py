@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.experiment import ablation
-from benchmarks.output import write_atomically
+from benchmarks.output import fill_section, write_atomically
 from benchmarks.speeds.goals import GOALS
 from benchmarks.statistics import spread
 from benchmarks.study.closed_loop import BASELINE
@@ -159,10 +158,10 @@ def filled(readme: str, name: str, text: str) -> str:
     Raises:
         ReadmeError: it has no such pair of markers.
     """
-    pattern = re.compile(rf"(<!-- {name} -->\n).*?(\n<!-- /{name} -->)", re.DOTALL)
-    if not pattern.search(readme):
+    found = fill_section(readme, name, text)
+    if found is None:
         raise ReadmeError(f"README: no lines <!-- {name} --> and <!-- /{name} -->: put them where the figures belong")
-    return pattern.sub(lambda found: f"{found[1]}{text}{found[2]}", readme)
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

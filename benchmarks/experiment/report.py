@@ -58,7 +58,6 @@ ABLATION = [
     Column("mu", "mu", unit="%", help="effect with its 95 % interval"),
     Column("tip", "tip", unit="%"),
     Column("rcm", "RCM", unit="%"),
-    Column("force", "force", unit="%"),
     Column("holds", "claims confirmed"),
     Column("decides", "decides on"),
 ]
@@ -117,8 +116,8 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
     ]
     return Table(
         f"Group {group}: {about}", columns, rows,
-        "Mean over the trials, with its 95 % bootstrap interval; the gain is that of the mean mu. RCM: from the trocar "
-        "that the controller was told; from the true one, the registration's error comes on top.",
+        "Mean over the trials, with its 95 % bootstrap interval; the gain is that of the mean mu. Tip and RCM "
+        "without a further word: by the robot's own kinematics, from the registered trocar.",
     )
 
 
