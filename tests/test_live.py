@@ -307,7 +307,7 @@ def test_this_machine_is_allowed(host: str) -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "0", "::ffff:0.0.0.0", "10.0.0.1"])
 def test_all_others_need_consent(host: str) -> None:
-    with pytest.raises(LiveError, match=f"password.*{CONSENT}"):
+    with pytest.raises(LiveError, match=f"not encrypted.*{CONSENT}"):
         checked_address(host)
 
 
