@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from moc_opt import names
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+
+Name = Annotated[str, AfterValidator(names.checked)]
+"""A name that comes from a file: `moc_opt.names.RULE`."""
 
 
 class Settings(BaseModel):

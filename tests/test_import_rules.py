@@ -15,7 +15,7 @@ PACKAGE = ROOT / "moc_opt"
 ROOMS = {
     "public": ["moc_opt"],
     "command line": ["moc_opt.__main__"],
-    "errors": ["moc_opt.errors"],
+    "errors": ["moc_opt.errors", "moc_opt.names"],
     "settings": ["moc_opt.settings"],
     "compiled": ["moc_opt.compiled", "moc_opt.lanes"],
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality", "moc_opt.extremes"],
@@ -50,7 +50,7 @@ ALLOWED = {
     "subproblem": {"errors"},
     "tasks": {"errors"},
     "trace": {"errors"},
-    "robots": {"errors"},
+    "robots": {"errors", "settings"},
     "metrics": {"errors", "trace"},
     "protocol": {"errors", "subproblem"},
     "solvers": {"errors", "compiled", "subproblem", "protocol"},

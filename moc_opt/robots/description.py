@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from moc_opt.errors import RobotError
+from moc_opt.settings import Name
 
 Vector = tuple[float, ...]
 Point = tuple[float, float, float]
@@ -23,7 +24,7 @@ class _Table(BaseModel):
 class Frames(_Table):
     """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
 
-    last_link: str
+    last_link: Name
     wrist_xyz_m: Point
     tool_mount_xyz_m: Point = (0.0, 0.0, 0.0)
     tool_mount_rpy_rad: Point = (0.0, 0.0, 0.0)
@@ -32,9 +33,9 @@ class Frames(_Table):
 class Tool(_Table):
     """A straight round rod from the mount to the tip, along z of the mount."""
 
-    length_m: Annotated[float, Field(gt=0)] = 0.30
-    mass_kg: Annotated[float, Field(gt=0)] = 0.3
-    radius_m: Annotated[float, Field(gt=0)] = 0.004
+    length_m: Annotated[float, Field(gt=0, le=10)] = 0.30
+    mass_kg: Annotated[float, Field(gt=0, le=1000)] = 0.3
+    radius_m: Annotated[float, Field(gt=0, le=1)] = 0.004
 
 
 class Limits(_Table):
@@ -63,14 +64,14 @@ class Home(_Table):
 class RobotDescription(_Table):
     """The whole TOML file; `urdf` is relative to the file itself."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     urdf: Annotated[str, Field(min_length=1)]
     frames: Frames
     tool: Tool = Tool()
     limits: Limits = Limits()
     joints: Joints = Joints()
     home: Home
-    gains: dict[str, dict[str, float | Vector]] = {}
+    gains: dict[Name, dict[Name, float | Vector]] = {}
 
 
 def read_text(path: Path, what: str) -> str:
