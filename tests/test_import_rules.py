@@ -30,7 +30,10 @@ ROOMS = {
     "protocol": ["moc_opt.solvers.base"],
     "solvers": ["moc_opt.solvers"],
     "control": ["moc_opt.control"],
-    "assemblies": ["moc_opt.reach", "moc_opt.preflight", "moc_opt.handson", "moc_opt.augmented", "moc_opt.views"],
+    "assemblies": [
+        "moc_opt.agreement", "moc_opt.reach", "moc_opt.preflight", "moc_opt.handson", "moc_opt.augmented",
+        "moc_opt.views",
+    ],
     "embedded": ["moc_opt.embedded"],
     "sim": ["moc_opt.sim"],
     "report": ["moc_opt.report"],
