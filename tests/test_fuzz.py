@@ -31,7 +31,7 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40)],
+     ("record_file", 40), ("name", 80), ("option", 80), ("urdf_number", 120)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
     verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
@@ -75,7 +75,8 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         == 0
     )
     assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
-    assert set(fuzz.KINDS) == set(STRATEGIES)
+    assert set(fuzz.KINDS) >= set(STRATEGIES)
+    assert all(callable(fuzz.lookup(kind)[0]) for kind in fuzz.KINDS)
     monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
     assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
