@@ -9,6 +9,9 @@ from xml.etree.ElementTree import Element
 from moc_opt.errors import RobotError
 
 _DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+_BLANKS = " \t\r\n"
+"""White space as XML has it; other blanks of Unicode are none to most readers."""
+_BLANK = re.compile(f"[{_BLANKS}]+")
 _LONGEST = 60
 SMALLEST = 1e-30
 """A number nearer to zero is one of rounding errors, or hostile; some readers refuse those below 1e-308 unheard."""
@@ -29,7 +32,7 @@ def number(text: str, what: str, unit: str) -> float:
     Raises:
         RobotError: anything else, or a size that no arm has.
     """
-    text = text.strip(" \t\r\n")
+    text = text.strip(_BLANKS)
     if len(text) > _LONGEST or not _DECIMAL.fullmatch(text):
         raise RobotError(f"urdf: {what} is {text!r:.80}: write a finite decimal number, such as 0.25 or -1e-3")
     value = float(text)
@@ -49,7 +52,7 @@ def triple(element: Element | None, key: str, what: str, unit: str) -> tuple[flo
     if element is None or key not in element.attrib:
         return (0.0, 0.0, 0.0)
     text = element.get(key, "")
-    parts = text.split()
+    parts = [part for part in _BLANK.split(text) if part]
     if len(parts) != 3:
         raise RobotError(f"urdf: {what} is {text!r:.80}: write three numbers, such as '0 0 0.1'; it has {len(parts)}")
     x, y, z = (number(part, what, unit) for part in parts)
