@@ -11,7 +11,7 @@ RULE = (
     "and no two points beside each other"
 )
 _NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]*[A-Za-z0-9_])?")
-_IN_FILES = re.compile(r"[^A-Za-z0-9_.+-]+")
+_IN_FILES = re.compile(r"[^A-Za-z0-9_.+ -]+")
 # What a C comment may hold as it is. Left out beside what is not ASCII: the star (*/ ends a comment), the question mark
 # (??/ is a backslash to a C99 compiler), the backslash and every line end (they join or begin lines).
 _NOT_IN_COMMENTS = re.compile(r"[^A-Za-z0-9 _.,:;=+/()\[\]{}<>'\"^|&%#@!~$`-]")
@@ -35,7 +35,7 @@ def checked(text: str) -> str:
 
 def file_stem(text: str) -> str:
     """Write any text as a part of a file's name: no folder, no leading point, nothing a shell or system reads."""
-    return _IN_FILES.sub("-", text).lstrip(".-")[:MAX_LENGTH] or "unnamed"
+    return _IN_FILES.sub("-", text).lstrip(" .-")[:MAX_LENGTH].rstrip(" .") or "unnamed"
 
 
 def in_comment(text: str) -> str:

@@ -197,7 +197,7 @@ BAD_URDF = {
     "no such body": ('ixx="0.010753"', 'ixx="0.030753"', "link_5.*triangle inequality"),
     "negative mass": ('<mass value="1.7"/>', '<mass value="-1.7"/>', "link_5.*mass -1.7"),
     "two inertias": ("<inertial>", "<inertial/><inertial>", "link_0.* 2 <inertial>"),
-    "two links of a name": ('<link name="link_0">', '<link name="link_5"/><link name="link_0">', "several links"),
+    "two links of a name": ('<link name="link_0">', '<link name="link_5"/><link name="link_0">', "2 links named"),
     "a link hangs on nothing": ("</robot>", '<link name="spare"/></robot>', "spare.*hang on no joint"),
     "a link on two joints": (
         "</robot>",
@@ -205,6 +205,8 @@ BAD_URDF = {
         "both carry link 'link_5'",
     ),
     "no such parent": ('<parent link="link_3"/>', '<parent link="link_33"/>', "joint_4.*no such link"),
+    "capital letters": ('<mass value="1.7"/>', '<Mass value="1.7"/>', "link_5.*<Mass>: write <mass> in small letters"),
+    "another attribute": ('rpy="0 0 0"/>', 'ryp="0 0 0"/>', "link_0.*<origin ryp>.*with rpy, xyz alone"),
     "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
     "joint name taken": ('"joint_3" type', '"tip_frame" type', "has joints.*tip_frame"),
     "empty name": ('<link name="link_3">', '<link name="">', "'' is no name"),
@@ -222,6 +224,12 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
     old, new, message = BAD_URDF[case]
     with pytest.raises(RobotError, match=message):
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
+
+
+def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path) -> None:
+    assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
+    with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
+        load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 
 def test_entities_are_refused_before_they_are_expanded(tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ from moc_opt.errors import RobotError
 from moc_opt.settings import Name
 
 Vector = tuple[float, ...]
-Point = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
 PerJoint = float | Vector
 
 
@@ -105,7 +106,7 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = ".".join(map(str, loc))
+    field = repr(".".join(map(str, loc)))[1:-1]  # a key of the file may hold anything
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
         near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterable
 
 import numpy as np
@@ -16,6 +17,10 @@ MOVING = frozenset({"revolute", "continuous", "prismatic"})
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE = 1e-6  # of the largest moment: files round their numbers
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+_ATTRIBUTES = {
+    "origin": {"xyz", "rpy"}, "mass": {"value"}, "inertia": set(_MOMENTS), "axis": {"xyz"}, "parent": {"link"},
+    "child": {"link"},
+}  # fmt: skip
 
 
 def rebuild(root: ET.Element, name: str) -> ET.Element:
@@ -130,10 +135,20 @@ def _place(parent: ET.Element, origin: ET.Element | None, where: str) -> None:
 
 
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
-    found = parent.findall(tag)
+    """The element, with no attribute that would be left out unheard; None where it is not there."""
+    found = [element for element in parent if str(element.tag).lower() == tag]
     if len(found) > 1:
         raise RobotError(f"urdf {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
-    return found[0] if found else None
+    if not found:
+        return None
+    element, known = found[0], _ATTRIBUTES.get(tag)
+    unknown = sorted(set(element.attrib) - known) if known is not None else []
+    if element.tag != tag or unknown:
+        raise RobotError(
+            f"urdf {where} has <{' '.join([str(element.tag), *unknown])[:80]}>: write <{tag}> in small letters, with "
+            f"{', '.join(sorted(known or ())) or 'its own attributes'} alone"
+        )
+    return found[0]
 
 
 def _checked(element: ET.Element, what: str) -> str:
@@ -145,11 +160,12 @@ def _checked(element: ET.Element, what: str) -> str:
 
 def _check_tree(root: ET.Element) -> None:
     """One base, every other link on one joint, and every end of a joint a link."""
+    if root.find("link") is None or root.find("joint") is None:
+        raise RobotError("urdf has no <link> or no <joint>: a serial arm is needed")
     for tag in ("link", "joint"):
-        given = [element.get("name", "") for element in root.findall(tag)]
-        for name in given:
-            if given.count(name) > 1:
-                raise RobotError(f"urdf has several {tag}s named {name!r}: give each a name of its own")
+        name, times = Counter(element.get("name", "") for element in root.findall(tag)).most_common(1)[0]
+        if times > 1:
+            raise RobotError(f"urdf has {times} {tag}s named {name!r}: give each a name of its own")
     links = {link.get("name", "") for link in root.findall("link")}
     carried: dict[str, str] = {}
     for joint in root.findall("joint"):
@@ -161,6 +177,8 @@ def _check_tree(root: ET.Element) -> None:
         if link in carried:
             raise RobotError(f"urdf joints {carried[link]!r} and {name!r} both carry link {link!r}: leave one of them")
         carried[link] = name
+    if "world" in carried:
+        raise RobotError(f"urdf joint {carried['world']!r} carries a link 'world', MuJoCo's name of the base: rename it")
     bases = sorted(links - set(carried))
     if len(bases) > 1:
         raise RobotError(f"urdf links {bases[:5]} hang on no joint: one base is needed, fix the others to it")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import xml.etree.ElementTree as ET
+from collections import defaultdict
 from collections.abc import Iterable
 
 from moc_opt.errors import RobotError
@@ -49,15 +50,16 @@ def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
     path: list[ET.Element] = []
     link = last_link
     while link in by_child:
-        if by_child[link] in path:
+        if len(path) > len(by_child):
             raise RobotError(f"urdf joints form a loop at link {link!r}: a serial chain is needed")
         path.append(by_child[link])
         link = _name(path[-1], "parent")
     chain = [joint for joint in reversed(path) if joint.get("type") in MOVING]
     if not chain:
         raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
+    moving = {joint.get("name") for joint in chain}
     for joint in root.findall("joint"):
-        if joint.get("type") in MOVING and joint not in chain:
+        if joint.get("type") in MOVING and joint.get("name") not in moving:
             raise RobotError(
                 f"urdf joint {joint.get('name')!r} moves but is not between base and last link: make it fixed"
             )
@@ -67,13 +69,17 @@ def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
 def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
     """Every movable joint must move some mass."""
     heavy = {link.get("name", "") for link in root.findall("link") if link.find("inertial") is not None}
-    fixed = [
-        (_name(j, "parent"), _name(j, "child")) for j in root.findall("joint") if j.get("type") == "fixed"
-    ]
+    fixed: dict[str, list[str]] = defaultdict(list)
+    for joint in root.findall("joint"):
+        if joint.get("type") == "fixed":
+            fixed[_name(joint, "parent")].append(_name(joint, "child"))
     for joint in chain:
-        body = {_name(joint, "child")}
-        for _ in fixed:
-            body |= {child for parent, child in fixed if parent in body}
+        body, new = set(), [_name(joint, "child")]
+        while new:
+            link = new.pop()
+            if link not in body:
+                body.add(link)
+                new += fixed[link]
         if not body & heavy:
             raise RobotError(
                 f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} "
