@@ -178,7 +178,9 @@ def _check_tree(root: ET.Element) -> None:
             raise RobotError(f"urdf joints {carried[link]!r} and {name!r} both carry link {link!r}: leave one of them")
         carried[link] = name
     if "world" in carried:
-        raise RobotError(f"urdf joint {carried['world']!r} carries a link 'world', MuJoCo's name of the base: rename it")
+        raise RobotError(
+            f"urdf joint {carried['world']!r} carries a link 'world', which MuJoCo takes for the base: rename it"
+        )
     bases = sorted(links - set(carried))
     if len(bases) > 1:
         raise RobotError(f"urdf links {bases[:5]} hang on no joint: one base is needed, fix the others to it")
