@@ -226,6 +226,16 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
 
 
+def test_zeros_for_mass_and_inertia_are_a_frame(tmp_path: Path) -> None:
+    """As vendors write them; with a mass of zero alone the file contradicts itself."""
+    zero = " ".join(f'{key}="0.0"' for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    frame = '<link name="x"{}</link><joint name="j" type="fixed"><parent link="link_3"/><child link="x"/></joint>'
+    written = frame.format(f'><inertial><mass value="0"/><inertia {zero}/></inertial>')
+    data = load_data(write(tmp_path, urdf=changed(URDF, "</robot>", written + "</robot>")))
+    plain = load_data(write(tmp_path, urdf=changed(URDF, "</robot>", frame.format(">") + "</robot>")))
+    assert data.urdf == plain.urdf
+
+
 def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path) -> None:
     assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
     with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
