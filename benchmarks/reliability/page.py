@@ -80,8 +80,8 @@ PROMISES = (
     ),
     (
         "Files from strangers run no code, and nothing in them decides where files go. Names of robots, links, joints, "
-        "scenarios and solvers come from an allow-list of characters, checked where they are read (`moc_opt/names.py`); "
-        "a comment of generated C, a page and a file's name hold any text without harm even so. Options of a solver's "
+        "scenarios and solvers come from an allow-list of characters, checked where they are read "
+        "(`moc_opt/names.py`); a comment of generated C, a page and a file's name hold any text without harm even so. Options of a solver's "
         "library come from an allow-list for each library (`moc_opt/solvers/options.py`): tolerances, iterations and "
         "modes; what writes, reads, loads or compiles is refused by name, and IPOPT reads no `ipopt.opt`.",
         "Hypothesis over names, against a C compiler's rules of comments and the tags of a page; over options, with "
@@ -91,8 +91,8 @@ PROMISES = (
     (
         "The controller's model and the plant are one arm. Every number of a URDF is read once, strictly (decimal, "
         "finite, of a size that an arm can have), and written anew for both engines; an inertia that no body has is "
-        "refused; before a run inertia, bias forces, tip and wrist of pinocchio and MuJoCo are compared at three poses, "
-        "to 1e-6.",
+        "refused; before a run inertia, bias forces, tip and wrist of pinocchio and MuJoCo are compared at three "
+        "poses, to 1e-6.",
         "Hypothesis over the numbers of a URDF; texts that one engine drops and the other keeps; heaps of masses, none "
         "of whose inertias may be refused.",
         "`tests/test_robot_numbers.py`, `tests/test_agreement.py`",
