@@ -83,7 +83,8 @@ PROMISES = (
         "scenarios and solvers come from an allow-list of characters, checked where they are read "
         "(`moc_opt/names.py`); a comment of generated C, a page and a file's name hold any text without harm even so. "
         "Options of a solver's library come from an allow-list for each library (`moc_opt/solvers/options.py`): "
-        "tolerances, iterations and modes; what writes, reads, loads or compiles is refused by name, and IPOPT reads no `ipopt.opt`.",
+        "tolerances, iterations and modes; what writes, reads, loads or compiles is refused by name, and IPOPT reads "
+        "no `ipopt.opt`.",
         "Hypothesis over names, against a C compiler's rules of comments and the tags of a page; over options, with "
         "the folder watched; every allowed option is set once, every option that writes is refused.",
         "`tests/test_names.py`, `tests/test_options.py`",

@@ -12,10 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from moc_opt.errors import RobotError
 from moc_opt.settings import Name
 
-Vector = tuple[float, ...]
-Coordinate = Annotated[float, Field(ge=-100.0, le=100.0)]
+# Strict: a number of TOML, no text or flag that could be read as one.
+Number = Annotated[float, Field(strict=True, ge=-1e9, le=1e9)]
+Vector = tuple[Number, ...]
+Coordinate = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-PerJoint = float | Vector
+PerJoint = Number | Vector
 
 
 class _Table(BaseModel):
@@ -34,9 +36,9 @@ class Frames(_Table):
 class Tool(_Table):
     """A straight round rod from the mount to the tip, along z of the mount."""
 
-    length_m: Annotated[float, Field(gt=0, le=10)] = 0.30
-    mass_kg: Annotated[float, Field(gt=0, le=1000)] = 0.3
-    radius_m: Annotated[float, Field(gt=0, le=1)] = 0.004
+    length_m: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.30
+    mass_kg: Annotated[float, Field(strict=True, gt=0, le=1000)] = 0.3
+    radius_m: Annotated[float, Field(strict=True, gt=0, le=1)] = 0.004
 
 
 class Limits(_Table):
@@ -72,7 +74,7 @@ class RobotDescription(_Table):
     limits: Limits = Limits()
     joints: Joints = Joints()
     home: Home
-    gains: dict[Name, dict[Name, float | Vector]] = {}
+    gains: dict[Name, dict[Name, Number | Vector]] = {}
 
 
 def read_text(path: Path, what: str) -> str:
