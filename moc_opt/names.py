@@ -15,6 +15,7 @@ _IN_FILES = re.compile(r"[^A-Za-z0-9_.+ -]+")
 # What a C comment may hold as it is. Left out beside what is not ASCII: the star (*/ ends a comment), the question mark
 # (??/ is a backslash to a C99 compiler), the backslash and every line end (they join or begin lines).
 _NOT_IN_COMMENTS = re.compile(r"[^A-Za-z0-9 _.,:;=+/()\[\]{}<>'\"^|&%#@!~$`-]")
+_NOT_IN_MARKDOWN = re.compile(r"[^A-Za-z0-9 .,:;()/%°µ-]")
 
 
 def is_name(text: object) -> bool:
@@ -41,3 +42,8 @@ def file_stem(text: str) -> str:
 def in_comment(text: str) -> str:
     """Write any text so that a C or C++ compiler reads it as part of the comment around it, on one line."""
     return _NOT_IN_COMMENTS.sub(lambda found: f"<U+{ord(found.group()):04X}>", text)
+
+
+def in_markdown(text: str) -> str:
+    """Write any text so that Markdown, and the HTML that it lets through, shows it and does nothing else."""
+    return _NOT_IN_MARKDOWN.sub(lambda found: f"&#{ord(found.group())};", text)

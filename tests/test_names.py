@@ -1,5 +1,6 @@
 """Names from outside: what is one, and what becomes of any other text in a comment, a file's name or a page."""
 
+import html
 import shutil
 import subprocess
 import sys
@@ -85,6 +86,16 @@ def test_any_text_becomes_a_file_of_its_own_folder(text):
     assert 0 < len(stem) <= names.MAX_LENGTH
     assert not stem.startswith(".")
     assert names.file_stem(stem) == stem
+
+
+@given(st.one_of(hostile_names, st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]))))
+@settings(max_examples=300, deadline=None, derandomize=True)
+def test_markdown_shows_any_text_as_it_is(text):
+    """The live page's reader lets HTML through; why a run was stopped may be the text of a foreign exception."""
+    shown = names.in_markdown(text)
+    assert not set(shown) & set("<>*_`[]{}\\!|~$\"'\n")
+    if text.isprintable():
+        assert html.unescape(shown) == text
 
 
 def test_a_solver_that_prints_code_is_only_a_comment(robot):
