@@ -191,6 +191,12 @@ BAD_URDF = {
     "planar joint": ('"joint_3" type="revolute"', '"joint_3" type="planar"', "joint_3.*'planar'"),
     "missing parent": ('<parent link="link_3"/>', "", "joint_4.*no <parent"),
     "loop": ('<parent link="link_0"/>', '<parent link="link_7"/>', "loop"),
+    "loop aside": (
+        "</robot>",
+        '<link name="x"/><link name="y"/><joint name="a" type="fixed"><parent link="x"/><child link="y"/></joint>'
+        '<joint name="b" type="fixed"><parent link="y"/><child link="x"/></joint></robot>',
+        r"loop at links \['x', 'y'\]",
+    ),
     "branch": (
         "</robot>",
         '<link name="x"/><joint name="side" type="revolute"><parent link="link_1"/><child link="x"/></joint>'

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 
 import numpy as np
@@ -170,6 +170,7 @@ def _check_tree(root: ET.Element) -> None:
             raise RobotError(f"urdf has {times} {tag}s named {name!r}: give each a name of its own")
     links = {link.get("name", "") for link in root.findall("link")}
     carried: dict[str, str] = {}
+    carries: dict[str, list[str]] = defaultdict(list)
     for joint in root.findall("joint"):
         name = joint.get("name", "")
         for end in ("parent", "child"):
@@ -179,6 +180,7 @@ def _check_tree(root: ET.Element) -> None:
         if link in carried:
             raise RobotError(f"urdf joints {carried[link]!r} and {name!r} both carry link {link!r}: leave one of them")
         carried[link] = name
+        carries[joint.find("parent").get("link", "")].append(link)  # type: ignore[union-attr]
     if "world" in carried:
         raise RobotError(
             f"urdf joint {carried['world']!r} carries a link 'world', which MuJoCo takes for the base: rename it"
@@ -186,3 +188,9 @@ def _check_tree(root: ET.Element) -> None:
     bases = sorted(links - set(carried))
     if len(bases) > 1:
         raise RobotError(f"urdf links {bases[:5]} hang on no joint: one base is needed, fix the others to it")
+    reached = list(bases)
+    for link in reached:  # grows while it is walked
+        reached += carries[link]
+    lost = sorted(links - set(reached))
+    if lost:
+        raise RobotError(f"urdf joints form a loop at links {lost[:5]}: they hang on each other and not on a base")
