@@ -11,6 +11,7 @@ import pytest
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.robots import available_robots, load_data, loader
+from moc_opt.robots.rebuild import MOST_LINKS
 
 FOLDER = Path(loader.__file__).parent
 URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
@@ -239,6 +240,18 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
     old, new, message = BAD_URDF[case]
     with pytest.raises(RobotError, match=message):
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
+
+
+@pytest.mark.parametrize("count", [MOST_LINKS, 30_000])
+def test_a_tree_too_deep_for_the_engines_is_refused(count: int, tmp_path: Path) -> None:
+    """Some thousands of links on each other end the process inside of an engine."""
+    chain = "".join(
+        f'<link name="k{i}"/><joint name="f{i}" type="fixed"><parent link="{f"k{i - 1}" if i else "link_7"}"/>'
+        f'<child link="k{i}"/></joint>'
+        for i in range(count)
+    )
+    with pytest.raises(RobotError, match="links or joints: an arm has 500 at most"):
+        load_data(write(tmp_path, urdf=changed(URDF, "</robot>", chain + "</robot>")))
 
 
 def test_zeros_for_mass_and_inertia_are_a_frame(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from moc_opt.errors import RobotError
 from moc_opt.robots.numbers import as_text, number, triple
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
+MOST_LINKS = 500
+"""Engines walk a tree by recursion: MuJoCo stops at a depth of 1000, and some thousands end the process."""
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
 _TRIANGLE = 1e-6  # of the largest moment: files round their numbers
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -34,6 +36,9 @@ def rebuild(root: ET.Element, name: str) -> ET.Element:
         RobotError: a name that is none or that is taken, a number that is none, an element that is missing or there
             twice, an inertia that no body has, or links and joints that are no tree.
     """
+    count = max(len(root.findall(tag)) for tag in ("link", "joint"))
+    if count > MOST_LINKS:
+        raise RobotError(f"urdf has {count} links or joints: an arm has {MOST_LINKS} at most; leave others out")
     made = ET.Element("robot", name=name)
     for element in root:
         if element.tag == "link":
