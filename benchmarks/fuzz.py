@@ -13,7 +13,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks import output
 from benchmarks.reliability.page import PAGE, write_page
@@ -21,9 +21,14 @@ from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+    from benchmarks.reliability import fuzz_checks
+
 KINDS = {
     "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.2, "result_file": 0.2,
-    "record_file": 0.05,
+    "record_file": 0.05, "name": 0.1, "option": 0.05, "urdf_number": 0.1,
 }  # fmt: skip
 """Kind of input -> its share of the cases."""
 
@@ -37,10 +42,9 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks.reliability import fuzz_checks, fuzz_inputs
+    from benchmarks.reliability import fuzz_checks
 
-    check: fuzz_checks.Check = getattr(fuzz_checks, kind)
-    strategy = fuzz_inputs.STRATEGIES[kind]
+    check, strategy = lookup(kind)
     fuzz_checks.warm_up()
     verdicts: Counter[str] = Counter()
     failures: list[str] = []
@@ -72,6 +76,16 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
             what = " ".join(f"{cause} ({place}); input: {last[0]!r}".split())
             failures.append(f"{type(cause).__name__}: {what:.900}")
     return verdicts, failures
+
+
+def lookup(kind: str) -> tuple[fuzz_checks.Check, SearchStrategy[Any]]:
+    """The check of one kind of input, and where its cases come from."""
+    from benchmarks.reliability import fuzz_checks, fuzz_inputs, fuzz_names, fuzz_numbers
+
+    for module in (fuzz_names, fuzz_numbers):
+        if kind in module.STRATEGIES:
+            return getattr(module, kind), module.STRATEGIES[kind]
+    return getattr(fuzz_checks, kind), fuzz_inputs.STRATEGIES[kind]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

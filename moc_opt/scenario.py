@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt import solvers
+from moc_opt.agreement import check_engines
 from moc_opt.control import Controller
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
@@ -47,6 +48,7 @@ class Setup:
         self.scenario = scenario
         start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
         self.robot = scenario.robot.arm()
+        check_engines(self.robot)
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference

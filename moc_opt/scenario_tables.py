@@ -14,7 +14,7 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.guard import GuardSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.model import RobotModel, load_robot
-from moc_opt.settings import Settings
+from moc_opt.settings import Name, Settings
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.settings import PlantSettings
 
@@ -87,8 +87,8 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
-    path: str = "circle"
-    sizes: dict[str, float] = Field(default_factory=dict, description="of the path [m]; see moc_opt.tasks")
+    path: Name = "circle"
+    sizes: dict[Name, float] = Field(default_factory=dict, description="of the path [m]; see moc_opt.tasks")
     normal: Vector = (0.0, 0.0, 1.0)
     heading: Vector = (1.0, 0.0, 0.0)
     v_max_m_per_s: float = Field(default=0.05, gt=0.0)
@@ -108,8 +108,8 @@ class SolverTable(Settings):
     """Which solver the third level asks."""
 
     KIND: ClassVar[str] = "[solver]"
-    name: str = "exact"
-    settings: dict[str, Any] = Field(default_factory=dict)
+    name: Name = "exact"
+    settings: dict[Name, Any] = Field(default_factory=dict)
     replay_us: str | tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
         default=None,
         description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
@@ -121,7 +121,7 @@ class Scenario(Settings):
     """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
 
     KIND: ClassVar[str] = "scenario:"
-    name: str = "circle"
+    name: Name = "circle"
     seed: int = Field(default=0, ge=0, description="of starting pose and swivel, mismatch and noise")
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
+from moc_opt import names
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+
+Name = Annotated[str, AfterValidator(names.checked)]
+"""A name that comes from a file: `moc_opt.names.RULE`."""
 
 
 def _none_if_infinite(value: Any) -> Any:
@@ -46,7 +50,7 @@ def explain(error: ValidationError) -> list[str]:
     """One line per wrong field: name, value, cure."""
     lines = []
     for item in error.errors():
-        field = ".".join(map(str, item["loc"]))
+        field = repr(".".join(map(str, item["loc"])))[1:-1]  # a key of a file may hold anything
         message = item["msg"].removeprefix("Value error, ")
         lines.append(
             f"{field} = {item['input']!r:.200}: {message[0].lower()}{message[1:]}" if field else message

@@ -31,7 +31,7 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40)],
+     ("record_file", 40), ("name", 80), ("option", 80), ("urdf_number", 120)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
     verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
@@ -75,7 +75,8 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         == 0
     )
     assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
-    assert set(fuzz.KINDS) == set(STRATEGIES)
+    assert set(fuzz.KINDS) >= set(STRATEGIES)
+    assert all(callable(fuzz.lookup(kind)[0]) for kind in fuzz.KINDS)
     monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
     assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
@@ -122,16 +123,19 @@ def test_an_arm_that_runs_away_leaves_no_log(robot, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "\x00", "con"])
-def test_a_name_is_no_place_to_write(name, tmp_path, monkeypatch, capsys):
-    """A run writes the file that was asked for, and no other, whatever its scenario is called."""
+@pytest.mark.parametrize(
+    ("name", "code"), [("../../x", 2), ("/tmp/x", 2), ("..", 2), ("\x00", 2), ("con", 0), ("a/b/c", 0)]
+)
+def test_a_name_is_no_place_to_write(name, code, tmp_path, monkeypatch, capsys):
+    """A run writes the file that was asked for, and no other, whatever its scenario is called; no name, no run."""
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
     monkeypatch.chdir(inside)
     file = tmp_path / "scenario.toml"
     file.write_text(f"name = {json.dumps(name)}\nduration_s = 0.004\nbound_samples = 0\njudge = false\n")
-    assert main(["run", str(file), "--trace", "out.parquet"]) == 0, capsys.readouterr().err
-    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file, inside / "out.parquet"}
+    assert main(["run", str(file), "--trace", "out.parquet"]) == code, capsys.readouterr().err
+    written = {inside / "out.parquet"} if code == 0 else set()
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file} | written
 
 
 @pytest.mark.parametrize(
@@ -228,7 +232,8 @@ def test_toml_is_data(tmp_path):
     """No references, tags or templates: a text stays one, in an error too."""
     file = tmp_path / "s.toml"
     file.write_text('name = "${HOME} {0.__class__} !!python/object"\n')
-    assert Scenario.load(file).name == "${HOME} {0.__class__} !!python/object"
+    with pytest.raises(ScenarioError, match=r"name = '\$\{HOME\} \{0\.__class__\} !!python/object'.* is no name"):
+        Scenario.load(file)
     file.write_text('[control]\npreset = "{0.__class__} %s"\n')
     with pytest.raises(MocOptError, match=r"s\.toml.*__class__} %s"):
         Scenario.load(file)

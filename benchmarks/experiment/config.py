@@ -15,7 +15,7 @@ from benchmarks.experiment.trials import BASELINES, Job, seeds, trials
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
-from moc_opt.settings import Settings
+from moc_opt.settings import Name, Settings
 from moc_opt.solvers import available
 from moc_opt.tasks.board import board_task
 
@@ -54,7 +54,7 @@ class Config(Configuration):
     best: str = "tuned"
     best_solver: str = "exact"
     elsewhere: str | None = Field(None, description="a group of other starts, of which the goals are asked too")
-    groups: dict[str, Group] = Field(default_factory=dict, min_length=1)
+    groups: dict[Name, Group] = Field(default_factory=dict, min_length=1)
     ablation: Ablation = Ablation()
     swivel: Swivel = Swivel()
     procedure: ProcedureSettings = ProcedureSettings()

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from benchmarks.reliability.fuzz_inputs import good_trace
+from moc_opt.agreement import check_engines
 from moc_opt.control.answers import answer_residuals
 from moc_opt.control.manipulability import null_space
 from moc_opt.errors import MocOptError, SubproblemError
@@ -113,6 +114,7 @@ def robot_file(case: tuple[bytes, bytes]) -> Verdict:
         path.with_suffix(".urdf").write_bytes(case[1])
         try:
             robot = load_robot(path)
+            check_engines(robot)
             state = robot.state(robot.data.q_home)
             plant = Plant(robot.data)
             for _ in range(2):

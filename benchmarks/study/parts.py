@@ -28,6 +28,7 @@ from benchmarks.study.config import Config
 from benchmarks.study.settings import QPSOLVERS, RECOMMENDED, Entry, effective, entries, in_words
 from benchmarks.study.store import Store
 from benchmarks.study.worker import Worker, spread
+from moc_opt.names import file_stem
 from moc_opt.scenario import Scenario
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import NullSpaceQP
@@ -276,7 +277,7 @@ class Study:
                     continue
                 times = run.columns["solve_us"]
                 self.out.mkdir(parents=True, exist_ok=True)
-                np.save(self.out / f"solve_us_{name.replace(':', '-')}.npy", times)
+                np.save(self.out / f"solve_us_{file_stem(name)}.npy", times)
                 found.append(loop.deadline_sweep(name, times, self.config.sweeps.late_percent))
         return found
 

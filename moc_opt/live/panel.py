@@ -13,6 +13,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.live.history import QUANTITIES
 from moc_opt.live.orders import DCAC, LiveError, Moment
 from moc_opt.live.run import LiveRun
+from moc_opt.names import in_markdown
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
@@ -148,7 +149,7 @@ class Panel:
         for plot, lines in zip(self._plots, PLOTS.values(), strict=True):
             plot.data = (rows[:, 0], *(factor * rows[:, COLUMN[name]] for name, _, factor, _ in lines))
         last = rows[-1]
-        self._status.content = moment.stopped or (
+        self._status.content = in_markdown(moment.stopped) or (
             f"**{moment.solver}** · {moment.status} · {moment.t_s:.1f} s, real time × {pace:.2f}"
             f"{' · paused' if self.paused else ''}  \n"
             f"µ {last[COLUMN['mu']]:.3f} m³ · RCM {1e3 * last[COLUMN['rcm_error_m']]:.2f} mm · "

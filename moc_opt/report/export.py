@@ -14,6 +14,7 @@ import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
 from moc_opt.errors import UnknownNameError
+from moc_opt.names import file_stem
 from moc_opt.report.errors import BrowserError, BrowserMissingError, ReportError
 
 if TYPE_CHECKING:
@@ -57,8 +58,8 @@ def save_figures(
         if name not in FORMATS:
             raise UnknownNameError("figure format", name, FORMATS)
     for name in figures:
-        if not name or name in (".", "..") or Path(name).name != name:
-            raise ReportError(f"figure {name!r}: give a name without a folder in it")
+        if name != file_stem(name):
+            raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
     folder, written = Path(directory), []
     with browser() as chromium:
         drawn = dict(_draw(chromium, figures, "pdf" in wanted))

@@ -10,10 +10,14 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from moc_opt.errors import RobotError
+from moc_opt.settings import Name
 
-Vector = tuple[float, ...]
-Point = tuple[float, float, float]
-PerJoint = float | Vector
+# Strict: a number of TOML, no text or flag that could be read as one.
+Number = Annotated[float, Field(strict=True, ge=-1e9, le=1e9)]
+Vector = tuple[Number, ...]
+Coordinate = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+PerJoint = Number | Vector
 
 
 class _Table(BaseModel):
@@ -23,7 +27,7 @@ class _Table(BaseModel):
 class Frames(_Table):
     """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
 
-    last_link: str
+    last_link: Name
     wrist_xyz_m: Point
     tool_mount_xyz_m: Point = (0.0, 0.0, 0.0)
     tool_mount_rpy_rad: Point = (0.0, 0.0, 0.0)
@@ -32,9 +36,9 @@ class Frames(_Table):
 class Tool(_Table):
     """A straight round rod from the mount to the tip, along z of the mount."""
 
-    length_m: Annotated[float, Field(gt=0)] = 0.30
-    mass_kg: Annotated[float, Field(gt=0)] = 0.3
-    radius_m: Annotated[float, Field(gt=0)] = 0.004
+    length_m: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.30
+    mass_kg: Annotated[float, Field(strict=True, gt=0, le=1000)] = 0.3
+    radius_m: Annotated[float, Field(strict=True, gt=0, le=1)] = 0.004
 
 
 class Limits(_Table):
@@ -63,14 +67,14 @@ class Home(_Table):
 class RobotDescription(_Table):
     """The whole TOML file; `urdf` is relative to the file itself."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     urdf: Annotated[str, Field(min_length=1)]
     frames: Frames
     tool: Tool = Tool()
     limits: Limits = Limits()
     joints: Joints = Joints()
     home: Home
-    gains: dict[str, dict[str, float | Vector]] = {}
+    gains: dict[Name, dict[Name, Number | Vector]] = {}
 
 
 def read_text(path: Path, what: str) -> str:
@@ -104,7 +108,7 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = ".".join(map(str, loc))
+    field = repr(".".join(map(str, loc)))[1:-1]  # a key of the file may hold anything
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
         near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)

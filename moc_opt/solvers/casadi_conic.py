@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.options import checked
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -66,7 +66,7 @@ class CasadiConic:
         plugin: name as CasADi spells it.
         rows: 5 or 6 equality rows; qrqp fails on six.
         cost_scale: multiplies P and p; the duals are scaled back.
-        options: of the plug-in, on top of those in ``PLUGINS``.
+        options: of the plug-in, on top of those in ``PLUGINS``; those of `moc_opt.solvers.options.ALLOWED`.
         warm: start from the last tick's answer and multipliers; after a jump of the data qrqp can then
             claim success for a wrong answer.
 
@@ -82,7 +82,7 @@ class CasadiConic:
 
     def __post_init__(self) -> None:
         checks.like_defaults(self, rows=ROWS)
-        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
+        object.__setattr__(self, "options", checked(self.name, self.options))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled
         return CasadiConic, (self.plugin, self.rows, self.cost_scale, dict(self.options), self.warm)

@@ -185,6 +185,8 @@ class Ipopt(NLP):
         return {
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
+            # Else IPOPT reads ipopt.opt in the current folder, which may name files to write and libraries to load.
+            "ipopt.option_file_name": "",
             "print_time": False,
             "error_on_fail": False,
             "ipopt.hessian_approximation": self.hessian,

@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,9 +18,10 @@ import qpsolvers
 from numpy.typing import NDArray
 from qpsolvers.exceptions import QPError
 
-from moc_opt.errors import SolverError, UnknownNameError
+from moc_opt.errors import SolverError, UnknownNameError, describe
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.options import checked
 from moc_opt.solvers.rows import ROWS, equalities
 from moc_opt.subproblem import NullSpaceQP
 
@@ -92,7 +92,7 @@ class QPSolver:
         library: name as qpsolvers spells it.
         rows: 5 or 6 equality rows; on six, daqp fails one problem in a hundred.
         cost_scale: multiplies P and p; the duals are scaled back. None takes the advised one.
-        options: keyword arguments of the library, on top of the advised ones.
+        options: of the library, on top of the advised ones; those of `moc_opt.solvers.options.ALLOWED`.
         advised: False leaves ``ADVICE`` out: the library as it comes.
         warm: hand the last tick's x over as starting point; libraries without one ignore it.
 
@@ -112,9 +112,7 @@ class QPSolver:
         checks.like_defaults(self, rows=ROWS)
         if self.cost_scale is not None:
             checks.positive(self.name, "cost_scale", self.cost_scale, 1e3)
-        if not isinstance(self.options, Mapping):
-            raise SolverError(f"{self.name}: options = {self.options!r} is not a table of keyword arguments")
-        object.__setattr__(self, "options", MappingProxyType(dict(self.options)))
+        object.__setattr__(self, "options", checked(self.name, self.options))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled
         return QPSolver, (
@@ -155,13 +153,13 @@ class QPSolver:
         if self.options:
             try:
                 QPSolverSession(self).attempt(qp)
-            except (TypeError, AttributeError, ValueError) as error:
+            except (QPError, FloatingPointError, ZeroDivisionError):
+                pass  # the problem's fault, not the options': `solve` will say so with a status
+            except Exception as error:  # each library has errors of its own kind for a value that it refuses
                 raise SolverError(
-                    f"{self.name}: options = {dict(self.options)} are refused ({error}); "
+                    f"{self.name}: options = {dict(self.options)} are refused ({describe(error)}); "
                     "see the library's manual"
                 ) from error
-            except (QPError, ArithmeticError):
-                pass  # the problem's fault, not the options': `solve` will say so with a status
         return QPSolverSession(self)
 
 
