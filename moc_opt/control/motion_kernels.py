@@ -1,0 +1,148 @@
+"""Whether what the encoders show can be the motion of the arm that the torque went to: compiled, over flat state.
+
+Four signs, each of which a sound arm stays well below:
+
+- the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
+- all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
+  enough where the wrench sensor repeats its reading too;
+- one encoder repeats its reading, while the momentum residual says that its joint must have gathered speed;
+- the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that nobody sees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.observer import momentum_residual
+from moc_opt.model_kernels import state_views
+
+Array = NDArray[np.float64]
+
+GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED = range(11)
+"""Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
+torque where all began to repeat; the observer's integral, its residual r, and the mean of r; r where the joint began to
+repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
+ROWS = 11
+
+NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED = 0, 1, 2, 3, 4
+
+FRESH, REPEAT, OLD = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
+    """Judge the age of a measurement by its number; call once a tick.
+
+    The delay with which the first new measurement came is ordinary; an age of ``patience`` ticks more is too old.
+
+    Args:
+        stamp: number of the control period in which it was taken, by the arm's count.
+        patience: ticks.
+        clock: (3,) changed in place: the number that a measurement of this tick would have, that of the newest one
+            seen, and the ordinary delay, -1 while it is not known.
+
+    Returns:
+        FRESH; REPEAT, for one that is not newer than what was seen, or from a time that has not come; OLD.
+    """
+    clock[0] += 1
+    late = clock[0] - stamp
+    if -patience <= late < 0:  # the arm counted on while the controller missed ticks: its clock holds
+        clock[0], late = stamp, 0
+    ordinary = max(clock[2], 0)
+    if clock[0] - max(stamp, clock[1]) > ordinary + patience:
+        return OLD
+    if late < 0 or stamp <= clock[1]:
+        return REPEAT
+    if clock[2] < 0:
+        clock[2] = late
+    clock[1] = stamp
+    return OLD if late > max(clock[2], 0) + patience else FRESH
+
+
+@njit(cache=True, nogil=True)
+def compare_readings(
+    q: Array,
+    v: Array,
+    tau: Array,
+    moved: float,
+    whole: int,
+    period: float,
+    patience: int,
+    tau_max: Array,
+    levels: Array,
+    memory: Array,
+) -> int:
+    """Compare a new reading with its own velocity and with the last one.
+
+    Args:
+        q, v: (n,) as the sensors show them [rad], [rad/s].
+        tau: (n,) the torque that went out last [Nm].
+        moved: distance of the tip's reference from where it was when all encoders began to repeat themselves [m].
+        whole: ticks in a row in which the wrench sensor, too, repeated its reading.
+        period: control period [s].
+        patience: ticks.
+        tau_max: (n,) [Nm].
+        levels: as in ``MotionSettings.levels``.
+        memory: (ROWS, n) changed in place.
+
+    Returns:
+        NOTHING, RAN_AWAY, or REPEATED.
+    """
+    n = q.shape[0]
+    keep = 1.0 - min(1.0, period / levels[0])
+    ran_away, fewest = False, 1e18
+    for i in range(n):
+        memory[GAP, i] = keep * memory[GAP, i] + (q[i] - memory[SHOWN, i]) - period * v[i]
+        memory[PEAK, i] = max(keep * memory[PEAK, i], abs(v[i]))
+        if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
+            ran_away = True
+        if q[i] == memory[SHOWN, i]:
+            memory[REPEATS, i] += 1.0
+        else:
+            memory[REPEATS, i] = 0.0
+            memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
+        fewest = min(fewest, memory[REPEATS, i])
+        memory[SHOWN, i] = q[i]
+    if fewest < 1.0:
+        for i in range(n):
+            memory[TORQUE, i] = tau[i]
+    elif fewest > patience:
+        if moved > levels[3]:
+            return REPEATED
+        least = levels[5] if whole > patience else levels[4]
+        for i in range(n):
+            if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
+                return REPEATED
+    return RAN_AWAY if ran_away else NOTHING
+
+
+@njit(cache=True, nogil=True)
+def compare_momentum(
+    record: Array, n: int, tau: Array, period: float, patience: int, tau_max: Array, levels: Array, memory: Array
+) -> int:
+    """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
+
+    Args are those of ``compare_readings``; record is the flat state of the measurement. Returns NOTHING, STUCK or
+    UNEXPLAINED.
+    """
+    s = state_views(record, n)
+    momentum_residual(
+        s.M, s.energy_slope, s.gravity, s.v, tau, levels[9], period, memory[INTEGRAL], memory[RESIDUAL]
+    )
+    share = min(1.0, period / levels[10])
+    found = NOTHING
+    for i in range(n):
+        r = memory[RESIDUAL, i]
+        memory[MEAN, i] += share * (r - memory[MEAN, i])
+        beyond = r - memory[AT_REPEAT, i]  # what static friction does not hold
+        beyond -= min(max(beyond, -levels[6] * tau_max[i]), levels[6] * tau_max[i])
+        memory[UNSEEN, i] += period * beyond / s.M[i, i]
+        if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[7]:
+            found = STUCK
+        far = abs(r - memory[MEAN, i]) > levels[8] * tau_max[i]
+        memory[EXCEEDED, i] = memory[EXCEEDED, i] + 1.0 if far else 0.0
+        if memory[EXCEEDED, i] > patience:
+            return UNEXPLAINED
+    return found
