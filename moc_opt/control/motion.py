@@ -82,22 +82,18 @@ class MotionWatch:
 
     def start(self, q: Array, v: Array, stamp: int) -> None:
         """Begin anew at a measurement; the next one taken in may be the same."""
-        self._clock = np.array([stamp - 1, stamp - 1, -1], dtype=np.int64)
+        self._clock = np.array([stamp - 1, stamp - 1, -2], dtype=np.int64)
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
         self._wrench: Array = np.full(6, np.nan)
         self._whole = 0
-        self._first, self._weighed = True, False
+        self._weighed = False
         kernels.age(stamp, self._patience, self._clock.copy())  # once: no compiler runs in the loop
         self._from, self._reference = np.zeros(3), np.zeros(3)
 
     def age(self, stamp: int) -> int:
         """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
         if not self._on:
-            return kernels.FRESH
-        if self._first:  # the measurement that the run was started with
-            self._clock[0], self._first = self._clock[0] + 1, False
-            self._clock[1] = max(self._clock[1], stamp)
             return kernels.FRESH
         return int(kernels.age(stamp, self._patience, self._clock))
 

@@ -41,7 +41,7 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
         stamp: number of the control period in which it was taken, by the arm's count.
         patience: ticks.
         clock: (3,) changed in place: the number that a measurement of this tick would have, that of the newest one
-            seen, and the ordinary delay, -1 while it is not known.
+            seen, and the ordinary delay, -1 while it is not known; (s - 1, s - 1, -2) before the first one, number s.
 
     Returns:
         FRESH; REPEAT, for one that is not newer than what was seen, or from a time that has not come; OLD.
@@ -50,15 +50,14 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
     late = clock[0] - stamp
     if -patience <= late < 0:  # the arm counted on while the controller missed ticks: its clock holds
         clock[0], late = stamp, 0
-    ordinary = max(clock[2], 0)
-    if clock[0] - max(stamp, clock[1]) > ordinary + patience:
+    newer = late >= 0 and stamp > clock[1]
+    if newer:
+        clock[1] = stamp
+        if clock[2] < 0:  # the one that the run is started with is as old as it is told to be
+            clock[2] = late if clock[2] == -1 else -1
+    if clock[0] - clock[1] > max(clock[2], 0) + patience:
         return OLD
-    if late < 0 or stamp <= clock[1]:
-        return REPEAT
-    if clock[2] < 0:
-        clock[2] = late
-    clock[1] = stamp
-    return OLD if late > max(clock[2], 0) + patience else FRESH
+    return FRESH if newer else REPEAT
 
 
 @njit(cache=True, nogil=True)

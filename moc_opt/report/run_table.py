@@ -71,7 +71,7 @@ def _written(value: float) -> str | Missing:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """``ended`` first, ``part`` of a broken-off run, ``solver_replaced`` where it was, the metrics, and the guard's ``warnings``."""
+    """``ended`` first, ``part`` of a broken-off run, ``solver_replaced``, the metrics, the guard's ``warnings``."""
     of = part(trace).strip(" ()")
     return {
         "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}),
