@@ -780,7 +780,7 @@ def trocar(setup, t):
 def test_honest_solvers_are_not_refused(name):
     """No registered solver, as it comes, loses more than one percent of its ticks to the check."""
     trace = run(Scenario(solver={"name": name}, judge=False, **QUICK))
-    refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "raised"))
+    refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "malformed", "raised"))
     assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
 
 

@@ -49,7 +49,7 @@ class FaultSettings(PacketSettings):
     slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
     slip_at_s: float = Field(default=2.0, ge=0.0)
 
-    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "hang"] = Field(
+    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
         default="none",
         description="how the solver's answers are spoilt (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
     )

@@ -7,12 +7,13 @@ Each packet carries the number of the control period in which it was taken. A se
 from __future__ import annotations
 
 from collections import deque
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from moc_opt.errors import MocOptError, PlantError
 from moc_opt.settings import Settings
 from moc_opt.sim.sensors import Measurement
 
@@ -21,6 +22,9 @@ Array = NDArray[np.float64]
 
 class PacketSettings(Settings):
     """Faults of measurements in time. Everything is off by default; times count from the start of the run."""
+
+    KIND: ClassVar[str] = "[faults]"
+    ERROR: ClassVar[type[MocOptError]] = PlantError
 
     drop_share: float = Field(
         default=0.0, ge=0.0, le=1.0, description="of the measurements that never arrive"
@@ -58,6 +62,9 @@ class Packets:
         period: control period [s].
         drops: draws the packets that are lost.
         signs: draws the directions of the drift.
+
+    Raises:
+        PlantError: a joint that the arm does not have.
     """
 
     def __init__(
@@ -68,6 +75,8 @@ class Packets:
         lag = 0 if s.lag_at_s is None else 2000
         back = 0 if s.replay_at_s is None else s.replay_ticks
         self._past: deque[Measurement] = deque(maxlen=max(s.late_ticks + lag, back) + 1)
+        if s.frozen_joint is not None and s.frozen_joint >= n:
+            raise PlantError(f"frozen_joint = {s.frozen_joint}: the arm has {n} joints: give 0 to {n - 1}")
         self._drift = s.drift_rad_per_s * signs.choice([-1.0, 1.0], size=n)
         self._last: Measurement | None = None
         self._frozen: Measurement | None = None
@@ -80,7 +89,7 @@ class Packets:
         if s.drift_rad_per_s != 0.0 and since > 0.0:
             taken = taken._replace(q=taken.q + since * self._drift, v=taken.v + self._drift)
         self._past.append(taken)
-        late = s.late_ticks + int(s.lag_growth * self._after(s.lag_at_s, tick))
+        late = s.late_ticks + int(s.lag_growth * self._after(s.lag_at_s, tick) + 1e-9)
         arrived = self._past[max(0, len(self._past) - 1 - late)]
         if late > s.late_ticks:
             arrived = self._forged(arrived, taken)
