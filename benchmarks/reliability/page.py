@@ -141,24 +141,26 @@ LIMITS = """\
 - A solver runs in the control process: it gets copies and its answers are copied, but nothing keeps foreign code from
   looking through the interpreter's memory. Code that means harm belongs into a process of its own.
 - Packets lost at random: at 10 % one run of 6 s in four meets four lost ones in a row, which is a stop.
-- What no measurement shows is not seen. An encoder's bias, and a drift that its velocity shares, move the tip with it;
-  the trocar's force alone tells (20 mrad/s on all joints: 48 mm and 20 N at most over 25 runs, three of them to
+- What no measurement shows is not seen. An encoder's bias, and a drift that its velocity shares, move the tip with
+  it; the trocar's force alone tells (20 mrad/s on all joints: 48 mm and 20 N at most over 25 runs, three of them to
   their end). One stuck encoder is found by its joint's momentum or by that force: over 150 runs in the median after
-  20 to 220 ms, at worst after 2 s, 78 mm and 31 N; six went on to their end, below the force's limit. Old packets under
-  new numbers are seen where they begin, if the arm moved; those of an arm at rest are not told from rest as long as
-  torques change by less than a joint's friction holds, and then the wrench sensor says nothing either. A lag under
-  forged numbers: 42 mm and 35 N at worst.
-- The levels of these checks were chosen on 70 random scenarios (friction from none to twice, 0 to 3 ticks of delay, masses
-  20 % wrong, calibration 1 mm, payloads to 0.8 kg, encoders coarse, noisy or exact, all presets) and judged on 450
-  others: none that ended well without them was stopped; eight were that oscillated or were stopped by other limits.
-- A momentum residual cannot tell a hard, sudden push from a sensor's lie: what changes a joint's torque by a fifth of its
-  largest within a quarter of a second is a stop. A push of 30 N on the elbow is not.
-- A stop gives way to the tissue by the damping of its drives alone. A trocar that slips by 100 mm within 0.1 s presses with
-  45 N when the stop is ordered and with up to 72 N while it goes on moving; after half a second 2 to 16 N are left. Less
-  damping changes that by a tenth: the arm's inertia decides. Of 120 runs with two to five faults at once the worst had 56 N.
-- What feels like a trocar's force above `stop_yield_N` opens the brakes: an unknown load of 3 kg on the tool then sinks by
-  45 mm, one of 5 kg by 145 mm (both are beyond the force's limit, so that no run with them lasts). Drives that cannot
-  carry the weight keep their brakes closed.
+  20 to 220 ms, at worst after 2 s, 78 mm and 31 N; six went on to their end, below the force's limit. Old packets
+  under new numbers are seen where they begin, if the arm moved; those of an arm at rest are not told from rest as
+  long as torques change by less than a joint's friction holds, and then the wrench sensor says nothing either. A
+  lag under forged numbers: 42 mm and 35 N at worst.
+- The levels of these checks were chosen on 70 random scenarios (friction from none to twice, 0 to 3 ticks of delay,
+  masses 20 % wrong, calibration 1 mm, payloads to 0.8 kg, encoders coarse, noisy or exact, all presets) and judged
+  on 450 others: none that ended well without them was stopped; eight were that oscillated or were stopped by other
+  limits.
+- A momentum residual cannot tell a hard, sudden push from a sensor's lie: what changes a joint's torque by a fifth of
+  its largest within a quarter of a second is a stop. A push of 30 N on the elbow is not.
+- A stop gives way to the tissue by the damping of its drives alone. A trocar that slips by 100 mm within 0.1 s
+  presses with 45 N when the stop is ordered and with up to 72 N while it goes on moving; after half a second 2 to
+  16 N are left. Less damping changes that by a tenth: the arm's inertia decides. Of 120 runs with two to five
+  faults at once the worst had 56 N.
+- What feels like a trocar's force above `stop_yield_N` opens the brakes: an unknown load of 3 kg on the tool then
+  sinks by 45 mm, one of 5 kg by 145 mm (both are beyond the force's limit, so that no run with them lasts). Drives
+  that cannot carry the weight keep their brakes closed.
 - Speed limits are kept by braking what is too fast, not by foresight: full torque in the wrong direction exceeds them
   for some ticks.
 """
