@@ -21,7 +21,7 @@ PASSES = 2e-3  # natural residuals up to here may be verified by the judge: the 
 MOST_ITERATIONS = 2**31 - 1
 """The largest number that a trace can hold."""
 
-_DOUBLE = np.dtype(np.float64)
+_DOUBLE, _SIX = np.dtype(np.float64), (6,)
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
@@ -33,14 +33,24 @@ def received(given: object, n: int) -> tuple[Solution, str]:
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
-    x, y, status, iterations = Solution._make(tuple.__iter__(given))
-    wrong = ""
-    if type(status) is not Status:
-        status, wrong = Status.NUMERICAL, f"the status is a {type(status).__name__}: give a Status"
-    wrong = wrong or _unlike("x", x, n) or ("" if y is None else _unlike("y", y, 6)) or _uncountable(iterations)
-    if wrong:
-        return no_answer(n, status), wrong
+    x, y, status, iterations = Solution._make(tuple.__iter__(given)) if type(given) is not Solution else given
+    if not (
+        type(x) is np.ndarray
+        and x.dtype == _DOUBLE
+        and x.shape == (n,)
+        and (y is None or (type(y) is np.ndarray and y.dtype == _DOUBLE and y.shape == _SIX))
+        and type(status) is Status
+        and (type(iterations) is int or isinstance(iterations, np.integer))
+        and 0 <= iterations <= MOST_ITERATIONS
+    ):
+        return no_answer(n, status if type(status) is Status else Status.NUMERICAL), _wrong(x, y, status, iterations, n)
     return Solution(x.copy(), None if y is None else y.copy(), status, int(iterations)), ""
+
+
+def _wrong(x: object, y: object, status: object, iterations: object, n: int) -> str:
+    if type(status) is not Status:
+        return f"the status is a {type(status).__name__}: give a Status"
+    return _unlike("x", x, n) or ("" if y is None else _unlike("y", y, 6)) or _uncountable(iterations)
 
 
 def _unlike(name: str, value: object, length: int) -> str:
@@ -54,7 +64,7 @@ def _unlike(name: str, value: object, length: int) -> str:
 def _uncountable(iterations: object) -> str:
     if type(iterations) is not int and not isinstance(iterations, np.integer):
         return f"iterations is a {type(iterations).__name__}: give an int"
-    return "" if 0 <= iterations <= MOST_ITERATIONS else f"iterations is out of range: give 0 to {MOST_ITERATIONS}"
+    return f"iterations is out of range: give 0 to {MOST_ITERATIONS}"
 
 
 @njit(cache=True, nogil=True)

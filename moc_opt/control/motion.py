@@ -7,7 +7,7 @@ from numba import float64, int64
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
+from moc_opt.compiled import INDICES, MATRIX, VECTOR, Entry
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.settings import Settings
 from moc_opt.state import RobotState
@@ -15,8 +15,9 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 
 _READINGS = Entry(
-    kernels.compare_readings, VECTOR, VECTOR, VECTOR, float64, int64, float64, int64, VECTOR, VECTOR, MATRIX
+    kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
+_AGE = Entry(kernels.age, int64, int64, INDICES)
 _MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, float64, int64, VECTOR, VECTOR, MATRIX)
 
 
@@ -75,7 +76,8 @@ class MotionWatch:
     def __init__(self, settings: MotionSettings, period: float, patience: int, tau_max: Array) -> None:
         self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
         self._levels, self._on = settings.levels, settings.motion
-        self._readings, self._momentum = _READINGS.code, _MOMENTUM.code
+        self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
+        self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
         self._rest = np.zeros(self._n)
         self.start(np.zeros(self._n), np.zeros(self._n), 0)
@@ -85,36 +87,28 @@ class MotionWatch:
         self._clock = np.array([stamp - 1, stamp - 1, -2], dtype=np.int64)
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
-        self._wrench: Array = np.full(6, np.nan)
-        self._whole = 0
+        self._still = np.zeros(10)
         self._weighed = False
-        kernels.age(stamp, self._patience, self._clock.copy())  # once: no compiler runs in the loop
-        self._from, self._reference = np.zeros(3), np.zeros(3)
+        self._tip = np.zeros(3)
 
     def age(self, stamp: int) -> int:
         """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
         if not self._on:
             return kernels.FRESH
-        return int(kernels.age(stamp, self._patience, self._clock))
+        return int(self._age(stamp, self._patience, self._clock))
 
     def reference(self, tip_ref: Array) -> None:
         """Take note of where the tip is told to be, (3, 3) rows X_d, dX_d, ddX_d."""
-        self._reference = tip_ref[0]
+        self._tip[:] = tip_ref[0]
 
     def look(self, q: Array, v: Array, tau: Array, wrench: Array | None = None) -> str:
         """Take in a new reading, after the torque (n,) [Nm] went out; return what is wrong with it, or ""."""
         if not self._on:
             return ""
-        memory = self._memory
-        if memory[kernels.REPEATS].min() < 1.0:
-            self._from = self._reference
-        if wrench is not None:
-            self._whole = self._whole + 1 if (wrench == self._wrench).all() else 0
-            self._wrench = wrench
-        moved = float(np.abs(self._reference - self._from).max())
         found = self._readings(
-            q, v, tau, moved, self._whole, self._period, self._patience, self._tau_max, self._levels, memory
-        )
+            q, v, tau, self._no_wrench if wrench is None else wrench, self._tip, self._period, self._patience,
+            self._tau_max, self._levels, self._memory, self._still,
+        )  # fmt: skip
         if found == kernels.NOTHING:
             return ""
         if found == kernels.REPEATED:

@@ -65,31 +65,39 @@ def compare_readings(
     q: Array,
     v: Array,
     tau: Array,
-    moved: float,
-    whole: int,
+    wrench: Array,
+    tip: Array,
     period: float,
     patience: int,
     tau_max: Array,
     levels: Array,
     memory: Array,
+    still: Array,
 ) -> int:
     """Compare a new reading with its own velocity and with the last one.
 
     Args:
         q, v: (n,) as the sensors show them [rad], [rad/s].
         tau: (n,) the torque that went out last [Nm].
-        moved: distance of the tip's reference from where it was when all encoders began to repeat themselves [m].
-        whole: ticks in a row in which the wrench sensor, too, repeated its reading.
+        wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
+        tip: (3,) where the tip was told to be last [m].
         period: control period [s].
         patience: ticks.
         tau_max: (n,) [Nm].
         levels: as in ``MotionSettings.levels``.
         memory: (ROWS, n) changed in place.
+        still: (10,) changed in place: ``tip`` where all encoders began to repeat themselves, the last wrench, and the
+            ticks in a row in which it was the same.
 
     Returns:
         NOTHING, RAN_AWAY, or REPEATED.
     """
     n = q.shape[0]
+    still[9] += 1.0
+    for i in range(6):
+        if wrench[i] != still[3 + i]:
+            still[9] = 0.0
+        still[3 + i] = wrench[i]
     keep = 1.0 - min(1.0, period / levels[0])
     ran_away, fewest = False, 1e18
     for i in range(n):
@@ -107,10 +115,13 @@ def compare_readings(
     if fewest < 1.0:
         for i in range(n):
             memory[TORQUE, i] = tau[i]
+        for i in range(3):
+            still[i] = tip[i]
     elif fewest > patience:
-        if moved > levels[3]:
-            return REPEATED
-        least = levels[5] if whole > patience else levels[4]
+        for i in range(3):
+            if abs(tip[i] - still[i]) > levels[3]:
+                return REPEATED
+        least = levels[5] if still[9] > patience else levels[4]
         for i in range(n):
             if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
                 return REPEATED
