@@ -6,7 +6,6 @@ python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import traceback
 import warnings
@@ -18,6 +17,7 @@ from typing import Any
 from benchmarks import output
 from benchmarks.reliability.page import PAGE, write_page
 from moc_opt.errors import MocOptError
+from moc_opt.files import to_json
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run; 0 when every case ended well, 1 when one did not, 2 where the command is wrong."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description="Send bad input.")
     options.add_argument("--cases", type=int, default=10_000, help="in all")
-    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--seed", type=output.seed_number, default=0)
     options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
     options.add_argument("--out", type=Path, default=Path("results") / "fuzz", help="folder for the results")
     options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
     if given.json:
-        print(json.dumps(summary, indent=2))
+        print(to_json(summary))
     else:
         columns = [
             Column("kind", "input"),

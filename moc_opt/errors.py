@@ -60,6 +60,18 @@ class UnknownNameError(MocOptError, LookupError):
         self.kind, self.name, self.valid = kind, name, names
 
 
+def shown(value: object, most: int = 200) -> str:
+    """The value as a message shows it, in at most ``most`` characters, whatever its size.
+
+    An integer of thousands of digits has no text, and neither has a list nested a thousand deep.
+    """
+    try:
+        text = repr(value)
+    except Exception as reason:  # noqa: BLE001 - a value's text is foreign code, too
+        text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
 def describe(error: BaseException, most: int = 300) -> str:
     """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code."""
     try:

@@ -14,6 +14,7 @@ from moc_opt.control import Controller
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
 from moc_opt.errors import MocOptError, RobotError, ScenarioError
+from moc_opt.files import read_arrays
 from moc_opt.layout import breathing, lay_out
 from moc_opt.model import RobotModel
 from moc_opt.oscillation import judged_for_oscillation
@@ -203,10 +204,13 @@ def _recorded_times(scenario: Scenario) -> list[float] | None:
             "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
         )
     try:
-        times = np.asarray(
-            np.load(given, allow_pickle=False) if isinstance(given, str) else given, dtype=float
-        )
-    except (OSError, ValueError) as error:
+        if isinstance(given, str):
+            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
+        else:
+            times = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ScenarioError):
+            raise
         raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
     if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
         raise ScenarioError(

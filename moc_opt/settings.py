@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.files import DEEPEST, LARGEST_INTEGER, entries
+
+SMALLEST, LARGEST = 1e-30, 1e30
+"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
 
 
 class Settings(BaseModel):
@@ -23,6 +27,22 @@ class Settings(BaseModel):
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
+    MOST: ClassVar[int] = 10_000_000
+    """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any, info: ValidationInfo) -> Any:
+        most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
+        for path, depth, entry in entries(value):
+            if depth > DEEPEST:
+                raise ValueError(f"nested deeper than {DEEPEST} levels")
+            where = f"{path} = {shown(entry)}: " if path else ""
+            if isinstance(entry, int) and not -most <= entry <= most:
+                raise ValueError(f"{where}give an integer of at most {most}")
+            if isinstance(entry, float) and entry != 0.0 and not SMALLEST <= abs(entry) <= LARGEST:
+                raise ValueError(f"{where}give 0, or a size from {SMALLEST:g} to {LARGEST:g}")
+        return value
 
     def __init__(self, **values: Any) -> None:
         for name in values:
@@ -41,6 +61,6 @@ def explain(error: ValidationError) -> list[str]:
         field = ".".join(map(str, item["loc"]))
         message = item["msg"].removeprefix("Value error, ")
         lines.append(
-            f"{field} = {item['input']!r:.200}: {message[0].lower()}{message[1:]}" if field else message
+            f"{field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}" if field else message
         )
     return lines

@@ -16,6 +16,7 @@ ROOMS = {
     "public": ["moc_opt"],
     "command line": ["moc_opt.__main__"],
     "errors": ["moc_opt.errors"],
+    "files": ["moc_opt.files"],
     "settings": ["moc_opt.settings"],
     "compiled": ["moc_opt.compiled", "moc_opt.lanes"],
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality", "moc_opt.extremes"],
@@ -45,25 +46,26 @@ ROOMS = {
 # Rooms that a room may import from, besides itself.
 ALLOWED = {
     "errors": set(),
-    "settings": {"errors"},
+    "files": {"errors"},
+    "settings": {"errors", "files"},
     "compiled": set(),
     "subproblem": {"errors"},
     "tasks": {"errors"},
-    "trace": {"errors"},
-    "robots": {"errors"},
+    "trace": {"errors", "files"},
+    "robots": {"errors", "files"},
     "metrics": {"errors", "trace"},
     "protocol": {"errors", "subproblem"},
     "solvers": {"errors", "compiled", "subproblem", "protocol"},
     "model": {"errors", "compiled", "robots"},
     "sim": {"errors", "settings", "compiled", "robots", "tasks", "trace"},
-    "report": {"errors", "metrics", "trace"},
+    "report": {"errors", "files", "metrics", "trace"},
     "control": {"errors", "settings", "compiled", "tasks", "subproblem", "robots", "model", "protocol"},
     "assemblies": {"errors", "settings", "tasks", "trace", "robots", "model", "sim", "control"},
     "pictures": {"errors", "trace", "model", "report"},
     "embedded": {"errors", "subproblem", "model", "protocol", "solvers", "control"},
     "scenario": {
-        "errors", "settings", "tasks", "trace", "subproblem", "robots", "metrics", "model", "protocol", "solvers",
-        "sim", "report", "control", "assemblies", "embedded",
+        "errors", "files", "settings", "tasks", "trace", "subproblem", "robots", "metrics", "model", "protocol",
+        "solvers", "sim", "report", "control", "assemblies", "embedded",
     },
     "live": {"errors", "tasks", "model", "solvers", "control", "pictures", "scenario"},
     "command line": {"errors", "metrics", "report", "scenario", "trace", "embedded", "pictures", "live"},
@@ -72,7 +74,7 @@ ALLOWED = {
 
 # From the ground up; a room imports from floors below its own, and from its own floor's errors and settings.
 FLOORS = [
-    {"errors", "settings", "compiled", "tasks", "trace"},
+    {"errors", "files", "settings", "compiled", "tasks", "trace"},
     {"subproblem", "robots", "metrics"},
     {"protocol", "solvers", "model", "sim", "report"},
     {"control"},
@@ -81,12 +83,13 @@ FLOORS = [
     {"live"},
     {"command line", "public"},
 ]
-GROUND = {"errors", "settings", "compiled"}
+GROUND = {"errors", "files", "settings", "compiled"}
 SAME_FLOOR = {("solvers", "protocol")}
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
 ONLY = {
     "errors": set(),
+    "files": {"numpy"},
     "settings": {"pydantic"},
     "compiled": {"numba", "llvmlite"},
     "subproblem": {"numpy"},

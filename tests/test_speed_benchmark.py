@@ -366,7 +366,7 @@ def test_first_tick_program_runs():
         ("[adapters]\nnames = ['exakt']", "adapter 'exakt'"),
         ("[peers]\nnames = ['minc']", "'minc'.*'mink'"),
         ("[loop]\nmemory_s = [2.0, 1.0]", "shorter length first"),
-        ("[tick", "cannot be used as a configuration"),
+        ("[tick", "is not TOML"),
     ],
 )
 def test_nonsense_in_a_configuration_is_named(text, words, tmp_path, capsys):

@@ -201,7 +201,7 @@ def record_file(data: bytes) -> Verdict:
     from benchmarks.sweeps.store import _opened
 
     with _file(data, "record.json") as path:
-        found = _opened(path)
+        found = _opened(path, "0")
     if found is not None and not isinstance(found, dict):
         raise Wrong(f"a record that is a {type(found).__name__}")
     return "refused" if found is None else "accepted"

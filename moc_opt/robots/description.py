@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, shown
+from moc_opt.files import read_toml
 
 Vector = tuple[float, ...]
 Point = tuple[float, float, float]
@@ -73,28 +73,13 @@ class RobotDescription(_Table):
     gains: dict[str, dict[str, float | Vector]] = {}
 
 
-def read_text(path: Path, what: str) -> str:
-    """The file's text, or a RobotError that says what could not be read."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
-        raise RobotError(
-            f"{what} {str(path)!r} cannot be read ({error}): check the path and the encoding (UTF-8)"
-        ) from error
-
-
 def read_description(path: Path) -> RobotDescription:
     """Read and validate a robot's TOML file.
 
     Raises:
         RobotError: unreadable file, bad TOML, a missing, unknown or wrong entry (all of them are named).
     """
-    try:
-        raw = tomllib.loads(read_text(path, "robot file"))
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"robot file {str(path)!r} is not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise RobotError(f"robot file {str(path)!r}: tables or lists in it are nested too deep") from error
+    raw = read_toml(path, "robot file", RobotError)
     try:
         return RobotDescription.model_validate(raw)
     except ValidationError as error:
@@ -112,7 +97,7 @@ def _explain(item: dict[str, Any]) -> str:
         return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
     if item["type"] == "missing":
         return f"{field} is missing: add it"
-    return f"{field} = {item['input']!r}: {item['msg']}"
+    return f"{field} = {shown(item['input'])}: {item['msg']}"
 
 
 def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.files import read_text
 from moc_opt.robots import urdf
-from moc_opt.robots.description import RobotDescription, Tool, read_description, read_text
+from moc_opt.robots.description import RobotDescription, Tool, read_description
 
 Array = NDArray[np.float64]
 Gains = Mapping[str, float | tuple[float, ...]]
@@ -106,7 +107,7 @@ def load_data(
     description = read_description(description_path)
     tool = _tool(description.tool, tool_length, tool_mass)
     urdf_path = description_path.parent / description.urdf
-    root = urdf.parse(read_text(urdf_path, "urdf"))
+    root = urdf.parse(read_text(urdf_path, "urdf", RobotError))
     chain = urdf.moving_joints(root, description.frames.last_link)
     urdf.check_inertias(root, chain)
     bounds = _limits(description, chain)
