@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt import trace_file
+from moc_opt import trace_file, trace_writer
 from moc_opt.errors import TraceError
 
 _TYPES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "b": (1,)}
@@ -114,6 +114,8 @@ class Trace:
 
     def __len__(self) -> int:
         """Number of ticks."""
+        if isinstance(self.columns, trace_file.Stored):
+            return self.columns.rows
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
@@ -160,6 +162,36 @@ class Trace:
         columns = {"tick": np.arange(len(self)), **self.columns}
         return Trace({name: array[mask] for name, array in columns.items()}, self.meta)
 
+    def head(self, ticks: int) -> Trace:
+        """Return the trace of the first ticks."""
+        columns: Mapping[str, NDArray[Any]]
+        if isinstance(self.columns, trace_file.Stored):
+            columns = self.columns.head(ticks)
+        else:
+            columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
+        return self._of(columns, self.meta)
+
+    def with_meta(self, **values: Any) -> Trace:
+        """Return the same columns with entries of meta added or replaced.
+
+        Raises:
+            TraceError: a value is not JSON.
+        """
+        return self._of(self.columns, MappingProxyType(_plain({**self.meta, **values})))
+
+    @classmethod
+    def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
+        """Return a trace whose columns stay in their files; meta as for the constructor."""
+        return cls._of(columns, MappingProxyType(_plain(meta)))
+
+    @classmethod
+    def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
+        """Of columns and meta that were checked before."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "columns", columns)
+        object.__setattr__(made, "meta", meta)
+        return made
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Parquet file, all or nothing: an older file of that name stays until the new one is there.
 
@@ -176,9 +208,23 @@ class Trace:
         """Read what `save` wrote, the same to the last bit.
 
         Raises:
-            TraceError: the file is missing, damaged, or no trace.
+            TraceError: the file is missing, damaged, no trace, or too large for the memory: see `open`.
         """
-        return cls(*trace_file.read(path))
+        whole, meta = trace_writer.found(path)
+        return cls(*trace_file.read(path)) if meta is None else cls(dict(whole), meta)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Trace:
+        """Read what `save` wrote, column by column: each is read from the file whenever it is asked for.
+
+        Of a run whose process was killed the rows that had been written are found beside the file's name, and
+        ``meta["ended"]`` says so.
+
+        Raises:
+            TraceError: as for `load`; a damaged column may show only when it is asked for.
+        """
+        columns, meta = trace_writer.found(path)
+        return cls.of_files(columns, columns.meta if meta is None else meta)
 
 
 def _column(name: str, value: ArrayLike) -> NDArray[Any]:

@@ -60,7 +60,7 @@ def chosen_seeds(config: Config) -> list[int]:
         raise SweepError(f"seeds = {wanted}: give how many (1 or more, {MOST_LISTED} at most), or a list of them")
     seeds = wanted if isinstance(wanted, list) else [config.seed + i for i in range(wanted)]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-        raise SweepError(f"seeds = {shown(wanted)}: give how many (1 or more), or a list of different ones, none below 0")
+        raise SweepError(f"seeds = {shown(wanted)}: give how many (1 or more), or a list of different ones, 0 or more")
     return seeds
 
 
