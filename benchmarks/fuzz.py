@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
+from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import PAGE, write_page
 from moc_opt.errors import MocOptError
 from moc_opt.files import to_json
@@ -23,9 +24,12 @@ from moc_opt.report.tables import Column, Table
 
 KINDS = {
     "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.2, "result_file": 0.2,
-    "record_file": 0.05,
+    "record_file": 0.05, "hostile_file": 0.2, "extreme_number": 0.2, "sweep_folder": 0.05, "study_folder": 0.05,
+    "trace_folder": 0.05,
 }  # fmt: skip
 """Kind of input -> its share of the cases."""
+CASE_S = 20
+"""Seconds that a case may take."""
 
 
 def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[Counter[str], list[str]]:
@@ -37,10 +41,10 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks.reliability import fuzz_checks, fuzz_inputs
+    from benchmarks.reliability import fuzz_checks, fuzz_file_checks, fuzz_files, fuzz_inputs
 
-    check: fuzz_checks.Check = getattr(fuzz_checks, kind)
-    strategy = fuzz_inputs.STRATEGIES[kind]
+    check: fuzz_checks.Check = fuzz_file_checks.CHECKS.get(kind) or getattr(fuzz_checks, kind)
+    strategy = {**fuzz_inputs.STRATEGIES, **fuzz_files.STRATEGIES}[kind]
     fuzz_checks.warm_up()
     verdicts: Counter[str] = Counter()
     failures: list[str] = []
@@ -93,7 +97,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with progress("cases", sum(shares.values())) as bar:
             for kind, cases in shares.items():
-                verdicts, failures = explore(kind, cases, given.seed, lambda: bar.advance(1.0))
+                done: Callable[[], Any] = lambda: bar.advance(1.0)  # noqa: E731
+                verdicts, failures = limited(explore, kind, cases, given.seed, done, CASE_S)
                 summary[kind] = {
                     "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
                     "refused": verdicts["refused"], "failed": len(failures), "failures": failures,

@@ -103,6 +103,8 @@ def run_scenario(
         except RunAway as error:
             trace = error.trace
     ended = str(trace.meta["ended"])
+    if "earlier_run" in trace.meta:
+        print(f"{scenario.name}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{scenario.name}: {line}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:

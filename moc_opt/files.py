@@ -68,6 +68,8 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
             data = file.read(most + 1) if stat.S_ISREG(os.fstat(handle).st_mode) else b""
     except OSError as reason:
         raise error(f"{what} {_named(path)} cannot be read ({reason}); check the path") from reason
+    if data is None:  # a file of the kernel that would have to be waited for
+        raise error(f"{what} {_named(path)} has nothing to be read now: give a file")
     if len(data) > most:  # one that grows, or whose system says nothing of its size
         raise error(f"{what} {_named(path)} has more than {most} bytes: no more are read")
     return data

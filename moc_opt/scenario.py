@@ -206,6 +206,9 @@ class Setup:
         period, broken = self.scenario.plant.period_s, None
         with TraceWriter(to, {**meta, "period_s": period, "ticks_planned": self.ticks}) as writer:
 
+            if writer.kept is not None:
+                meta["earlier_run"] = f"one that had been killed is kept in {writer.kept}"
+
             def sink(first: int, columns: dict[str, NDArray[Any]]) -> None:
                 writer.write(first, {**columns, **self._row_by_row(columns, first)})
 

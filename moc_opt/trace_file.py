@@ -251,8 +251,17 @@ def _check_size(name: str, found: Any, size: int) -> None:
 
 def _column(path: str | os.PathLike[str], name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
     """One column of one file."""
+    import pyarrow as pa
+
     with _opened(path, read_dictionary=[name] if dtype.kind == "U" else None) as file:
-        return _from_arrow(file.read([name]).column(name), dtype)
+        found = file.read([name]).column(name)
+    try:
+        return _from_arrow(found, dtype)
+    except (ValueError, TypeError, MemoryError, pa.ArrowException) as error:
+        raise TraceError(
+            f"{str(path)!r} holds columns or metadata that no trace has ({name!r}: {describe(error)}): "
+            "run the scenario again and save its trace"
+        ) from error
 
 
 def _to_arrow(array: NDArray[Any]) -> Any:

@@ -16,7 +16,7 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError
+from moc_opt.errors import TraceError, describe
 from moc_opt.files import file_in, read_json
 from moc_opt.trace_file import Columns, Stored, join, write
 
@@ -47,11 +47,7 @@ class TraceWriter:
             self.folder.mkdir(exist_ok=True)
             self._lock = os.open(self.folder / _LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _blocks(self.folder):
-                self.kept = file_in(self.path.parent, f"{self.path.stem}.interrupted{self.path.suffix}")
-                columns, meta = found(self.folder)
-                join(self.kept, list(columns.blocks()), columns.types, meta or columns.meta)
-                self._clear()
+            self._keep_what_is_left()
             text = json.dumps({**self._meta, "ended": KILLED}, allow_nan=False)
             (self.folder / _META).write_text(text, encoding="utf-8")
         except BlockingIOError as error:
@@ -107,6 +103,23 @@ class TraceWriter:
         self._clear()
         shutil.rmtree(self.folder, ignore_errors=True)
 
+    def _keep_what_is_left(self) -> None:
+        """Put the rows of an earlier run under another name: one file, or the blocks as they are if one is damaged."""
+        left = [path for path in self.folder.iterdir() if path.name not in (_LOCK, _META)]
+        if left:
+            self.kept = file_in(self.path.parent, f"{self.path.stem}.interrupted{self.path.suffix}")
+            try:
+                columns, meta = found(self.folder)
+                join(self.kept, list(columns.blocks()), columns.types, meta or columns.meta)
+            except TraceError:
+                self.kept = file_in(self.path.parent, f"{self.path.stem}.interrupted.parts")
+                self.kept.mkdir()
+                for path in left:
+                    path.rename(self.kept / path.name)
+        if (self.folder / _META).is_dir():
+            (self.folder / _META).rename(file_in(self.path.parent, f"{self.path.stem}.meta"))
+        self._clear()
+
     def _clear(self) -> None:
         for path in [*_blocks(self.folder), self.folder / _META]:
             path.unlink(missing_ok=True)
@@ -157,10 +170,12 @@ def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
     if (os.path.lexists(given) and not given.is_dir()) or not _blocks(folder):
         return Stored([path]), None
     columns = _stored(folder)
-    meta = read_json(folder / _META, "trace", TraceError) if (folder / _META).exists() else {}
-    if not isinstance(meta, dict):
-        raise TraceError(f"{folder / _META} is damaged: no table")
-    return columns, {**meta, "ended": KILLED, "ticks": columns.rows}
+    ended = KILLED
+    try:
+        meta = dict(read_json(folder / _META, "trace", TraceError))
+    except (TraceError, TypeError, ValueError) as error:  # the rows are worth more than what is said of them
+        meta, ended = {}, f"{KILLED}, and what is known of it is damaged ({describe(error)})"
+    return columns, {**meta, "ended": ended, "ticks": columns.rows}
 
 
 def _blocks(folder: Path) -> list[Path]:

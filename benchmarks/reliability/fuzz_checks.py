@@ -78,7 +78,7 @@ def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
         if not any(repr(name)[1:-1] in str(error) for name in names):
             raise Wrong(f"none of {names} is named: {error}") from error
         return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
 def scenario_file(data: bytes) -> Verdict:
@@ -90,10 +90,11 @@ def scenario_file(data: bytes) -> Verdict:
             if path.name not in str(error):
                 raise Wrong(f"the file is not named: {error}") from error
             return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
-def _few_ticks(made: Scenario) -> Verdict:
+def few_ticks(made: Scenario) -> Verdict:
+    """Two ticks of a scenario, sound or refused."""
     try:
         short = made.change(duration_s=2.0 * made.plant.period_s, bound_samples=min(made.bound_samples, 2))
         trace = run(short)

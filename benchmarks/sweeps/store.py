@@ -15,6 +15,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -167,11 +168,14 @@ class Store:
             raise StoreError(
                 f"{self.folder} holds runs of another sweep, whose plan.json is damaged or gone: give another --out"
             )
-        for name in ("runs", "shards", "rows.parquet", "summary.json"):
-            if (self.folder / name).exists() and not signs and not self.dropped:
-                raise StoreError(
-                    f"{self.folder} holds {name} and no plan.json: no sweep's folder; give another --out"
-                )
+        ours = re.compile(r"runs/[0-9a-f]{20}\.json|shards/[0-9]+-[0-9a-f]{8}\.parquet")
+        tables = [path for path in (self.folder / "rows.parquet", self.folder / "summary.json") if path.exists()]
+        foreign = [path for path in pieces if not ours.fullmatch(path.relative_to(self.folder).as_posix())]
+        if (tables or foreign) and not signs and not self.dropped:
+            raise StoreError(
+                f"{self.folder} holds {(tables or foreign)[0].name} and no plan.json: no sweep's folder; "
+                "give another --out"
+            )
 
     def verify(self) -> int:
         """Read every shard again and set damaged ones aside; returns how many runs that takes away."""
