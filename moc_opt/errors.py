@@ -54,9 +54,9 @@ class UnknownNameError(MocOptError, LookupError):
             valid: every name that would have worked.
         """
         names = sorted(valid)
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(name[:100], names, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {name!r}: {hint}valid names: {', '.join(names)}")
+        super().__init__(f"unknown {kind} {shown(name)}: {hint}valid names: {', '.join(names)}")
         self.kind, self.name, self.valid = kind, name, names
 
 

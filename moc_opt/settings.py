@@ -58,7 +58,7 @@ def explain(error: ValidationError) -> list[str]:
     """One line per wrong field: name, value, cure."""
     lines = []
     for item in error.errors():
-        field = ".".join(map(str, item["loc"]))
+        field = ".".join(f"{part!s:.80}" for part in item["loc"])
         message = item["msg"].removeprefix("Value error, ")
         lines.append(
             f"{field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}" if field else message

@@ -181,7 +181,9 @@ class Trace:
 
     @classmethod
     def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
-        """Return a trace whose columns stay in their files; meta as for the constructor."""
+        """Return a trace whose columns stay in their files; meta, and errors, as for the constructor."""
+        for name, dtype in columns.types.items():
+            _check_column(name, dtype, columns.shape(name))
         return cls._of(columns, MappingProxyType(_plain(meta)))
 
     @classmethod
@@ -229,35 +231,39 @@ class Trace:
 
 def _column(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return one column as a read-only array of its own, or say what is wrong with it."""
-    if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
-        raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     try:
         array = np.asarray(value)
     except ValueError as error:
         raise TraceError(f"column {name!r} has rows of different lengths: give an array") from error
     if array.dtype == object and all(isinstance(entry, str) for entry in array.flat):
         array = array.astype(np.str_)
-    kind, bytes_ = array.dtype.kind, array.dtype.itemsize
-    if kind != "U" and bytes_ not in _TYPES.get(kind, ()):
-        raise TraceError(f"column {name!r} has type {array.dtype}: give floats, integers, flags or texts")
-    if array.ndim not in ((1,) if kind == "U" else (1, 2)) or array.shape[1:] == (0,):
-        raise TraceError(f"column {name!r} has shape {array.shape}: give (N,) or, for numbers, (N, k)")
-    known = Trace.COLUMNS.get(name)
-    if known is not None:
-        wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
-        width = known.shape.removeprefix("(N,").strip(" )")
-        fits = array.ndim == 1 if not width else array.ndim == 2 and width in ("n", str(array.shape[1]))
-        if kind not in wanted or not fits:
-            raise TraceError(
-                f"column {name!r} is {array.dtype} of shape {array.shape}: "
-                f"give {known.kind}s of shape {known.shape}"
-            )
+    _check_column(name, array.dtype, array.shape)
     # Only an array that nobody else can write through may be kept without a copy.
     native = array.dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or array.dtype != native:
         array = np.array(array, dtype=native, order="C")
     array.setflags(write=False)
     return array
+
+
+def _check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Say what is wrong with a column's name, type or shape."""
+    if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
+        raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
+    kind = dtype.kind
+    if kind != "U" and dtype.itemsize not in _TYPES.get(kind, ()):
+        raise TraceError(f"column {name!r} has type {dtype}: give floats, integers, flags or texts")
+    if len(shape) not in ((1,) if kind == "U" else (1, 2)) or shape[1:] == (0,):
+        raise TraceError(f"column {name!r} has shape {shape}: give (N,) or, for numbers, (N, k)")
+    known = Trace.COLUMNS.get(name)
+    if known is not None:
+        wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
+        width = known.shape.removeprefix("(N,").strip(" )")
+        fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", str(shape[1]))
+        if kind not in wanted or not fits:
+            raise TraceError(
+                f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}"
+            )
 
 
 def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -272,5 +278,5 @@ def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
                 f"meta[{name!r}] cannot be written as JSON ({error}): "
                 f"give texts, finite numbers, flags, None, and lists and dicts of them"
             ) from error
-    plain: dict[str, Any] = json.loads(json.dumps(dict(meta)))
+    plain: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
     return plain

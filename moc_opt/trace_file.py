@@ -138,9 +138,14 @@ class Stored(Mapping[str, NDArray[Any]]):
         """Name -> type of every column."""
         return dict(self._types)
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Of a column: (N,) or (N, k)."""
+        width = self._widths[name]
+        return (self.rows,) if width is None else (self.rows, width)
+
     def bytes(self) -> int:
         """Of all columns as arrays."""
-        return sum(self.rows * dtype.itemsize * self._widths[name] for name, dtype in self._types.items())
+        return sum(self.rows * dtype.itemsize * (self._widths[name] or 1) for name, dtype in self._types.items())
 
     def head(self, rows: int) -> Stored:
         """The first rows of them."""
@@ -202,7 +207,7 @@ def _opened(path: str | os.PathLike[str], **options: Any) -> Iterator[Any]:
         ) from error
 
 
-def _described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int], dict[str, Any]]:
+def _described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int | None], dict[str, Any]]:
     """Rows, types, widths and meta of a file, from its footer alone."""
     import pyarrow as pa
 
@@ -221,7 +226,7 @@ def _described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int]
         meta = dict(parse_json(metadata[_META_KEY], wrong, TraceError))
         kinds = {field.name: np.dtype(types[field.name]) for field in schema}
         widths = {
-            field.name: field.type.list_size if pa.types.is_fixed_size_list(field.type) else 1 for field in schema
+            field.name: field.type.list_size if pa.types.is_fixed_size_list(field.type) else None for field in schema
         }
     except TraceError:
         raise

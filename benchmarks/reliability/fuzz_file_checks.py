@@ -144,16 +144,26 @@ def study_folder(case: Sequence[Damage]) -> Verdict:
     values = {"a": 1.5, "b": [1, 2], "c": None}
     arrays = {"x": np.arange(40.0).reshape(8, 5), "t": np.array(["a", "bc"])}
     with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as name:
-        study_store.Store(Path(name)).put("key", study_store.Part(values, arrays))
+        store = study_store.Store(Path(name))
+        for key in ("one", "two"):
+            store.put(key, study_store.Part(values, arrays))
+        before = {path.name: path.read_bytes() for path in Path(name).iterdir()}
         _spoil(Path(name), case)
+        sound = {file for file, data in before.items() if _holds(Path(name, file), data)}
         with contextlib.redirect_stderr(io.StringIO()):
-            found = study_store.Store(Path(name)).get("key")
-    if found is None:
-        return "refused"
-    same = all(np.array_equal(found.arrays.get(n, ()), array) for n, array in arrays.items())
-    if found.values != values or not same:
-        raise Wrong("another part than the one that was kept")
-    return "accepted"
+            found = {key: study_store.Store(Path(name)).get(key) for key in ("one", "two")}
+    for key, part in found.items():
+        if (part is not None) != (f"{key}.npz" in sound):
+            raise Wrong(f"{key} is {'taken' if part else 'refused'}, and it is {'not ' if part else ''}what was kept")
+        if part is not None and not (
+            part.values == values and all(np.array_equal(part.arrays.get(n, ()), array) for n, array in arrays.items())
+        ):
+            raise Wrong("another part than the one that was kept")
+    return "accepted" if sound else "refused"
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    return path.is_file() and path.read_bytes() == data
 
 
 def trace_folder(case: Sequence[Damage]) -> Verdict:

@@ -89,10 +89,10 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = ".".join(map(str, loc))
+    field = ".".join(f"{part!s:.80}" for part in loc)
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
-        near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(loc[-1])[:100], valid, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
     if item["type"] == "missing":
