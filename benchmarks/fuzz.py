@@ -46,6 +46,7 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     check: fuzz_checks.Check = fuzz_file_checks.CHECKS.get(kind) or getattr(fuzz_checks, kind)
     strategy = {**fuzz_inputs.STRATEGIES, **fuzz_files.STRATEGIES}[kind]
     fuzz_checks.warm_up()
+    done()
     verdicts: Counter[str] = Counter()
     failures: list[str] = []
 
@@ -53,9 +54,11 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
 
     def one(case: Any) -> None:
         last[0] = case
-        with fuzz_checks.time_limit():
-            verdicts[check(case)] += 1
-        done()
+        try:
+            with fuzz_checks.time_limit():
+                verdicts[check(case)] += 1
+        finally:
+            done()
 
     quiet = hypothesis.settings(
         max_examples=max(1, min(cases, 500)), database=None, deadline=None, print_blob=False,

@@ -27,6 +27,9 @@ MOST_DATA = 4 * 2**30
 DEEPEST = 64
 """Tables or lists inside one another."""
 LARGEST_INTEGER = 2**63 - 1
+SMALLEST, LARGEST = 1e-30, 1e30
+"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
+_PIECE = 2**20
 
 # A key of more parts than any table has: the parser's time grows with the square of their number.
 _PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
@@ -65,14 +68,21 @@ def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> b
         # Without blocking: between the check and here the name may have become that of a pipe.
         handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0))
         with os.fdopen(handle, "rb") as file:
-            data = file.read(most + 1) if stat.S_ISREG(os.fstat(handle).st_mode) else b""
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise OSError("no regular file")
+            data = bytearray()
+            # In pieces: a buffer as large as the limit may not fit where the file itself does.
+            while len(data) <= most and (piece := file.read(_PIECE)) != b"":
+                if piece is None:
+                    raise OSError("nothing to be read now")  # a file of the kernel that would have to be waited for
+                data += piece
     except OSError as reason:
         raise error(f"{what} {_named(path)} cannot be read ({reason}); check the path") from reason
-    if data is None:  # a file of the kernel that would have to be waited for
-        raise error(f"{what} {_named(path)} has nothing to be read now: give a file")
+    except MemoryError as reason:
+        raise error(f"{what} {_named(path)} does not fit into the memory") from reason
     if len(data) > most:  # one that grows, or whose system says nothing of its size
         raise error(f"{what} {_named(path)} has more than {most} bytes: no more are read")
-    return data
+    return bytes(data)
 
 
 def read_text(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> str:
@@ -124,6 +134,24 @@ def check_values(value: Any, where: str, error: Wrong) -> None:
             raise error(f"{where}: {path} = {shown(entry)}: an integer has 64 bits")
 
 
+def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
+    """Say which number inside is of no usable size, or what is nested too deep; empty where all are.
+
+    Args:
+        value: of a setting; numbers in lists and tables count.
+        most: largest integer.
+    """
+    for path, depth, entry in entries(value):
+        if depth > DEEPEST:
+            return f"nested deeper than {DEEPEST} levels"
+        where = f"{path} = {shown(entry)}: " if path else ""
+        if isinstance(entry, int) and not -most <= entry <= most:
+            return f"{where}give an integer of at most {most}"
+        if isinstance(entry, float) and entry != 0.0 and not SMALLEST <= abs(entry) <= LARGEST:
+            return f"{where}give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
+    return ""
+
+
 def entries(value: Any) -> Iterator[tuple[str, int, Any]]:
     """Every value inside: its path, its depth, itself; on a stack of its own, whatever the depth."""
     stack: list[tuple[str, int, Any]] = [("", 0, value)]
@@ -146,7 +174,7 @@ def _named(path: Path_) -> str:
     return repr(os.fspath(path))
 
 
-def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**30) -> dict[str, Any]:
+def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict[str, Any]:
     """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays.
 
     Args:

@@ -37,7 +37,6 @@ from moc_opt.subproblem import judge
 from moc_opt.tasks import Trocar
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace import Trace
-from moc_opt.trace_file import MOST_ROWS
 from moc_opt.trace_writer import TraceWriter
 
 Array = NDArray[np.float64]
@@ -138,19 +137,8 @@ class Setup:
 
     @property
     def ticks(self) -> int:
-        """Number of ticks of the whole run.
-
-        Raises:
-            ScenarioError: there are more than a trace holds.
-        """
-        ticks = self.duration_s / self.scenario.plant.period_s
-        if not ticks <= MOST_ROWS:
-            raise ScenarioError(
-                f"the run takes {self.duration_s:.6g} s, {ticks:.3g} ticks of plant.period_s = "
-                f"{self.scenario.plant.period_s:g}, and a trace holds {MOST_ROWS}: give a duration_s, raise [task] "
-                "v_max_m_per_s and a_max_m_per_s2, or lower its sizes, wait_s and hold_s"
-            )
-        return max(1, round(ticks))
+        """Number of ticks of the whole run."""
+        return max(1, round(self.duration_s / self.scenario.plant.period_s))
 
     def times(self) -> Array:
         """Start of every tick [s]."""

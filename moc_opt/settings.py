@@ -7,10 +7,7 @@ from typing import Any, ClassVar
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-from moc_opt.files import DEEPEST, LARGEST_INTEGER, entries
-
-SMALLEST, LARGEST = 1e-30, 1e30
-"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
+from moc_opt.files import LARGEST_INTEGER, wrong_size
 
 
 class Settings(BaseModel):
@@ -34,14 +31,8 @@ class Settings(BaseModel):
     @classmethod
     def _of_a_usable_size(cls, value: Any, info: ValidationInfo) -> Any:
         most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
-        for path, depth, entry in entries(value):
-            if depth > DEEPEST:
-                raise ValueError(f"nested deeper than {DEEPEST} levels")
-            where = f"{path} = {shown(entry)}: " if path else ""
-            if isinstance(entry, int) and not -most <= entry <= most:
-                raise ValueError(f"{where}give an integer of at most {most}")
-            if isinstance(entry, float) and entry != 0.0 and not SMALLEST <= abs(entry) <= LARGEST:
-                raise ValueError(f"{where}give 0, or a size from {SMALLEST:g} to {LARGEST:g}")
+        if wrong := wrong_size(value, most):
+            raise ValueError(wrong)
         return value
 
     def __init__(self, **values: Any) -> None:

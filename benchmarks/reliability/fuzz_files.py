@@ -97,14 +97,17 @@ def _constant_parquet(case: HostileFile) -> bytes:
     kinds = {"mu": pa.array(np.zeros(1)), "status": pa.array(["x" * min(case.size, 50_000)])}
     chosen = dict(list(kinds.items())[case.seed % 2 :])
     columns = {}
+    step = max(1, min(rows, 200_000))  # the maker's own memory is limited, too
     for name, array in chosen.items():
-        encoded = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int32)), array)
-        columns[name] = encoded if name == "status" else pa.array(np.zeros(rows))
+        encoded = pa.DictionaryArray.from_arrays(pa.array(np.zeros(step, dtype=np.int32)), array)
+        columns[name] = encoded if name == "status" else pa.array(np.zeros(step))
     types = {"mu": "<f8", "status": f"<U{case.size}"}
     meta = {"moc_opt.trace": "1", "moc_opt.meta": "{}", "moc_opt.types": json.dumps(types, allow_nan=False)}
     sink = io.BytesIO()
     table = pa.table(columns).replace_schema_metadata(meta)
-    pq.write_table(table, sink, compression="zstd", row_group_size=max(1, rows))
+    with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:
+        for _ in range(max(1, rows // step)):
+            writer.write_table(table, row_group_size=step)
     return sink.getvalue()
 
 

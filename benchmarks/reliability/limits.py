@@ -14,6 +14,8 @@ MEMORY_BYTES = 2 * 2**30
 """Of the address space: with one thread for linear algebra all libraries together take 0.8 GiB of it."""
 GRACE_S = 60.0
 """Beyond a case's limit, in which Python itself would have ended it: a library hangs."""
+START_S = 600.0
+"""In which the libraries are loaded and the kernels compiled."""
 MOST_DEATHS = 3
 
 Explore = Callable[[str, int, int, Callable[[], Any]], tuple[Counter[str], list[str]]]
@@ -38,20 +40,20 @@ def limited(
         theirs.close()
         counted, found = 0, None
         try:
-            while found is None and ours.poll(limit_s + GRACE_S):
+            while found is None and ours.poll(limit_s + GRACE_S if counted else START_S):
                 said = ours.recv()
                 if said is None:
                     counted += 1
                     done()
                 else:
                     found = said
+            why = "hung"
         except EOFError:
-            pass  # it died; below
+            process.join()
+            why = f"died with status {process.exitcode}"
         if found is None:
-            hung = process.is_alive()
             process.kill()
             process.join()
-            why = "hung" if hung else f"died with status {process.exitcode}"
             verdicts["accepted"] += counted  # those before it ended well, in one way or the other
             failures.append(f"Death: the process {why} after {counted} cases of seed {seed + 1000 * len(failures)}")
         else:
@@ -62,7 +64,8 @@ def limited(
 
 
 def _work(explore: Explore, kind: str, cases: int, seed: int, pipe: Connection) -> None:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"  # which gives back what one case has taken
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     pipe.send(explore(kind, cases, seed, lambda: pipe.send(None)))

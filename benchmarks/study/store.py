@@ -30,7 +30,7 @@ SOURCES = (
     "study/worker",
 )  # fmt: skip
 META = "_meta"
-MOST_BYTES = 2**30
+MOST_BYTES = 2**27
 
 
 class Part(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from benchmarks.sweeps.errors import SweepError
-from moc_opt.errors import UnknownNameError, shown
+from moc_opt.errors import MocOptError, UnknownNameError, shown
 from moc_opt.scenario import Scenario
 from moc_opt.settings import Settings
 
@@ -22,6 +22,7 @@ class Range(Settings):
     """A range to draw from, uniformly on its scale; ``integer`` draws whole numbers, both ends included."""
 
     KIND: ClassVar[str] = "range:"
+    ERROR: ClassVar[type[MocOptError]] = SweepError
     low: float = Field(ge=-1e15, le=1e15)
     high: float = Field(ge=-1e15, le=1e15)
     scale: Literal["linear", "log", "integer"] = "linear"
@@ -124,7 +125,10 @@ def draw(path: str, entry: Any, samples: int, rng: np.random.Generator) -> list[
         options = Choice(**entry).choice
         _all_different(f"[random.fields] {path}", options)
         return [options[int(u * len(options))] for u in uniform]
-    known = Range(**entry)
+    try:
+        known = Range(**entry)
+    except SweepError as error:
+        raise SweepError(f"[random.fields] {path}: {error}") from error
     low, high = known.low, known.high
     if not low < high:
         raise SweepError(f"[random.fields] {path}: low = {low:g} is not below high = {high:g}")

@@ -6,10 +6,10 @@ import difflib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from moc_opt.errors import RobotError, shown
-from moc_opt.files import read_toml
+from moc_opt.files import read_toml, wrong_size
 
 Vector = tuple[float, ...]
 Point = tuple[float, float, float]
@@ -18,6 +18,13 @@ PerJoint = float | Vector
 
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any) -> Any:
+        if wrong := wrong_size(value):
+            raise ValueError(wrong)
+        return value
 
 
 class Frames(_Table):
