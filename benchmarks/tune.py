@@ -175,7 +175,7 @@ def row(part: str, entry: Score) -> dict[str, Any]:
 
 def preset(winner: Score) -> str:
     """The winner as it stands in a scenario."""
-    lines = [f"{name} = {json.dumps(value)}" for name, value in winner.candidate.control.items()]
+    lines = [f"{name} = {json.dumps(value, allow_nan=False)}" for name, value in winner.candidate.control.items()]
     return "\n".join(["[control]", *lines])
 
 

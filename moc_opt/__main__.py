@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario runs")
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
-    one.add_argument("--trace", type=Path, help="save the trace here (Parquet)")
+    one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's control tick as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
@@ -66,9 +67,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
             return serve(scenario, host=given.host, port=given.port, public=given.public)
         return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json)
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    except (MocOptError, MemoryError) as error:
+        print(_one_line(error), file=sys.stderr)
         return 2
+    except KeyboardInterrupt as error:
+        print(_one_line(error), file=sys.stderr)
+        return 130
+
+
+def _one_line(error: BaseException) -> str:
+    """What went wrong, and where what there is of the run is to be found."""
+    said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+    return "; ".join([said, *getattr(error, "__notes__", [])])
 
 
 def run_scenario(
@@ -89,16 +99,18 @@ def run_scenario(
     ticks = len(setup.times())
     with progress(scenario.name, ticks) as bar:
         try:
-            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None)
+            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
         except RunAway as error:
             trace = error.trace
-    if trace_to is not None:
-        trace.save(trace_to)
     ended = str(trace.meta["ended"])
+    if "earlier_run" in trace.meta:
+        print(f"{scenario.name}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{scenario.name}: {line}", file=sys.stderr)
-    baseline = _matched_dcac(scenario, len(trace)) if scenario.control.law == "moc" else None
-    metrics = summarize(trace, baseline)
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
+        beside = None if trace_to is None else Path(folder, "dcac.parquet")
+        baseline = _matched_dcac(scenario, len(trace), beside) if scenario.control.law == "moc" else None
+        metrics = summarize(trace, baseline)
     if as_json:
         print_json(run_json(trace, metrics))
     else:
@@ -106,20 +118,18 @@ def run_scenario(
     return 0 if ended == "completed" else 3
 
 
-def _matched_dcac(scenario: Scenario, ticks: int) -> Trace | None:
+def _matched_dcac(scenario: Scenario, ticks: int, to: Path | None) -> Trace | None:
     """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    import numpy as np
-
     from moc_opt.scenario import RunAway, run
 
     try:
-        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0))
+        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0), to=to)
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:
         print(f"{scenario.name}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
         return None
-    return trace.select(np.arange(len(trace)) < ticks)
+    return trace.head(ticks)
 
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:

@@ -14,10 +14,11 @@ from moc_opt.reach import Reach
 from moc_opt.scenario_tables import Scenario, TaskTable
 from moc_opt.selfmotion import self_motion
 from moc_opt.tasks import Reference, Trocar, make_path
+from moc_opt.trace_file import MOST_ROWS
 
 Array = NDArray[np.float64]
 
-MOST_TICKS = 5_000_000
+MOST_TICKS = MOST_ROWS
 """Of a run: almost three hours at 500 Hz. More would not fit into memory."""
 
 _POSE_STREAM = (1,)
@@ -86,7 +87,8 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:
         raise ScenarioError(
             f"{duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
-            f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks"
+            f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks; "
+            "give a shorter duration_s"
         )
     return Layout(q, point, registered, reference, duration_s)
 

@@ -116,4 +116,4 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str]) -> Trace:
     if brief or trace.meta.get("ended") != "completed":
         return trace
     found = describe(trace, joint_names)
-    return Trace(trace.columns, {**trace.meta, "ended": f"oscillated: {found}"}) if found else trace
+    return trace.with_meta(ended=f"oscillated: {found}") if found else trace

@@ -118,7 +118,7 @@ def _places(reference: TipReference, trocar: Trocar, spacing_m: float, until_s: 
     times = np.linspace(reference.t_start, end, _TIMES)
     rows = np.array([reference.rows(t) for t in times.tolist()])
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(rows[:, 0], axis=0), axis=1))))
-    count = max(2, int(np.ceil(arc[-1] / spacing_m)) + 1)
+    count = max(2, int(min(np.ceil(arc[-1] / spacing_m) + 1, _TIMES)))
     chosen = np.unique(np.searchsorted(arc, np.linspace(0.0, arc[-1], count)).clip(0, _TIMES - 1))
     points = np.array([trocar.rows(t) for t in times[chosen].tolist()])
     kept = rows[chosen]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,14 +17,18 @@ from moc_opt.agreement import check_engines
 from moc_opt.control import Controller
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
-from moc_opt.errors import MocOptError, RobotError, ScenarioError
+from moc_opt.errors import MocOptError, RobotError, ScenarioError, TraceError, describe
+from moc_opt.files import read_arrays
 from moc_opt.layout import breathing, lay_out
+from moc_opt.memory import available_bytes
 from moc_opt.model import RobotModel
+from moc_opt.optimality import Residuals
 from moc_opt.oscillation import judged_for_oscillation
 from moc_opt.scenario_tables import Scenario
 from moc_opt.selfmotion import self_motion
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.loop import RunAway, Stop, Touched, simulate
+from moc_opt.sim.log import Sink, Touched
+from moc_opt.sim.loop import BLOCK, RunAway, Stop, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.safe import Brain, Safe
 from moc_opt.solvers.base import Solver, Status
@@ -31,8 +38,14 @@ from moc_opt.subproblem import judge
 from moc_opt.tasks import Trocar
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace import Trace
+from moc_opt.trace_writer import TraceWriter
 
 Array = NDArray[np.float64]
+
+MEMORY_A_TICK, DISK_A_TICK = 4500, 1600
+"""Bytes that a tick of a run takes at most: in memory while it is judged, and on the disk."""
+JUDGED = 5000
+"""Answers that are judged together."""
 
 
 class Setup:
@@ -104,7 +117,7 @@ class Setup:
 
     def spoilt(self) -> NDArray[np.bool_]:
         """At which ticks the solver's answer is spoilt on purpose, (N,)."""
-        faults, ticks = self.scenario.faults, len(self.times())
+        faults, ticks = self.scenario.faults, self.ticks
         if faults.solver == "none" or self.scenario.control.law != "moc":
             return np.zeros(ticks, dtype=np.bool_)
         return draw(self._fault_seed, faults.solver_share, ticks)
@@ -124,71 +137,181 @@ class Setup:
             )
         return Driver(self.controller())
 
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the whole run."""
+        return max(1, round(self.duration_s / self.scenario.plant.period_s))
+
     def times(self) -> Array:
         """Start of every tick [s]."""
-        period = self.scenario.plant.period_s
-        ticks = max(1, round(self.duration_s / period))
-        return period * np.arange(ticks, dtype=np.float64)
+        return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
-    def trace(self, watch: Callable[[int], None] | None = None) -> Trace:
-        """Run, judge, and return what is left behind."""
-        t = self.times()
+    def trace(
+        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = BLOCK
+    ) -> Trace:
+        """Run, judge, and return what is left behind.
+
+        Args:
+            watch: called with the number of every tick before it.
+            to: a Parquet file that the trace goes into while it grows, ``block`` ticks at a time; what is returned
+                then stays in the file (`Trace.open`). None: the whole trace is kept in memory.
+            block: see ``to``.
+
+        Raises:
+            MocOptError: the run does not fit into the memory or onto the disk; or the arm ran away, and the error
+                holds the trace. Where a run into a file ends by any exception, the rows so far are in it.
+        """
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)
+        check_room(self.scenario, self.ticks, to)
         meta = {
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
-        period, wrong = self.scenario.plant.period_s, self.scenario.faults
-        faults = Faults(wrong, self.robot.n, period, self._fault_seed)
-        trace = simulate(
-            self.plant, self.brain(), np.stack(self.reference.at(t), axis=1),
-            faults.slip(np.stack(self.trocar.at(t), axis=1), t), np.stack(self.registered.at(t), axis=1),
-            guard=make_guard(self.robot, self.scenario), faults=faults if wrong.around_the_arm else None,
-            stop=make_stop(self.scenario), touched=self.touched, watch=watch, meta=meta,
-        )  # fmt: skip
+        if to is not None:
+            return self._streamed(Path(to), meta, watch, block)
+        found = self._simulate(watch, meta)
+        trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        if wrong.solver != "none":
-            trace = trace.with_columns(injected=self.spoilt()[: len(trace)])
-        trace = self._with_model_error(trace)
-        mu = self.robot.mu_along(trace.q_rad)
-        return self._judged(trace.with_columns(mu=mu, mu_bound=self._mu_bound(trace)))
+        return trace.with_columns(mu_bound=self._mu_bound(trace.q_rad))
 
-    def _with_model_error(self, trace: Trace) -> Trace:
-        """With tip and RCM error as the robot's own kinematics have them; without, where its encoders see no links."""
+    def _simulate(
+        self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
+    ) -> Trace:
+        period, wrong, ticks = self.scenario.plant.period_s, self.scenario.faults, self.ticks
+        faults = Faults(wrong, self.robot.n, period, self._fault_seed)
+
+        def trocar(t: Array) -> Array:
+            return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
+
+        return simulate(
+            self.plant, self.brain(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+            Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
+            guard=make_guard(self.robot, self.scenario), faults=faults if wrong.around_the_arm else None,
+            stop=make_stop(self.scenario), touched=self.touched, watch=watch, meta=meta, sink=sink, block=block,
+        )  # fmt: skip
+
+    def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
+        """A run whose rows go to the disk as they come; judged block by block."""
+        period, broken = self.scenario.plant.period_s, None
+        with TraceWriter(to, {**meta, "period_s": period, "ticks_planned": self.ticks}) as writer:
+
+            if writer.kept is not None:
+                meta["earlier_run"] = f"one that had been killed is kept in {writer.kept}"
+
+            def sink(first: int, columns: dict[str, NDArray[Any]]) -> None:
+                writer.write(first, {**columns, **self._row_by_row(columns, first)})
+
+            try:
+                found = self._simulate(watch, meta, sink, block)
+            except RunAway as error:
+                found, broken = error.trace, error
+            except BaseException as error:
+                rows = writer.rows()
+                if rows:
+                    ended = f"interrupted: {describe(error)} (t = {rows * period:.3f} s)"
+                    told = {"period_s": period, "ended": ended, "ticks": rows, "ticks_planned": self.ticks}
+                    writer.finish({**told, **meta})
+                    error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
+                raise
+            run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
+            writer.finish(run.meta, {"mu_bound": self._mu_bound(run.q_rad)})
+        trace = Trace.open(to)
+        if broken is not None:
+            raise RunAway(str(broken), trace) from broken
+        return trace
+
+    def _row_by_row(self, columns: Mapping[str, NDArray[Any]], first: int = 0) -> dict[str, NDArray[Any]]:
+        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, judgement."""
+        found: dict[str, NDArray[Any]] = {}
+        rows = len(columns["t_s"])
+        if self.scenario.faults.solver != "none":
+            found["injected"] = self.spoilt()[first : first + rows]
+        found |= self._model_error(columns)
+        found["mu"] = self.robot.mu_along(columns["q_rad"])
+        return found | self._judged(columns)
+
+    def _model_error(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Tip and RCM error as the robot's own kinematics have them; none where its encoders see no links."""
         plant = self.scenario.plant
         if plant.elastic and plant.encoder_side == "motor":
-            return trace
+            return {}
         if not self.plant.mismatch.displaces:
-            return trace.with_columns(
-                tip_error_model_m=trace.tip_error_m, rcm_error_model_m=trace.rcm_error_registered_m
-            )
-        tips, wrists = self.robot.tool_along(trace.q_rad + self.plant.mismatch.encoder_bias)
-        told = trace.trocar_registered_m - self.touched.trocar
-        return trace.with_columns(
-            tip_error_model_m=np.linalg.norm(trace.tip_ref_m - tips, axis=1),
-            rcm_error_model_m=shaft_distance(tips, wrists, told),
-        )
+            return {
+                "tip_error_model_m": columns["tip_error_m"],
+                "rcm_error_model_m": columns["rcm_error_registered_m"],
+            }
+        tips, wrists = self.robot.tool_along(columns["q_rad"] + self.plant.mismatch.encoder_bias)
+        told = columns["trocar_registered_m"] - self.touched.trocar
+        return {
+            "tip_error_model_m": np.linalg.norm(columns["tip_ref_m"] - tips, axis=1),
+            "rcm_error_model_m": shaft_distance(tips, wrists, told),
+        }
 
-    def _mu_bound(self, trace: Trace) -> Array:
+    def _mu_bound(self, poses: Array) -> Array:
         """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""
-        bound = np.full(len(trace), np.nan)
-        samples = min(self.scenario.bound_samples, len(trace))
-        for k in np.linspace(0, len(trace) - 1, samples).astype(int):
-            inside = np.clip(trace.q_rad[k], self.robot.q_min, self.robot.q_max)
+        bound = np.full(len(poses), np.nan)
+        samples = min(self.scenario.bound_samples, len(poses))
+        for k in np.linspace(0, len(poses) - 1, samples).astype(int):
+            inside = np.clip(poses[k], self.robot.q_min, self.robot.q_max)
             try:
                 bound[k] = self_motion(self.robot, inside).mu_best
             except RobotError:
                 continue  # no single curve leads through a singular pose
         return bound
 
-    def _judged(self, trace: Trace) -> Trace:
-        if "subproblem" not in trace.columns or not self.scenario.judge:
-            return trace
-        found = judge(trace.subproblem, trace.x_rad_per_s, trace.dual)
-        silent = ~np.isfinite(trace.x_rad_per_s).all(axis=1) & (trace.status != Status.SOLVED.label)
-        columns = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
-        return trace.with_columns(verified=found.verified(), **columns)
+    def _judged(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        if "subproblem" not in columns or not self.scenario.judge:
+            return {}
+        x = columns["x_rad_per_s"]
+        parts = [slice(first, first + JUDGED) for first in range(0, len(x), JUDGED)]
+        judged = [judge(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+        found = Residuals(*map(np.concatenate, zip(*judged, strict=True)))
+        silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
+        figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
+        return {"verified": found.verified(), **figures}
+
+
+class Timed:
+    """A reference of every tick that is computed for the ticks that are asked for.
+
+    Args:
+        at: times (k,) [s] -> rows (k, rows, 3).
+        period: of a tick [s].
+        ticks: how many there are.
+    """
+
+    def __init__(self, at: Callable[[Array], Array], period: float, ticks: int) -> None:
+        self._at, self._period, self._ticks = at, period, ticks
+
+    def __len__(self) -> int:
+        return self._ticks
+
+    def __getitem__(self, ticks: slice) -> Array:
+        first, last, _ = ticks.indices(self._ticks)
+        return self._at(self._period * np.arange(first, last, dtype=np.float64))
+
+
+def check_room(scenario: Scenario, ticks: int, to: str | os.PathLike[str] | None) -> None:
+    """Check that a run fits into the memory, or onto the disk where it goes into a file.
+
+    Raises:
+        ScenarioError: it does not; says what it takes and the cure.
+    """
+    if to is None:
+        need, free, where = ticks * MEMORY_A_TICK, available_bytes(), "of memory"
+        cure = "let its trace go into a file while it grows (run --trace FILE, or run(..., to=FILE))"
+    else:
+        folder = Path(to).absolute().parent
+        if not folder.is_dir():
+            raise TraceError(f"the trace cannot be saved as {str(to)!r}: there is no folder {str(folder)!r}")
+        need, free, where = ticks * DISK_A_TICK, shutil.disk_usage(folder).free, f"on the disk of {str(folder)!r}"
+        cure = "make room there"
+    if need > free:
+        raise ScenarioError(
+            f"{scenario.name!r}: {ticks} ticks take {need / 2**30:.1f} GiB {where}, and {free / 2**30:.1f} are free: "
+            f"give a shorter duration_s, or {cure}"
+        )
 
 
 def _recorded_times(scenario: Scenario) -> list[float] | None:
@@ -205,10 +328,13 @@ def _recorded_times(scenario: Scenario) -> list[float] | None:
             "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
         )
     try:
-        times = np.asarray(
-            np.load(given, allow_pickle=False) if isinstance(given, str) else given, dtype=float
-        )
-    except (OSError, ValueError) as error:
+        if isinstance(given, str):
+            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
+        else:
+            times = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ScenarioError):
+            raise
         raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
     if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
         raise ScenarioError(
@@ -234,13 +360,15 @@ def make_stop(scenario: Scenario) -> Stop:
     return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
 
 
-def run(scenario: Scenario, watch: Callable[[int], None] | None = None) -> Trace:
-    """Run one scenario.
+def run(
+    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
+) -> Trace:
+    """Run one scenario; arguments as `Setup.trace`.
 
     Raises:
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
     """
-    return Setup(scenario).trace(watch)
+    return Setup(scenario).trace(watch, to)
 
 
 __all__ = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -13,12 +12,15 @@ from pydantic import BaseModel, Field, field_validator, model_validator
 from moc_opt.control import ControlSettings
 from moc_opt.control.guard import GuardSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.files import LARGEST_INTEGER, read_toml
 from moc_opt.model import RobotModel, load_robot
 from moc_opt.settings import Name, Settings
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.settings import PlantSettings
 
 Vector = tuple[float, float, float]
+MOST_S = 100_000.0
+"""Longest time of a run or of a part of it [s]."""
 
 
 class RobotTable(Settings):
@@ -74,9 +76,9 @@ class TrocarTable(Settings):
     """Where the shaft enters: a point on it at t = 0, then fixed or breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(default=0.15, gt=0.0, description="of the tip below the trocar at t = 0")
+    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="of the tip below the trocar at t = 0")
     breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5)
-    breathing_period_s: float = Field(default=4.0, gt=0.0)
+    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S)
     breathing_direction: Vector = (0.0, 0.0, 1.0)
     breathing_known: bool = Field(
         default=True, description="whether the registered trocar follows the breathing"
@@ -88,13 +90,15 @@ class TaskTable(Settings):
 
     KIND: ClassVar[str] = "[task]"
     path: Name = "circle"
-    sizes: dict[Name, float] = Field(default_factory=dict, description="of the path [m]; see moc_opt.tasks")
+    sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
+        default_factory=dict, description="of the path [m]; see moc_opt.tasks"
+    )
     normal: Vector = (0.0, 0.0, 1.0)
     heading: Vector = (1.0, 0.0, 0.0)
-    v_max_m_per_s: float = Field(default=0.05, gt=0.0)
-    a_max_m_per_s2: float = Field(default=0.2, gt=0.0)
-    wait_s: float = Field(default=0.5, ge=0.0, description="rest before the path")
-    hold_s: float = Field(default=0.5, ge=0.0, description="rest after it")
+    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3)
+    a_max_m_per_s2: float = Field(default=0.2, gt=0.0, le=1e6)
+    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path")
+    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after it")
 
     DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
         "line": {"length": 0.04},
@@ -110,7 +114,7 @@ class SolverTable(Settings):
     KIND: ClassVar[str] = "[solver]"
     name: Name = "exact"
     settings: dict[Name, Any] = Field(default_factory=dict)
-    replay_us: str | tuple[Annotated[float, Field(ge=0.0)], ...] | None = Field(
+    replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
         default=None,
         description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
         "budget, over and over: a run with deadlines can then be repeated exactly",
@@ -122,7 +126,9 @@ class Scenario(Settings):
 
     KIND: ClassVar[str] = "scenario:"
     name: Name = "circle"
-    seed: int = Field(default=0, ge=0, description="of starting pose and swivel, mismatch and noise")
+    seed: int = Field(
+        default=0, ge=0, le=LARGEST_INTEGER, description="of starting pose and swivel, mismatch and noise"
+    )
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -130,8 +136,8 @@ class Scenario(Settings):
     control: ControlSettings = ControlSettings()
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings.realistic()
-    duration_s: float | None = Field(default=None, gt=0.0, description="stop early; None: the whole path")
-    deadline_us: float = Field(default=2000.0, gt=0.0, description="a longer tick is a miss")
+    duration_s: float | None = Field(default=None, gt=0.0, le=MOST_S, description="stop early; None: the whole path")
+    deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
     guard: GuardSettings = GuardSettings()
     faults: FaultSettings = FaultSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
@@ -179,16 +185,7 @@ class Scenario(Settings):
             UnknownNameError: a key or preset that does not exist.
         """
         file = Path(path)
-        try:
-            table = tomllib.loads(file.read_text(encoding="utf-8"))
-        except FileNotFoundError as error:
-            raise ScenarioError(f"{file}: no such file; give the path of a scenario in TOML") from error
-        except tomllib.TOMLDecodeError as error:
-            raise ScenarioError(f"{file}: not TOML: {error}") from error
-        except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
-            raise ScenarioError(f"{file}: cannot be read: {error}") from error
-        except RecursionError as error:
-            raise ScenarioError(f"{file}: tables or lists in it are nested too deep") from error
+        table = read_toml(file, "scenario", ScenarioError)
         try:
             return cls(**table)
         except MocOptError as error:

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)  # fmt: skip
 
 from moc_opt import names
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.files import LARGEST_INTEGER, wrong_size
 
 Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.names.RULE`."""
@@ -35,6 +45,16 @@ class Settings(BaseModel):
 
     KIND: ClassVar[str] = "setting"
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
+    MOST: ClassVar[int] = 10_000_000
+    """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any, info: ValidationInfo) -> Any:
+        most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
+        if wrong := wrong_size(value, most):
+            raise ValueError(wrong)
+        return value
 
     def __init__(self, **values: Any) -> None:
         for name in values:
@@ -50,9 +70,9 @@ def explain(error: ValidationError) -> list[str]:
     """One line per wrong field: name, value, cure."""
     lines = []
     for item in error.errors():
-        field = repr(".".join(map(str, item["loc"])))[1:-1]  # a key of a file may hold anything
+        field = repr(".".join(f"{part!s:.80}" for part in item["loc"]))[1:-1]  # a key of a file may hold anything
         message = item["msg"].removeprefix("Value error, ")
         lines.append(
-            f"{field} = {item['input']!r:.200}: {message[0].lower()}{message[1:]}" if field else message
+            f"{field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}" if field else message
         )
     return lines

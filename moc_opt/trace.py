@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt import trace_file
+from moc_opt import trace_file, trace_writer
 from moc_opt.errors import TraceError
 
 _TYPES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "b": (1,)}
@@ -114,6 +114,8 @@ class Trace:
 
     def __len__(self) -> int:
         """Number of ticks."""
+        if isinstance(self.columns, trace_file.Stored):
+            return self.columns.rows
         return len(next(iter(self.columns.values()), ()))
 
     def __getattr__(self, name: str) -> NDArray[Any]:
@@ -160,6 +162,38 @@ class Trace:
         columns = {"tick": np.arange(len(self)), **self.columns}
         return Trace({name: array[mask] for name, array in columns.items()}, self.meta)
 
+    def head(self, ticks: int) -> Trace:
+        """Return the trace of the first ticks."""
+        columns: Mapping[str, NDArray[Any]]
+        if isinstance(self.columns, trace_file.Stored):
+            columns = self.columns.head(ticks)
+        else:
+            columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
+        return self._of(columns, self.meta)
+
+    def with_meta(self, **values: Any) -> Trace:
+        """Return the same columns with entries of meta added or replaced.
+
+        Raises:
+            TraceError: a value is not JSON.
+        """
+        return self._of(self.columns, MappingProxyType(_plain({**self.meta, **values})))
+
+    @classmethod
+    def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
+        """Return a trace whose columns stay in their files; meta, and errors, as for the constructor."""
+        for name, dtype in columns.types.items():
+            _check_column(name, dtype, columns.shape(name))
+        return cls._of(columns, MappingProxyType(_plain(meta)))
+
+    @classmethod
+    def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
+        """Of columns and meta that were checked before."""
+        made = object.__new__(cls)
+        object.__setattr__(made, "columns", columns)
+        object.__setattr__(made, "meta", meta)
+        return made
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Parquet file, all or nothing: an older file of that name stays until the new one is there.
 
@@ -176,42 +210,60 @@ class Trace:
         """Read what `save` wrote, the same to the last bit.
 
         Raises:
-            TraceError: the file is missing, damaged, or no trace.
+            TraceError: the file is missing, damaged, no trace, or too large for the memory: see `open`.
         """
-        return cls(*trace_file.read(path))
+        whole, meta = trace_writer.found(path)
+        return cls(*trace_file.read(path)) if meta is None else cls(dict(whole), meta)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> Trace:
+        """Read what `save` wrote, column by column: each is read from the file whenever it is asked for.
+
+        Of a run whose process was killed the rows that had been written are found beside the file's name, and
+        ``meta["ended"]`` says so.
+
+        Raises:
+            TraceError: as for `load`; a damaged column may show only when it is asked for.
+        """
+        columns, meta = trace_writer.found(path)
+        return cls.of_files(columns, columns.meta if meta is None else meta)
 
 
 def _column(name: str, value: ArrayLike) -> NDArray[Any]:
     """Return one column as a read-only array of its own, or say what is wrong with it."""
-    if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
-        raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     try:
         array = np.asarray(value)
     except ValueError as error:
         raise TraceError(f"column {name!r} has rows of different lengths: give an array") from error
     if array.dtype == object and all(isinstance(entry, str) for entry in array.flat):
         array = array.astype(np.str_)
-    kind, bytes_ = array.dtype.kind, array.dtype.itemsize
-    if kind != "U" and bytes_ not in _TYPES.get(kind, ()):
-        raise TraceError(f"column {name!r} has type {array.dtype}: give floats, integers, flags or texts")
-    if array.ndim not in ((1,) if kind == "U" else (1, 2)) or array.shape[1:] == (0,):
-        raise TraceError(f"column {name!r} has shape {array.shape}: give (N,) or, for numbers, (N, k)")
-    known = Trace.COLUMNS.get(name)
-    if known is not None:
-        wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
-        width = known.shape.removeprefix("(N,").strip(" )")
-        fits = array.ndim == 1 if not width else array.ndim == 2 and width in ("n", str(array.shape[1]))
-        if kind not in wanted or not fits:
-            raise TraceError(
-                f"column {name!r} is {array.dtype} of shape {array.shape}: "
-                f"give {known.kind}s of shape {known.shape}"
-            )
+    _check_column(name, array.dtype, array.shape)
     # Only an array that nobody else can write through may be kept without a copy.
     native = array.dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or array.dtype != native:
         array = np.array(array, dtype=native, order="C")
     array.setflags(write=False)
     return array
+
+
+def _check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    """Say what is wrong with a column's name, type or shape."""
+    if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
+        raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
+    kind = dtype.kind
+    if kind != "U" and dtype.itemsize not in _TYPES.get(kind, ()):
+        raise TraceError(f"column {name!r} has type {dtype}: give floats, integers, flags or texts")
+    if len(shape) not in ((1,) if kind == "U" else (1, 2)) or shape[1:] == (0,):
+        raise TraceError(f"column {name!r} has shape {shape}: give (N,) or, for numbers, (N, k)")
+    known = Trace.COLUMNS.get(name)
+    if known is not None:
+        wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
+        width = known.shape.removeprefix("(N,").strip(" )")
+        fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", str(shape[1]))
+        if kind not in wanted or not fits:
+            raise TraceError(
+                f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}"
+            )
 
 
 def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,5 +278,5 @@ def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
                 f"meta[{name!r}] cannot be written as JSON ({error}): "
                 f"give texts, finite numbers, flags, None, and lists and dicts of them"
             ) from error
-    plain: dict[str, Any] = json.loads(json.dumps(dict(meta)))
+    plain: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
     return plain

@@ -6,8 +6,11 @@
 import contextlib
 import io
 import json
+import os
 import pickle
 import signal
+import time
+from collections import Counter
 
 import numpy as np
 import pyarrow as pa
@@ -15,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.reliability import fuzz_checks
+from benchmarks.reliability import fuzz_checks, fuzz_files, limits
 from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
@@ -31,15 +34,47 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40), ("name", 80), ("option", 80), ("urdf_number", 120)],
+     ("record_file", 40), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
+     ("extreme_number", 80), ("sweep_folder", 40), ("study_folder", 40), ("trace_folder", 40)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
     verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
     assert failures == []
     assert verdicts.total() >= cases
-    assert verdicts["refused"] > 0
+    assert verdicts["refused"] > 0 or kind == "sweep_folder"  # which always goes on to the whole
     if kind != "record_file":
         assert verdicts["accepted"] > 0  # or nothing behind the first check was looked at
+
+
+def stubborn(kind, cases, seed, done):
+    """What the limited process does with cases of its own; see the test below."""
+    if kind == "dies":
+        os._exit(9)
+    if kind == "hangs":
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+        done()
+        time.sleep(600.0)
+    if kind == "memory":
+        with contextlib.suppress(MemoryError):
+            return Counter(accepted=len(bytearray(3 * 2**30))), []
+        return Counter(refused=cases), []
+    done()
+    return Counter(accepted=cases), ["one"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "verdicts", "failures"),
+    [
+        ("ends", {"accepted": 5}, ["one"]), ("memory", {"refused": 5}, []),
+        ("dies", {}, ["status 9"] * limits.MOST_DEATHS), ("hangs", {"accepted": 3}, ["hung"] * limits.MOST_DEATHS),
+    ],
+)  # fmt: skip
+def test_a_case_that_kills_or_stops_the_process_is_a_failure(kind, verdicts, failures, monkeypatch):
+    monkeypatch.setattr(limits, "GRACE_S", 1.0)
+    found, said = limits.limited(stubborn, kind, 5, 0, lambda: None, 1.0)
+    assert dict(found) == verdicts
+    assert len(said) == len(failures)
+    assert all(wanted in text for wanted, text in zip(failures, said, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -75,8 +110,9 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         == 0
     )
     assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
-    assert set(fuzz.KINDS) >= set(STRATEGIES)
+    assert set(fuzz.KINDS) >= {*STRATEGIES, *fuzz_files.STRATEGIES}
     assert all(callable(fuzz.lookup(kind)[0]) for kind in fuzz.KINDS)
+    monkeypatch.setattr(fuzz, "limited", lambda explore, *of: explore(*of[:-1]))  # here, where it can be changed
     monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
     assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
@@ -109,7 +145,7 @@ def test_absurd_sizes_are_refused_by_name(table):
 
 
 def test_absurd_gains_end_in_a_stop():
-    trace = run(Scenario(control={"K_X": 1e300}, **{**SHORT, "duration_s": 0.2}))
+    trace = run(Scenario(control={"K_X": 1e30}, **{**SHORT, "duration_s": 0.2}))
     assert trace.meta["ended"].startswith("stopped")
 
 

@@ -16,6 +16,7 @@ ROOMS = {
     "public": ["moc_opt"],
     "command line": ["moc_opt.__main__"],
     "errors": ["moc_opt.errors", "moc_opt.names"],
+    "files": ["moc_opt.files", "moc_opt.memory"],
     "settings": ["moc_opt.settings"],
     "compiled": ["moc_opt.compiled", "moc_opt.lanes"],
     "subproblem": ["moc_opt.subproblem", "moc_opt.optimality", "moc_opt.extremes"],
@@ -25,7 +26,7 @@ ROOMS = {
         "moc_opt.selfmotion", "moc_opt.selfmotion_kernels", "moc_opt.travel", "moc_opt.placing",
     ],
     "tasks": ["moc_opt.tasks"],
-    "trace": ["moc_opt.trace", "moc_opt.trace_file", "moc_opt.ending"],
+    "trace": ["moc_opt.trace", "moc_opt.trace_file", "moc_opt.trace_writer", "moc_opt.ending"],
     "metrics": ["moc_opt.metrics", "moc_opt.oscillation"],
     "protocol": ["moc_opt.solvers.base"],
     "solvers": ["moc_opt.solvers"],
@@ -48,25 +49,26 @@ ROOMS = {
 # Rooms that a room may import from, besides itself.
 ALLOWED = {
     "errors": set(),
-    "settings": {"errors"},
+    "files": {"errors"},
+    "settings": {"errors", "files"},
     "compiled": set(),
     "subproblem": {"errors"},
     "tasks": {"errors"},
-    "trace": {"errors"},
-    "robots": {"errors", "settings"},
+    "trace": {"errors", "files"},
+    "robots": {"errors", "files", "settings"},
     "metrics": {"errors", "trace"},
     "protocol": {"errors", "subproblem"},
     "solvers": {"errors", "compiled", "subproblem", "protocol"},
     "model": {"errors", "compiled", "robots"},
     "sim": {"errors", "settings", "compiled", "robots", "tasks", "trace"},
-    "report": {"errors", "metrics", "trace"},
+    "report": {"errors", "files", "metrics", "trace"},
     "control": {"errors", "settings", "compiled", "tasks", "subproblem", "robots", "model", "protocol"},
     "assemblies": {"errors", "settings", "tasks", "trace", "robots", "model", "sim", "control"},
     "pictures": {"errors", "trace", "model", "report"},
     "embedded": {"errors", "subproblem", "model", "protocol", "solvers", "control"},
     "scenario": {
-        "errors", "settings", "tasks", "trace", "subproblem", "robots", "metrics", "model", "protocol", "solvers",
-        "sim", "report", "control", "assemblies", "embedded",
+        "errors", "files", "settings", "tasks", "trace", "subproblem", "robots", "metrics", "model", "protocol",
+        "solvers", "sim", "report", "control", "assemblies", "embedded",
     },
     "live": {"errors", "tasks", "model", "solvers", "control", "pictures", "scenario"},
     "command line": {"errors", "metrics", "report", "scenario", "trace", "embedded", "pictures", "live"},
@@ -75,7 +77,7 @@ ALLOWED = {
 
 # From the ground up; a room imports from floors below its own, and from its own floor's errors and settings.
 FLOORS = [
-    {"errors", "settings", "compiled", "tasks", "trace"},
+    {"errors", "files", "settings", "compiled", "tasks", "trace"},
     {"subproblem", "robots", "metrics"},
     {"protocol", "solvers", "model", "sim", "report"},
     {"control"},
@@ -84,12 +86,13 @@ FLOORS = [
     {"live"},
     {"command line", "public"},
 ]
-GROUND = {"errors", "settings", "compiled"}
+GROUND = {"errors", "files", "settings", "compiled"}
 SAME_FLOOR = {("solvers", "protocol")}
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
 ONLY = {
     "errors": set(),
+    "files": {"numpy"},
     "settings": {"pydantic"},
     "compiled": {"numba", "llvmlite"},
     "subproblem": {"numpy"},

@@ -79,7 +79,7 @@ def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
         if not any(repr(name)[1:-1] in str(error) for name in names):
             raise Wrong(f"none of {names} is named: {error}") from error
         return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
 def scenario_file(data: bytes) -> Verdict:
@@ -91,10 +91,11 @@ def scenario_file(data: bytes) -> Verdict:
             if path.name not in str(error):
                 raise Wrong(f"the file is not named: {error}") from error
             return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
-def _few_ticks(made: Scenario) -> Verdict:
+def few_ticks(made: Scenario) -> Verdict:
+    """Two ticks of a scenario, sound or refused."""
     try:
         short = made.change(duration_s=2.0 * made.plant.period_s, bound_samples=min(made.bound_samples, 2))
         trace = run(short)
@@ -203,7 +204,7 @@ def record_file(data: bytes) -> Verdict:
     from benchmarks.sweeps.store import _opened
 
     with _file(data, "record.json") as path:
-        found = _opened(path)
+        found = _opened(path, "0")
     if found is not None and not isinstance(found, dict):
         raise Wrong(f"a record that is a {type(found).__name__}")
     return "refused" if found is None else "accepted"

@@ -11,7 +11,7 @@ import hashlib
 import importlib.metadata
 import io
 import json
-import zipfile
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.output import PACKAGES, plain, write_atomically
+from benchmarks.output import PACKAGES, write_atomically
+from moc_opt.errors import MocOptError
+from moc_opt.files import file_in, parse_json, read_arrays, read_bytes, to_json
 
 ROOT = Path(__file__).resolve().parents[2]
 # What decides a part's content, beside the package itself; reports and figures do not.
@@ -28,6 +30,7 @@ SOURCES = (
     "study/worker",
 )  # fmt: skip
 META = "_meta"
+MOST_BYTES = 2**27
 
 
 class Part(NamedTuple):
@@ -47,20 +50,20 @@ class Store:
 
     def key(self, **what: Any) -> str:
         """Digest of a description in plain values; arrays in it count with their bytes."""
-        text = json.dumps(_plain(what), sort_keys=True)
+        text = json.dumps(_plain(what), sort_keys=True, allow_nan=False)
         return hashlib.sha256(f"{text}\n{circumstances()}".encode()).hexdigest()[:24]
 
     def get(self, key: str) -> Part | None:
-        """The part, or None where there is none; a damaged one counts as none."""
+        """The part, or None where there is none; a damaged one is set aside, said in one line, and counts as none."""
         path = self._path(key)
         if path is None or not path.exists():
             return None
         try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: file[name] for name in file.files}
-            values = json.loads(str(arrays.pop(META)[()]))
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-            path.unlink(missing_ok=True)
+            values, arrays = _opened(path)
+        except MocOptError as error:
+            aside = file_in(path.parent / "damaged", path.name)
+            path.rename(aside)
+            print(f"{error}; set aside as {aside}, and done again", file=sys.stderr)
             return None
         self.reused += path.name in self._before
         return Part(values, arrays)
@@ -70,13 +73,33 @@ class Store:
         path = self._path(key)
         if path is not None:
             buffer = io.BytesIO()
-            meta = np.array(json.dumps(plain(part.values)))
+            meta = np.array(to_json(part.values, indent=None))
             np.savez_compressed(buffer, **{META: meta}, **part.arrays)  # type: ignore[arg-type]
-            write_atomically(path, buffer.getvalue())
+            data = buffer.getvalue()
+            write_atomically(path, data + hashlib.sha256(data).digest())
         return part
 
     def _path(self, key: str) -> Path | None:
         return None if self.folder is None else self.folder / f"{key}.npz"
+
+
+def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """The values and arrays of a part.
+
+    Raises:
+        MocOptError: damaged, or not written by ``put``.
+    """
+    what = "part of the study"
+    # The digest behind the archive also covers what the archive's own checksums leave out: names and types.
+    data = read_bytes(path, what, MocOptError, MOST_BYTES)
+    if hashlib.sha256(data[:-32]).digest() != data[-32:]:
+        raise MocOptError(f"{what} {path} is damaged")
+    arrays = read_arrays(path, what, MocOptError, MOST_BYTES)
+    meta = arrays.pop(META, None)
+    values = parse_json(str(meta), f"{what} {path}", MocOptError)
+    if not isinstance(values, dict):
+        raise MocOptError(f"{what} {path} has no values")
+    return values, arrays
 
 
 @functools.cache

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, shown
+from moc_opt.files import read_toml, wrong_size
 from moc_opt.settings import Name
 
 # Strict: a number of TOML, no text or flag that could be read as one.
@@ -22,6 +22,13 @@ PerJoint = Number | Vector
 
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any) -> Any:
+        if wrong := wrong_size(value):
+            raise ValueError(wrong)
+        return value
 
 
 class Frames(_Table):
@@ -77,28 +84,13 @@ class RobotDescription(_Table):
     gains: dict[Name, dict[Name, Number | Vector]] = {}
 
 
-def read_text(path: Path, what: str) -> str:
-    """The file's text, or a RobotError that says what could not be read."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
-        raise RobotError(
-            f"{what} {str(path)!r} cannot be read ({error}): check the path and the encoding (UTF-8)"
-        ) from error
-
-
 def read_description(path: Path) -> RobotDescription:
     """Read and validate a robot's TOML file.
 
     Raises:
         RobotError: unreadable file, bad TOML, a missing, unknown or wrong entry (all of them are named).
     """
-    try:
-        raw = tomllib.loads(read_text(path, "robot file"))
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"robot file {str(path)!r} is not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise RobotError(f"robot file {str(path)!r}: tables or lists in it are nested too deep") from error
+    raw = read_toml(path, "robot file", RobotError)
     try:
         return RobotDescription.model_validate(raw)
     except ValidationError as error:
@@ -108,15 +100,15 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = repr(".".join(map(str, loc)))[1:-1]  # a key of the file may hold anything
+    field = repr(".".join(f"{part!s:.80}" for part in loc))[1:-1]  # a key of the file may hold anything
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
-        near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(loc[-1])[:100], valid, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
     if item["type"] == "missing":
         return f"{field} is missing: add it"
-    return f"{field} = {item['input']!r}: {item['msg']}"
+    return f"{field} = {shown(item['input'])}: {item['msg']}"
 
 
 def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:

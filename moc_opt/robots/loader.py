@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from moc_opt import names
 from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.files import read_text
 from moc_opt.robots import urdf
-from moc_opt.robots.description import RobotDescription, Tool, read_description, read_text
+from moc_opt.robots.description import RobotDescription, Tool, read_description
 from moc_opt.robots.rebuild import rebuild
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def load_data(
     description = read_description(description_path)
     tool = _tool(description.tool, tool_length, tool_mass)
     urdf_path = description_path.parent / description.urdf
-    given = urdf.parse(read_text(urdf_path, "urdf"))
+    given = urdf.parse(read_text(urdf_path, "urdf", RobotError))
     urdf.check_names_free(given)
     root = rebuild(given, description.name)
     chain = urdf.moving_joints(root, description.frames.last_link)

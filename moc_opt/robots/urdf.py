@@ -16,6 +16,29 @@ from moc_opt.robots.rebuild import MOVING
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 _OUR_LINKS = {TOOL_LINK, TIP_LINK, WRIST_LINK}
 _OUR_JOINTS = {"tool_mount", "tip_frame", "wrist_frame"}
+_DEEPEST, _MOST_ELEMENTS = 32, 20_000
+
+
+class _Bounded(ET.TreeBuilder):
+    """Builds the tree, and refuses one that later readers, which recurse, could not walk through."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = self._elements = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        self._depth += 1
+        self._elements += 1
+        if self._depth > _DEEPEST or self._elements > _MOST_ELEMENTS:
+            raise RobotError(
+                f"urdf: element <{tag:.80}> is number {self._elements}, at depth {self._depth}: {_MOST_ELEMENTS} "
+                f"elements and a depth of {_DEEPEST} are the most"
+            )
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        self._depth -= 1
+        return super().end(tag)
 
 
 def parse(text: str) -> ET.Element:
@@ -28,7 +51,7 @@ def parse(text: str) -> ET.Element:
     if any(mark in text.upper() for mark in ("<!DOCTYPE", "<!ENTITY")):
         raise RobotError("urdf declares a document type or entities: remove <!DOCTYPE ...> and <!ENTITY ...>")
     try:
-        root = ET.fromstring(text)
+        root = ET.fromstring(text, parser=ET.XMLParser(target=_Bounded()))
     except ET.ParseError as error:
         raise RobotError(
             f"urdf is not well-formed XML ({error}): expand xacro files and check the line"
