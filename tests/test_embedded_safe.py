@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections import Counter
 from typing import Any
@@ -14,7 +15,8 @@ import moc_opt.sim.loop
 from moc_opt.control.guard import Guard
 from moc_opt.driver import Driver
 from moc_opt.embedded.guarded import FAULTS, GuardedController
-from moc_opt.scenario import Scenario, Setup
+from moc_opt.model import RobotModel
+from moc_opt.scenario import Scenario, Setup, make_guard
 from moc_opt.sim.safe import Safe
 from moc_opt.sim.sensors import Measurement
 
@@ -177,3 +179,83 @@ def test_late_answers_are_treated_alike(late: str) -> None:
     )
     assert twin.faults["late"] > 100
     assert max(twin.differences) <= SAME_NM
+
+
+# ---- the straight elbow, from recorded measurements: no loop leads an arm there ------------------------------------
+
+
+def stream(robot: RobotModel, angles: Array, seed: int, moving: float) -> list[tuple[Measurement, Array, Array]]:
+    """Measurements with the elbow at these angles, the other joints drawn; references near the tip that is seen."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1.0, 1.0, robot.n) * [1.0, 0.5, 1.0, 0.0, 1.0, 0.5, 1.0]
+    q[5], v = 0.9, moving * rng.normal(scale=0.1, size=robot.n)
+    found = []
+    for angle in angles:
+        q[3] = angle
+        state = robot.state(q, v)
+        tip_ref = moving * rng.normal(size=(3, 3)) * [[1e-4], [1e-2], [1e-1]]
+        tip_ref[0] += state.tip
+        trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+        found.append((Measurement(q.copy(), v.copy(), np.zeros(6)), tip_ref, trocar))
+    return found
+
+
+def compare_on(scenario: Scenario, given: list[tuple[Measurement, Array, Array]]) -> Twin:
+    """Both, open loop, on the same measurements."""
+    setup = Setup(scenario)
+    guard = make_guard(setup.robot, scenario)
+    twin = Twin(Driver(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
+    twin.start(*given[0])
+    for inputs in given:
+        twin.tick(*inputs)
+    return twin
+
+
+ELBOWS = {
+    "straight": np.zeros(30),
+    "nearly": np.full(30, 2e-6),
+    "a-thousandth": np.full(30, -1e-3),
+    "through": np.linspace(-0.03, 0.03, 61),  # zero is one of them
+    "through-unseen": np.linspace(-0.03, 0.03, 60),
+}
+
+
+@pytest.mark.parametrize("elbow", ELBOWS)
+@pytest.mark.parametrize(
+    "control",
+    [
+        {}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}}, {"damping": 0.0},
+        {"preset": "paper"}, {"law": "dcac"}, {"law": "dcac", "dcac_damping": 3.0}, {"projector": "static"},
+    ],
+    ids=lambda control: "-".join(f"{value}" for value in control.values()) or "default",
+)  # fmt: skip
+def test_a_straight_elbow_has_the_same_torque(robot: RobotModel, elbow: str, control: dict[str, Any]) -> None:
+    scenario = scenario_of(control=control, guard={"tip_error_m": 1.0, "rcm_error_m": None})
+    solved = 0
+    for seed, moving in itertools.product(range(3), (0.0, 1.0)):
+        twin = compare_on(scenario, stream(robot, ELBOWS[elbow], seed, moving))
+        assert max(twin.differences) <= SAME_NM
+        assert np.isfinite(twin.differences).all()
+        assert not twin.lost
+        solved += twin.faults["none"]
+    if elbow == "straight" and scenario.control.law == "moc":
+        assert len(twin.brain.controller.null_space) == 3  # rank four: the self-motion has a second freedom
+        assert solved > 0
+
+
+def test_what_is_no_number_is_treated_alike(robot: RobotModel) -> None:
+    """One bad entry in one tick of a sound stream, of every input; five in a row; and numbers of any size."""
+    angles = 1.2 + 1e-3 * np.arange(20)
+    scenario = scenario_of()
+    stopped = Counter()
+    for bad, field, ticks in itertools.product((np.nan, np.inf, -1e300, 1e300), range(5), (1, 5)):
+        given = stream(robot, angles, seed=1, moving=1.0)
+        for k in range(8, 8 + ticks):
+            arrays = [np.array(part) for part in (*given[k][0], given[k][1], given[k][2])]
+            arrays[field].flat[1] = bad
+            given[k] = (Measurement(*arrays[:3]), arrays[3], arrays[4])
+        twin = compare_on(scenario, given)
+        assert max(twin.differences) <= SAME_NM, (bad, field, ticks)
+        stopped[twin.lost.partition(" has been")[0]] += 1
+        assert bool(twin.lost) or (field < 3 and ticks == 1), (bad, field, ticks)
+    assert len(stopped) >= 4, stopped

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.manipulability import box_limits
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
@@ -166,8 +167,7 @@ class _Law:
         wish = ca.vertcat(
             ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v))
         )
-        Y = ca.solve(factor, A5.T)
-        return A5.T @ _solve_factored(ca.chol(Y.T @ Y), wish)
+        return factor @ _orthogonal_effort(ca.solve(factor, A5.T), wish)
 
     def _third_level(self, solver: Solver | None) -> None:
         """The null space and, under MOC, the solver's answer; the torque that follows it is `moc_level3.c`.
@@ -230,6 +230,35 @@ class _Law:
 def _tool_pose(robot: RobotModel, at: dynamics.Points) -> SX:
     """(12,) rows x, y, z, tip; see `moc_opt.model_kernels.tool_pose`."""
     return ca.vertcat(*(at.R @ ca.SX(axis) for axis in without_dust(robot.mount)), at.tip)
+
+
+def _orthogonal_effort(Y: SX, wish: SX) -> SX:
+    """Shortest y with Y^T y = wish for Y (n,5); the wrist's harder direction as `control.feedforward` has it."""
+    columns: list[SX] = ca.horzsplit(Y)
+    wishes: list[SX] = ca.vertsplit(wish)
+    effort: SX = ca.SX.zeros(Y.shape[0])
+    tip: list[tuple[SX, SX]] = []
+    for i in range(5):
+        for _ in range(2):
+            for unit, share in tip:
+                along = ca.dot(unit, columns[i])
+                wishes[i] = wishes[i] - along * share
+                columns[i] = columns[i] - along * unit
+        if i < 3:
+            length = ca.norm_2(columns[i])
+            tip.append((columns[i] / length, wishes[i] / length))
+            effort = effort + tip[i][1] * tip[i][0]
+    one, other = columns[3:]
+    turn = 0.5 * ca.atan2(2 * ca.dot(one, other), ca.dot(one, one) - ca.dot(other, other))
+    c, s = ca.cos(turn), ca.sin(turn)
+    easy, hard = c * one + s * other, c * other - s * one
+    most, least = ca.dot(easy, easy), ca.dot(hard, hard)
+    for row, share, mobility, moves in (
+        (easy, c * wishes[3] + s * wishes[4], most, most > 0),
+        (hard, c * wishes[4] - s * wishes[3], least, least > STRAIGHT**2 * most),
+    ):
+        effort = effort + ca.if_else(moves, share / ca.if_else(moves, mobility, 1), 0) * row
+    return effort
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
