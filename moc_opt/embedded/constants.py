@@ -9,6 +9,7 @@ import numpy as np
 from moc_opt.control import ControlSettings
 from moc_opt.control.guard import GuardSettings
 from moc_opt.control.settings import per_joint
+from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver
@@ -43,6 +44,7 @@ def constants(
 ) -> dict[str, str]:
     """Both files as text, by name."""
     macros = _law(tick, control, solver, period) | _supervisor(control) | _guard(robot, guard, period)
+    macros["MOC_OPERATIONS"] = f"{worst_path(tick)['in all']} /* floating-point operations of the longest step */"
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
     arrays = {
         "moc_q_min": robot.q_min, "moc_q_max": robot.q_max, "moc_v_max": robot.v_max, "moc_tau_max": robot.tau_max,

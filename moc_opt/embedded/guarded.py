@@ -51,7 +51,7 @@ class GuardedController:
     ) -> None:
         _, texts = safe_files(robot, settings, solver, period, guard)
         self._n = robot.n
-        self._library = found = ctypes.PyDLL(str(compile_library(texts | program.read("access.c"))))
+        self.library = found = ctypes.PyDLL(str(compile_library(texts | program.read("access.c"))))
         found.moc_state_size.restype = ctypes.c_ulong
         self._state = ctypes.create_string_buffer(found.moc_state_size())
         self._has_clock = settings.supervisor.budget_us is not None
@@ -60,7 +60,7 @@ class GuardedController:
     def start(self, q: ArrayLike, v: ArrayLike, sent: ArrayLike) -> None:
         """Reset: begin at q (n,) [rad], v (n,) [rad/s], the torque ``sent`` (n,) [Nm] acting."""
         given = self._pointers(q, v, sent)
-        self._reason = self._library.moc_safe_start(*given[0], self._state)
+        self._reason = self.library.moc_safe_start(*given[0], self._state)
 
     def tick(
         self, q: ArrayLike, v: ArrayLike, tip_ref: ArrayLike, trocar: ArrayLike, wrench: ArrayLike,
@@ -75,10 +75,10 @@ class GuardedController:
             solve_us: what the clock says of the solver, where it has a time budget.
         """
         if self._has_clock:
-            ctypes.c_double.in_dll(self._library, "moc_solve_us").value = solve_us
+            ctypes.c_double.in_dll(self.library, "moc_solve_us").value = solve_us
         tau = np.empty(self._n)
         given = self._pointers(q, v, tip_ref, trocar, wrench, sizes=(self._n, self._n, 9, 6, 6))
-        self._reason = self._library.moc_safe_step(
+        self._reason = self.library.moc_safe_step(
             *given[0], self._state, ctypes.c_void_p(tau.ctypes.data), None
         )
         return tau
@@ -91,22 +91,22 @@ class GuardedController:
     @property
     def limited(self) -> int:
         """Joints at which the guard changed the last torque."""
-        return int(self._library.moc_limited(self._state))
+        return int(self.library.moc_limited(self._state))
 
     @property
     def fault(self) -> str:
         """Label of what was wrong with the third level's last answer."""
-        return FAULTS[self._library.moc_fault(self._state, -1)]
+        return FAULTS[self.library.moc_fault(self._state, -1)]
 
     def count(self, fault: str) -> int:
         """How often this fault occurred since the start."""
-        return int(self._library.moc_fault(self._state, FAULTS.index(fault)))
+        return int(self.library.moc_fault(self._state, FAULTS.index(fault)))
 
     @property
     def warned(self) -> list[tuple[int, float]]:
         """Of RCM error [m] and trocar force [N]: first tick above the warning level (-1: none), and the largest."""
         largest, first = (ctypes.c_double * 2)(), (ctypes.c_int * 2)()
-        self._library.moc_incision_seen(self._state, largest, first)
+        self.library.moc_incision_seen(self._state, largest, first)
         return list(zip(first, largest, strict=True))
 
     def _pointers(
