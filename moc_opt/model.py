@@ -141,6 +141,11 @@ class RobotModel:
         return pose
 
     @property
+    def mount(self) -> Array:
+        """(3,3) rows: the tool's axes x, y, z in the last joint's frame."""
+        return self._mount
+
+    @property
     def moves(self) -> NDArray[np.bool_]:
         """(2,n) which joints can move the tip (first row) and the wrist (second row) at all."""
         return self._moves

@@ -367,7 +367,7 @@ def exported(robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
 def test_the_header_tells_all(exported: Path) -> None:
     header = (exported / "moc_tick.h").read_text()
-    for fields in layout(7, "moc"):
+    for fields in layout(7, "moc", 2):
         for field in fields:
             assert f"{field.name}{f'[{field.length}]' if field.shape else ''}" in header
             assert field.meaning in header
@@ -386,7 +386,7 @@ def test_the_header_tells_all(exported: Path) -> None:
 def test_the_same_law_gives_the_same_text(exported: Path, robot: RobotModel, tmp_path: Path) -> None:
     recording = Recording(*(np.zeros((1, *shape)) for shape in ((7,), (7,), (3, 3), (2, 3), (7,))))
     export(robot, ControlSettings(), Exact(), PERIOD, recording, tmp_path)
-    for name in ("moc_tick.c", "moc_tick.h", "main.c", "Makefile"):
+    for name in ("moc_tick.c", "moc_tick.h", "moc_arm.c", "moc_constants.c", "main.c", "Makefile"):
         assert (tmp_path / name).read_text() == (exported / name).read_text()
     with pytest.raises(ControlError, match="cannot be written"):
         export(robot, ControlSettings(), Exact(), PERIOD, recording, tmp_path / "Makefile")
@@ -395,13 +395,13 @@ def test_the_same_law_gives_the_same_text(exported: Path, robot: RobotModel, tmp
 @needs_compiler
 def test_the_self_test_compiles_without_a_warning_runs_and_can_fail(exported: Path, tmp_path: Path) -> None:
     def build_and_run(folder: Path) -> subprocess.CompletedProcess[str]:
-        compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))))
-        sources = [str(folder / name) for name in ("main.c", "moc_tick.c")]
-        program = str(tmp_path / "self_test")
-        command = [compiler, *FLAGS, "-Wall", "-Wextra", "-Werror", *sources, "-lm", "-o", program]
-        subprocess.run(command, check=True, capture_output=True)
-        return subprocess.run([program], capture_output=True, text=True, timeout=30)
+        subprocess.run(["make", "clean"], cwd=folder, check=True, capture_output=True)
+        flags = f"CFLAGS={' '.join(FLAGS)} -Werror"
+        return subprocess.run(
+            ["make", "test", flags], cwd=folder, capture_output=True, text=True, timeout=120
+        )
 
+    exported = Path(shutil.copytree(exported, tmp_path / "right"))
     done = build_and_run(exported)
     assert done.returncode == 0, done.stdout
     assert "one tick: mean" in done.stdout
@@ -411,7 +411,9 @@ def test_the_self_test_compiles_without_a_warning_runs_and_can_fail(exported: Pa
     table = (wrong / "recording.h").read_text()
     last = table.rstrip().removesuffix("}\n};").split(", ")[-1]
     (wrong / "recording.h").write_text(table.replace(last, repr(float(last) + 1e-6)))
-    assert build_and_run(wrong).returncode == 1
+    failed = build_and_run(wrong)
+    assert failed.returncode != 0
+    assert "largest difference" in failed.stdout, failed.stderr
 
 
 # ---- compiler and cache --------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """With a perfect model the feed-forward gives tip and wrist the accelerations that were asked for."""
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from moc_opt.control.dense import cholesky
@@ -61,3 +62,33 @@ def test_both_points_get_their_accelerations(robot, regular_poses):
         qdd = np.linalg.solve(s.M, tau)
         assert_allclose(s.J_tip @ qdd + s.drift_tip, tip, atol=1e-9)
         assert_allclose(s.J_wrist @ qdd + s.drift_wrist, wrist, atol=1e-8)
+
+
+def straight(robot, angle):
+    return robot.state([0.3, 0.6, 0.2, angle, 0.4, 0.9, 0.0], np.full(robot.n, 0.1))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-13, 1e-10, 1e-7, 1e-5, -1e-4])
+def test_a_straight_elbow_leaves_out_what_it_cannot_do(robot, angle):
+    """The torque stays near that of the straight elbow, and the tip gets its acceleration all the same."""
+    rng = np.random.default_rng(3)
+    tip, wrist = rng.normal(size=3), rng.normal(size=3)
+
+    def torque(s):
+        return motion_feedforward(
+            np.array(s.A), np.array(s.tool_direction), cholesky(np.array(s.M)), np.r_[s.drift_tip, s.drift_wrist],
+            tip, wrist,
+        )  # fmt: skip
+
+    s = straight(robot, angle)
+    tau = torque(s)
+    assert_allclose(tau, torque(straight(robot, 0.0)), atol=20.0 * abs(angle) + 1e-9)
+    qdd = np.linalg.solve(s.M, tau)
+    assert_allclose(s.J_tip @ qdd + s.drift_tip, tip, atol=1e-9)
+    # across the tool the wrist gets the nearest that there is: the rest cannot be had by any joint acceleration
+    across = np.eye(3) - np.outer(s.tool_direction, s.tool_direction)
+    missing = across @ (wrist - s.J_wrist @ qdd - s.drift_wrist)
+    free = np.linalg.svd(s.J_tip)[2][3:]  # joint accelerations that leave the tip alone
+    size = np.linalg.norm(across @ s.J_wrist @ free.T, axis=0)
+    assert np.abs(missing @ s.J_wrist @ free.T).max() <= (1e-9 + 2.0 * abs(angle)) * size.max()
+    assert np.linalg.norm(missing) > 0.01

@@ -45,6 +45,16 @@ def solve_in_place(L: Array, x: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
+def forward_in_place(L: Array, x: Array) -> None:
+    """x (m,) becomes L^-1 x, L being a lower triangle."""
+    for i in range(L.shape[0]):
+        s = x[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s * (1.0 / L[i, i])
+
+
+@njit(cache=True, nogil=True)
 def solve_factored(L: Array, b: Array) -> Array:
     """S^-1 b for a vector b (m,), given the factor of S."""
     x = b.copy()

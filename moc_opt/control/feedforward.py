@@ -3,6 +3,10 @@
 a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)] on the five independent rows A5 (tip, and the wrist across the shaft),
 tau = A5^T (A5 M^-1 A5^T)^-1 a. On the tip alone this is the Lambda_T (ddX_d - dJ_T v) of Khatib 1987, eq. 51; the
 wrist's part takes out what a travelling elbow does to the shaft. The paper's law has none.
+
+With M = L L^T the rows of A5 L^-T are made orthogonal instead of squared: the torque of a nearly straight elbow keeps
+twice the digits. At ``STRAIGHT`` of the other direction and below, the one in which such an elbow can hardly move the
+wrist is left out: at the straight elbow itself it would take an infinite torque, and rounding would decide which.
 """
 
 from __future__ import annotations
@@ -11,10 +15,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.compliance import task_inertia
-from moc_opt.control.dense import dot, solve_factored, transpose_times
+from moc_opt.control.dense import dot, forward_in_place
 
 Array = NDArray[np.float64]
+
+STRAIGHT = 1e-3
+"""Mobility of the wrist in its harder direction over that in its easier one; about the elbow's angle [rad]."""
 
 
 @njit(cache=True, nogil=True)
@@ -70,10 +76,38 @@ def motion_feedforward(
 ) -> Array:
     """Torque (n,) [Nm] that gives tip and wrist these accelerations (3,) each, on top of gravity and Coriolis."""
     A5, across = independent_rows(A, u)
-    gap = wrist_acceleration - drift[3:]
-    a = np.empty(5)
+    n, gap = A.shape[1], wrist_acceleration - drift[3:]
+    a, c = np.empty(5), np.empty(5)
     a[:3] = tip_acceleration - drift[:3]
     a[3], a[4] = dot(across[0], gap), dot(across[1], gap)
-    _, mobility = task_inertia(A5, M_factor)
-    torque: Array = transpose_times(A5, solve_factored(mobility, a))
+    for i in range(5):  # rows of A5 L^-T; the tip's become orthonormal, the wrist's orthogonal to them
+        forward_in_place(M_factor, A5[i])
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            for k in range(min(i, 3)):
+                along = dot(A5[k], A5[i])
+                a[i] -= along * c[k]
+                for j in range(n):
+                    A5[i, j] -= along * A5[k, j]
+        if i < 3:
+            length = np.sqrt(dot(A5[i], A5[i]))
+            inverse = 1.0 / length if length > 0.0 else np.nan
+            c[i] = a[i] * inverse
+            for j in range(n):
+                A5[i, j] *= inverse
+    # Turned about the tool so that the wrist's two rows are orthogonal as well: easiest and hardest direction.
+    turn = 0.5 * np.arctan2(2.0 * dot(A5[3], A5[4]), dot(A5[3], A5[3]) - dot(A5[4], A5[4]))
+    cosine, sine = np.cos(turn), np.sin(turn)
+    a[3], a[4] = cosine * a[3] + sine * a[4], cosine * a[4] - sine * a[3]
+    for j in range(n):
+        A5[3, j], A5[4, j] = cosine * A5[3, j] + sine * A5[4, j], cosine * A5[4, j] - sine * A5[3, j]
+    easy, hard = dot(A5[3], A5[3]), dot(A5[4], A5[4])
+    c[3] = a[3] / easy if easy > 0.0 else 0.0
+    c[4] = a[4] / hard if hard > STRAIGHT * STRAIGHT * easy else 0.0
+    torque = np.zeros(n)
+    for i in range(n):  # L times the sum of the rows
+        for k in range(i + 1):
+            along = 0.0
+            for row in range(5):
+                along += c[row] * A5[row, k]
+            torque[i] += M_factor[i, k] * along
     return torque

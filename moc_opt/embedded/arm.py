@@ -51,14 +51,14 @@ class Arm:
         crosses = [pin.skew(body.lever) for body in bodies]
         return cls(
             n=robot.n,
-            rotations=_without_dust(chain.rotations),
-            origins=_without_dust(chain.origins),
-            axes=_without_dust(chain.axes),
+            rotations=without_dust(chain.rotations),
+            origins=without_dust(chain.origins),
+            axes=without_dust(chain.axes),
             prismatic=chain.prismatic,
-            offsets=_without_dust(chain.offsets),
+            offsets=without_dust(chain.offsets),
             mass=np.array([body.mass for body in bodies]),
-            first_moment=_without_dust(np.array([body.mass * body.lever for body in bodies])),
-            inertia=_without_dust(
+            first_moment=without_dust(np.array([body.mass * body.lever for body in bodies])),
+            inertia=without_dust(
                 np.array([b.inertia - b.mass * c @ c for b, c in zip(bodies, crosses, strict=True)])
             ),
             rotor_inertia=robot.data.rotor_inertia,
@@ -67,6 +67,7 @@ class Arm:
         )
 
 
-def _without_dust(values: Array) -> Array:
+def without_dust(values: Array) -> Array:
+    """The values, with the numbers that are whole but for rounding made whole."""
     nearest = np.round(values)
     return np.where(np.abs(values - nearest) < _DUST, nearest + 0.0, values)

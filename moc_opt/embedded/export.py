@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.guard import GuardSettings
 from moc_opt.control.settings import GAINS
-from moc_opt.embedded import source
+from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
-from moc_opt.embedded.source import Recording
+from moc_opt.embedded.constants import DEFAULT_GUARD, constants
+from moc_opt.embedded.source import Recording, SafeRecording
+from moc_opt.embedded.support import check_guard
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel
@@ -47,9 +50,13 @@ def record(
 
 
 def c_files(
-    robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float
+    robot: RobotModel,
+    settings: ControlSettings,
+    solver: Solver | None,
+    period: float,
+    guard: GuardSettings = DEFAULT_GUARD,
 ) -> tuple[Tick, dict[str, str]]:
-    """The tick, and moc_tick.h and moc_tick.c as text by file name.
+    """The tick, and the C files of the bare tick as text by file name.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for.
@@ -60,7 +67,25 @@ def c_files(
         "moc_tick.h": source.header(tick, title, _constants(robot, settings, solver, period)),
         "moc_tick.c": source.implementation(tick),
     }
-    return tick, texts
+    texts |= constants(tick, robot, settings, solver, period, guard)
+    return tick, texts | program.read(*program.TICK)
+
+
+def safe_files(
+    robot: RobotModel,
+    settings: ControlSettings,
+    solver: Solver | None,
+    period: float,
+    guard: GuardSettings = DEFAULT_GUARD,
+) -> tuple[Tick, dict[str, str]]:
+    """The tick, and the C files of the whole controller: the bare tick, its supervisor and its guard.
+
+    Raises:
+        ControlError: the C code cannot do what a setting asks for.
+    """
+    check_guard(guard)
+    tick, texts = c_files(robot, settings, solver, period, guard)
+    return tick, texts | {"moc_arm.c": source.arm(tick)} | program.guarded(tick)
 
 
 def export(
@@ -70,18 +95,27 @@ def export(
     period: float,
     recording: Recording,
     out: str | os.PathLike[str],
+    guard: GuardSettings = DEFAULT_GUARD,
+    safe_recording: SafeRecording | None = None,
 ) -> list[Path]:
-    """Write moc_tick.c, moc_tick.h, main.c, recording.h and a Makefile into the folder `out`.
+    """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.
+
+    Args:
+        robot, settings, solver, period: as for `Controller`.
+        recording: ticks that main.c compares the bare tick with.
+        out: made if need be.
+        guard: the limits that are compiled in.
+        safe_recording: ticks that safe_test.c compares the whole controller with; None: that test is left out.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for, or `out` cannot be written.
     """
-    tick, texts = c_files(robot, settings, solver, period)
-    texts |= {
-        "main.c": source.self_test(tick),
-        "recording.h": source.recording(recording),
-        "Makefile": source.makefile(" ".join(FLAGS)),
-    }
+    tick, texts = safe_files(robot, settings, solver, period, guard)
+    texts |= {"main.c": source.self_test(tick), "recording.h": source.recording(recording)}
+    texts |= program.read("extremes.c")
+    if safe_recording is not None:
+        texts |= program.read("safe_test.c") | {"safe_recording.h": source.safe_recording(safe_recording)}
+    texts["Makefile"] = program.makefile(texts, " ".join(FLAGS), safe_recording is not None)
     folder, written = Path(out), []
     try:
         folder.mkdir(parents=True, exist_ok=True)

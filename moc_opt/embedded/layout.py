@@ -36,8 +36,12 @@ class Layout(NamedTuple):
     """optional output"""
 
 
-def layout(n: int, law: str) -> Layout:
-    """The arguments for n joints under law "moc" or "dcac"."""
+OBSERVED = 2
+"""So many of the state's fields come from the generated equations; the rest is set by the C code around them."""
+
+
+def layout(n: int, law: str, rows: int) -> Layout:
+    """The arguments for n joints under law "moc" or "dcac", with a null space of so many rows (0: none is used)."""
     inputs = (
         Field("q", (n,), "measured joint position [rad]"),
         Field("v", (n,), "measured joint velocity [rad/s]"),
@@ -58,7 +62,12 @@ def layout(n: int, law: str) -> Layout:
         Field("wrist", (3,), "wrist centre N [m], world axes"),
         Field("M", (n, n), "joint-space inertia, rotor inertia included [kg m^2]"),
         Field("h", (n,), "C v + g [Nm]"),
+        Field("levels", (n,), "torque of levels 1 and 2: tip and RCM [Nm]"),
     )
+    if rows:
+        report += (Field("null_space", (rows, n), "orthonormal rows that move neither tip nor wrist"),)
+    if rows and law == "dcac":
+        report += (Field("A", (6, n), "Jacobians of tip and wrist"),)
     if law == "moc":
         report += (
             Field("x", (n,), "joint velocity that the third level followed [rad/s]"),

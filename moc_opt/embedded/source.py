@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.embedded import templates
-from moc_opt.embedded.layout import Field
+from moc_opt.embedded.layout import OBSERVED, Field
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.names import in_comment
 
@@ -35,6 +35,29 @@ class Recording(NamedTuple):
     """(k,n) [Nm]"""
 
 
+class SafeRecording(NamedTuple):
+    """Consecutive ticks of a controller in its guard: what was measured, and the torque that was sent."""
+
+    q: Array
+    """(k,n) [rad]; may hold what is no number"""
+    v: Array
+    """(k,n) [rad/s]"""
+    tip_ref: Array
+    """(k,3,3)"""
+    trocar: Array
+    """(k,2,3)"""
+    wrench: Array
+    """(k,6) force [N] and torque [Nm] of the tool on its mount, tool axes"""
+    solve_us: Array
+    """(k,) time of the solver [us]; zero where it was not asked"""
+    tau: Array
+    """(k,n) [Nm]"""
+    sent: Array
+    """(n,) torque before the first tick [Nm]"""
+    stopped_at: int
+    """the tick at which the guard stopped the arm; -1: it did not"""
+
+
 def header(tick: Tick, title: str, constants: Mapping[str, Any]) -> str:
     """moc_tick.h. `title` and `constants` say in a comment what the numbers in the code came from.
 
@@ -55,23 +78,37 @@ def header(tick: Tick, title: str, constants: Mapping[str, Any]) -> str:
 
 def implementation(tick: Tick) -> str:
     """moc_tick.c: CasADi's functions, kept static, and the interface around them."""
-    generator = ca.CodeGenerator("moc_casadi", {"with_mem": False})
-    generator.add(tick.start)
-    generator.add(tick.tick)
     names, state, report = tick.layout
     inputs = [field.name for field in names]
+    follow = "solver" if any(field.name == "x" for field in report) else "damping" if tick.rows else "levels"
     return templates.IMPLEMENTATION.substitute(
         n=tick.n,
-        generated=generator.dump().strip(),
+        **_generated(tick.start, tick.tick),
         arguments=_arguments(tick.layout.inputs),
         start_arguments=_arguments(tick.layout.inputs[:2]),
         start_given=", ".join(inputs[:2]),
         start_results=", ".join(_address("state->", field) for field in state),
-        given=", ".join([*inputs, *(_address("state->", field) for field in state)]),
-        results=", ".join(_address("next.", field) for field in state),
-        reported=",\n        ".join(f"report ? {_address('report->', field)} : NULL" for field in report),
-        bad=" || ".join(f"not_finite({field.name}, {field.length})" for field in names),
+        inputs=", ".join(inputs),
+        given=", ".join([*inputs, *(_address("state->", field) for field in state[: OBSERVED + 1])]),
+        results=", ".join(_address("next.", field) for field in state[:OBSERVED]),
+        reported=",\n        ".join(_address("report->", field) for field in report),
+        bad=" || ".join(f"!moc_all_finite({field.length}, {field.name})" for field in names),
+        follow=templates.FOLLOW[follow],
     )
+
+
+def arm(tick: Tick) -> str:
+    """moc_arm.c: gravity torque and tool pose, for the guard."""
+    return templates.ARM.substitute(_generated(tick.gravity, tick.tool_pose))
+
+
+def _generated(*functions: Any) -> dict[str, str]:
+    generator = ca.CodeGenerator("moc_casadi", {"with_mem": False})
+    for function in functions:
+        generator.add(function)
+    return {
+        "generated": generator.dump().strip(), "prologue": templates.PROLOGUE, "epilogue": templates.EPILOGUE,
+    }  # fmt: skip
 
 
 def self_test(tick: Tick) -> str:
@@ -81,14 +118,28 @@ def self_test(tick: Tick) -> str:
 
 def recording(rows: Recording) -> str:
     """recording.h: the recorded ticks as one table."""
-    table = np.hstack([np.asarray(part).reshape(len(rows.q), -1) for part in rows])
-    lines = ",\n".join("    {" + ", ".join(map(repr, map(float, row))) + "}" for row in table)
+    table, lines = _table(rows)
     return templates.RECORDING.substitute(ticks=len(table), width=table.shape[1], rows=lines)
 
 
-def makefile(flags: str) -> str:
-    """Makefile with the flags that the package itself compiles with."""
-    return templates.MAKEFILE.substitute(flags=flags)
+def safe_recording(rows: SafeRecording) -> str:
+    """safe_recording.h: the same for the controller in its guard."""
+    table, lines = _table(rows[:-2])
+    return templates.SAFE_RECORDING.substitute(
+        ticks=len(table), width=table.shape[1], rows=lines, stopped_at=rows.stopped_at, n=len(rows.sent),
+        sent=", ".join(map(_number, rows.sent)),
+    )  # fmt: skip
+
+
+def _table(columns: tuple[Array, ...]) -> tuple[Array, str]:
+    table = np.hstack([np.asarray(part).reshape(len(columns[0]), -1) for part in columns])
+    return table, ",\n".join("    {" + ", ".join(map(_number, row)) + "}" for row in table)
+
+
+def _number(value: float) -> str:
+    if np.isnan(value):
+        return "NAN"
+    return repr(float(value)) if np.isfinite(value) else "HUGE_VAL" if value > 0.0 else "-HUGE_VAL"
 
 
 def _meaning(field: Field) -> str:

@@ -1,20 +1,51 @@
-"""What generated C can do, and the refusal of everything else: a setting is never left out in silence."""
+"""What the C code can do, and the refusal of everything else: a setting is never left out in silence."""
 
 from __future__ import annotations
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.guard import GuardSettings
+from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact import Exact
 
-# Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself and
-# `supervisor` watching over solvers that are not compiled in.
+# Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself; the fields of
+# `supervisor` are below.
 OBEYED = frozenset((
     "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
     "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "damping", "fallback",
     "speed_fraction", "limit_margin_rad", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
+
+
+# Every field of GuardSettings and SupervisorSettings that the C code obeys.
+GUARDED = frozenset((
+    "torque_rate_Nm_per_s", "position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad",
+    "wall_brake_rad_per_s2", "jump_rad", "speed_factor", "patience_ticks", "tip_error_m", "tip_error_s",
+    "rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N", "incision_s",
+    "stop_damping_Nm_s_per_rad", "stop_s",
+))  # fmt: skip
+SUPERVISED = frozenset((
+    "check", "primal_limit", "box_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",
+    "budget_us", "late",
+))  # fmt: skip
+
+
+def check_guard(guard: GuardSettings) -> None:
+    """Say no to limits that the C guard does not hold.
+
+    Raises:
+        ControlError: naming the setting, its value and the cure.
+    """
+    _refuse_unknown(guard, GUARDED)
+
+
+def _refuse_unknown(settings: ControlSettings | GuardSettings | SupervisorSettings, known: frozenset[str]) -> None:
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        if name not in known and value != field.get_default(call_default_factory=True):
+            raise ControlError(f"{settings.KIND} {name} = {value!r} is not known to generated C: leave it out")
 
 
 def check_supported(
@@ -36,10 +67,8 @@ def check_supported(
             "[control] fallback = 'least-violation' iterates, which generated C does not: "
             "take 'damping' or 'hold'"
         )
-    for name, field in type(settings).model_fields.items():
-        value = getattr(settings, name)
-        if name not in OBEYED and value != field.get_default(call_default_factory=True):
-            raise ControlError(f"[control] {name} = {value!r} is not known to generated C: leave it out")
+    _refuse_unknown(settings, OBEYED)
+    _refuse_unknown(settings.supervisor, SUPERVISED)
     if not 0.0 <= settings.observer_gain_per_s * period < 1.0:
         raise ControlError(
             f"[control] observer_gain_per_s = {settings.observer_gain_per_s} at a period of {period} s: "

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.manipulability import box_limits
-from moc_opt.control.settings import per_joint
 from moc_opt.embedded import dynamics, swivel
-from moc_opt.embedded.arm import Arm
-from moc_opt.embedded.layout import Layout, layout
+from moc_opt.embedded.arm import Arm, without_dust
+from moc_opt.embedded.layout import OBSERVED, Layout, layout
 from moc_opt.embedded.support import check_supported
 from moc_opt.model import RobotModel
 from moc_opt.solvers.base import Solver
-from moc_opt.solvers.elimination import OK
+from moc_opt.solvers.elimination import OK, STUCK
 from moc_opt.solvers.exact import Exact
 
 Array = NDArray[np.float64]
@@ -34,11 +34,17 @@ class Tick:
     """The two CasADi functions of one law on one arm."""
 
     n: int
+    rows: int
+    """of the null space that the third level acts in; 0: it does nothing"""
     layout: Layout
     start: Any
     """(q, v) -> state"""
     tick: Any
-    """(inputs, state) -> (status, state, report); the torque is part of the state"""
+    """(inputs, observer's part of the state and last torque) -> (status, observer's part of the state, report)"""
+    gravity: Any
+    """q -> torque that carries the arm's weight (n,) [Nm]"""
+    tool_pose: Any
+    """q -> (4,3) the tool's axes x, y, z and its tip [m], as `RobotModel.tool_pose`"""
 
 
 def build_tick(robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float) -> Tick:
@@ -48,18 +54,25 @@ def build_tick(robot: RobotModel, settings: ControlSettings, solver: Solver | No
         ControlError: the generated code cannot do what this setting asks for; the message names it.
     """
     check_supported(robot, settings, solver, period)
-    names = layout(robot.n, settings.law)
-    symbols = {field.name: ca.SX.sym(field.name, field.length) for field in (*names.inputs, *names.state)}
+    active = int(robot.moves.any(axis=0).sum())
+    rows = robot.n - active + 1 if settings.law == "moc" or settings.damps_dcac else 0
+    names = layout(robot.n, settings.law, rows)
+    # of the state, what the observer keeps, and the torque that acted since
+    observed = names.state[: OBSERVED + 1]
+    symbols = {field.name: ca.SX.sym(field.name, field.length) for field in (*names.inputs, *observed)}
     law = _Law(robot, settings, solver, period, symbols)
     begin = {"momentum": law.p, "torque": law.h}
     start = [begin.get(field.name, ca.SX.zeros(field.length)) for field in names.state]
-    results = [law.results[field.name] for field in (*names.state, *names.report)]
-    given = list(symbols.values())
+    results = [law.results[field.name] for field in (*observed[:OBSERVED], *names.report)]
+    q = symbols["q"]
     return Tick(
         n=robot.n,
+        rows=rows,
         layout=names,
-        start=_function("moc_start_equations", given[:2], start),
-        tick=_function("moc_tick_equations", given, [law.status, *results]),
+        start=_function("moc_start_equations", [q, symbols["v"]], start),
+        tick=_function("moc_tick_equations", list(symbols.values()), [law.status, *results]),
+        gravity=_function("moc_gravity_equations", [q], [law.gravity]),
+        tool_pose=_function("moc_tool_pose_equations", [q], [_tool_pose(robot, law.at)]),
     )
 
 
@@ -82,24 +95,22 @@ class _Law:
         self.at = dynamics.points(arm, frames)
         self.mu, self.grad_mu = dynamics.manipulability(self.at)
         self.h = dynamics.bias_torque(arm, frames, s["v"])
-        self.M, gravity = dynamics.inertia_and_gravity(arm, frames)
+        self.M, self.gravity = dynamics.inertia_and_gravity(arm, frames)
         self.p, energy_slope = dynamics.momentum(arm, frames, s["v"])
-        self.status = ca.SX(OK)
+        self.status: SX = ca.SX(OK)
         self.results = {
             **s, "mu": self.mu, "grad_mu": self.grad_mu, "tip": self.at.tip, "wrist": self.at.wrist,
             "M": ca.vec(self.M), "h": self.h,
         }  # fmt: skip
 
-        tau = self._tip_and_rcm()
+        self.results["levels"] = self._tip_and_rcm()
         if settings.law == "moc" or settings.damps_dcac:
-            tau += self._third_level(solver, period)
+            self._third_level(solver)
         if settings.observer_gain_per_s:
-            known = s["torque"] + energy_slope - gravity
+            known = s["torque"] + energy_slope - self.gravity
             integral = s["momentum"] + (known + s["external_torque"]) * period
             residual = settings.observer_gain_per_s * (self.p - integral)
             self.results |= {"momentum": integral, "external_torque": residual}
-            tau -= residual
-        self.results["torque"] = _limited(tau, robot.tau_max) if settings.limit_torque else tau
 
     def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
         """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
@@ -156,38 +167,35 @@ class _Law:
         wish = ca.vertcat(
             ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v))
         )
-        Y = ca.solve(factor, A5.T)
-        return A5.T @ _solve_factored(ca.chol(Y.T @ Y), wish)
+        return factor @ _orthogonal_effort(ca.solve(factor, A5.T), wish)
 
-    def _third_level(self, solver: Solver | None, period: float) -> SX:
-        """M Z^T (Z M Z^T)^-1 Z push; Z is z beside the unit vectors of the idle joints.
+    def _third_level(self, solver: Solver | None) -> None:
+        """The null space and, under MOC, the solver's answer; the torque that follows it is `moc_level3.c`.
 
-        Any basis of the null space gives the same torque, so that none is carried from tick to tick.
+        Z is z beside the unit vectors of the idle joints. Any basis of the null space gives the same torque, so that
+        none is carried from tick to tick.
         """
-        n, v, settings = self.robot.n, self.s["v"], self.settings
+        n = self.robot.n
         active = np.flatnonzero(self.arm.moves.any(axis=0)).tolist()
         across = [self.at.R @ ca.SX(b) for b in _across(self.arm.offsets[0] - self.arm.offsets[1])]
         turning = ca.vertcat(*(b.T @ self.at.axes for b in across))
         triangle = swivel.triangulate(ca.vertcat(self.at.J_wrist, turning)[:, active])
         z = swivel.null_vector(triangle)
-        if isinstance(solver, Exact):
-            x = self._subproblem(solver.tolerance, triangle, z, active, *across)
-            share = ca.fmin(1, self.s["share"] + period / settings.ramp_s) if settings.ramp_s else ca.SX(1)
-            self.results["share"] = share
-            push = share * (ca.DM(self.gains.K_N2) * (x - v) - ca.DM(self.gains.D_N2) * v)
-        else:
-            push = -ca.DM(per_joint("[control] dcac_damping", settings.dcac_damping, n)) * v
         Z = ca.SX.zeros(n - len(active) + 1, n)
         Z[0, active] = z.T
         for i, j in enumerate(sorted(set(range(n)) - set(active))):
             Z[i + 1, j] = 1
-        MZ = self.M @ Z.T
-        return MZ @ _solve_factored(ca.chol(Z @ MZ), Z @ push)
+        self.results["null_space"] = ca.vec(Z.T)
+        if isinstance(solver, Exact):
+            self._subproblem(solver.tolerance, triangle, z, active, *across)
+        else:
+            self.status = ca.if_else(triangle.regular, ca.SX(OK), ca.SX(STUCK))
+            self.results["A"] = ca.vec(ca.vertcat(self.at.J_tip, self.at.J_wrist).T)
 
     def _subproblem(
         self, tolerance: float, triangle: swivel.Triangle, z: SX, active: list[int], b1: SX, b2: SX
-    ) -> SX:
-        """Build this tick's subproblem, see `moc_opt.control.tick.fill_subproblem`, and answer it: x (n,)."""
+    ) -> None:
+        """Build this tick's subproblem, see `moc_opt.control.tick.fill_subproblem`, and answer it."""
         robot, settings, q = self.robot, self.settings, self.s["q"]
         v_tip = self.s["tip_ref"][3:6]
         _, wish = self._desired_wrist(v_tip)
@@ -209,17 +217,48 @@ class _Law:
             tolerance,
         )  # fmt: skip
         self.status = answer.status
-        solved, held = answer.status == OK, self.s["held_x"]
-        x = ca.if_else(solved, answer.x, held if settings.fallback == "hold" else 0)
         on_tip = (answer.dual[4] * b1 - answer.dual[3] * b2) / self.span
         weights = [settings.c0, settings.c1, settings.c2, settings.damping]
         A = ca.vertcat(self.at.J_tip, self.at.J_wrist)
         self.results |= {
-            "x": x, "held_x": ca.if_else(solved, answer.x, held),
+            "x": answer.x,
             "dual": ca.vertcat(on_tip, answer.dual[:3] - on_tip),
             "subproblem": ca.vertcat(ca.vec(A.T), v_tip, v_wrist, self.grad_mu, *box, *weights, q),
         }  # fmt: skip
-        return x
+
+
+def _tool_pose(robot: RobotModel, at: dynamics.Points) -> SX:
+    """(12,) rows x, y, z, tip; see `moc_opt.model_kernels.tool_pose`."""
+    return ca.vertcat(*(at.R @ ca.SX(axis) for axis in without_dust(robot.mount)), at.tip)
+
+
+def _orthogonal_effort(Y: SX, wish: SX) -> SX:
+    """Shortest y with Y^T y = wish for Y (n,5); the wrist's harder direction as `control.feedforward` has it."""
+    columns: list[SX] = ca.horzsplit(Y)
+    wishes: list[SX] = ca.vertsplit(wish)
+    effort: SX = ca.SX.zeros(Y.shape[0])
+    tip: list[tuple[SX, SX]] = []
+    for i in range(5):
+        for _ in range(2):
+            for unit, share in tip:
+                along = ca.dot(unit, columns[i])
+                wishes[i] = wishes[i] - along * share
+                columns[i] = columns[i] - along * unit
+        if i < 3:
+            length = ca.norm_2(columns[i])
+            tip.append((columns[i] / length, wishes[i] / length))
+            effort = effort + tip[i][1] * tip[i][0]
+    one, other = columns[3:]
+    turn = 0.5 * ca.atan2(2 * ca.dot(one, other), ca.dot(one, one) - ca.dot(other, other))
+    c, s = ca.cos(turn), ca.sin(turn)
+    easy, hard = c * one + s * other, c * other - s * one
+    most, least = ca.dot(easy, easy), ca.dot(hard, hard)
+    for row, share, mobility, moves in (
+        (easy, c * wishes[3] + s * wishes[4], most, most > 0),
+        (hard, c * wishes[4] - s * wishes[3], least, least > STRAIGHT**2 * most),
+    ):
+        effort = effort + ca.if_else(moves, share / ca.if_else(moves, mobility, 1), 0) * row
+    return effort
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
@@ -233,11 +272,6 @@ def _across(direction: Array) -> tuple[Array, Array]:
 def _solve_factored(upper: SX, b: SX) -> SX:
     """S^-1 b for S = upper^T upper."""
     return ca.solve(upper, ca.solve(upper.T, b))
-
-
-def _limited(tau: SX, limit: Array) -> SX:
-    """tau within +-limit (n,), by comparisons that let NaN through: fmin would turn it into full torque."""
-    return ca.if_else(tau > limit, limit, ca.if_else(tau < -limit, -limit, tau))
 
 
 def _function(name: str, given: list[SX], outputs: list[SX]) -> Any:

@@ -59,6 +59,17 @@ HEADER = Template(
     int moc_tick($arguments,
                  moc_tick_state *state, double tau[$n], moc_tick_report *report);
 
+    /* The two halves of moc_tick, for whoever puts something between them (moc_safe.c does).
+     *
+     * moc_tick_levels: from measurements to levels 1 and 2 and the answer of the third, if there is one; the observer
+     * in state moves on. Takes numbers as they are: one that is not finite leads to a torque that is not.
+     * moc_tick_follow: the torque for the joint velocity x ($n,) in the null space Z (rows,$n), cut at the limits.
+     */
+    int moc_tick_levels($arguments,
+                        moc_tick_state *state, moc_tick_report *report);
+    void moc_tick_follow(const double v[$n], const double x[$n], const double *Z, int rows,
+                         const moc_tick_report *report, moc_tick_state *state, double tau[$n]);
+
     #ifdef __cplusplus
     }
     #endif
@@ -67,14 +78,7 @@ HEADER = Template(
     """)
 )
 
-IMPLEMENTATION = Template(
-    dedent("""\
-    #include "moc_tick.h"
-
-    #include <math.h>
-    #include <stddef.h>
-    #include <string.h>
-
+PROLOGUE = dedent("""\
     /* ---- equations, written by CasADi ------------------------------------------------------------------ */
 
     #if defined(__GNUC__)
@@ -89,24 +93,31 @@ IMPLEMENTATION = Template(
     #undef fmax
     #define fmin(x, y) ((x) < (y) ? (x) : (y))
     #define fmax(x, y) ((x) > (y) ? (x) : (y))
+    """)
 
-    $generated
-
+EPILOGUE = dedent("""\
     #undef fmin
     #undef fmax
     #if defined(__GNUC__)
     #pragma GCC diagnostic pop
     #endif
+    """)
 
+IMPLEMENTATION = Template(
+    dedent("""\
+    #include "moc_tick.h"
+
+    #include <math.h>
+    #include <stddef.h>
+    #include <string.h>
+
+    #include "moc_dense.h"
+    #include "moc_level3.h"
+
+    $prologue
+    $generated
+    $epilogue
     /* ---- interface ------------------------------------------------------------------------------------- */
-
-    static int not_finite(const double *x, int count)
-    {
-        double sum = 0.0;
-        for (int i = 0; i < count; i++)
-            sum += 0.0 * x[i]; /* NaN for NaN and for both infinities */
-        return !(sum == 0.0);
-    }
 
     void moc_tick_start($start_arguments, moc_tick_state *state)
     {
@@ -115,8 +126,8 @@ IMPLEMENTATION = Template(
         moc_start_equations(arg, res, NULL, NULL, 0);
     }
 
-    int moc_tick($arguments,
-                 moc_tick_state *state, double tau[$n], moc_tick_report *report)
+    int moc_tick_levels($arguments,
+                        moc_tick_state *state, moc_tick_report *report)
     {
         moc_tick_state next;
         double status;
@@ -125,14 +136,82 @@ IMPLEMENTATION = Template(
             &status, $results,
             $reported,
         };
+        moc_tick_equations(arg, res, NULL, NULL, 0);
+        memcpy(state->momentum, next.momentum, sizeof next.momentum);
+        memcpy(state->external_torque, next.external_torque, sizeof next.external_torque);
+        return (int)status;
+    }
+
+    void moc_tick_follow(const double v[$n], const double x[$n], const double *Z, int rows,
+                         const moc_tick_report *report, moc_tick_state *state, double tau[$n])
+    {
+        state->share = fmin(1.0, state->share + MOC_FADE);
+        memcpy(tau, report->levels, sizeof report->levels);
+        moc_third_level(report->M, Z, rows, v, x, state->share, tau);
+        for (int i = 0; i < $n; i++) {
+            tau[i] -= state->external_torque[i];
+            if (MOC_LIMITS_TORQUE && tau[i] > moc_tau_max[i]) /* a NaN passes: it must not become full torque */
+                tau[i] = moc_tau_max[i];
+            else if (MOC_LIMITS_TORQUE && tau[i] < -moc_tau_max[i])
+                tau[i] = -moc_tau_max[i];
+        }
+        memcpy(state->torque, tau, sizeof state->torque);
+    }
+
+    int moc_tick($arguments,
+                 moc_tick_state *state, double tau[$n], moc_tick_report *report)
+    {
+        static const double rest[$n];
+        moc_tick_report own, *seen = report ? report : &own;
+        moc_tick_state next = *state;
+        double torque[$n];
         if ($bad)
             return MOC_TICK_BAD_INPUT;
-        moc_tick_equations(arg, res, NULL, NULL, 0);
-        if (not_finite(next.torque, $n))
+        int status = moc_tick_levels($inputs, &next, seen);
+    $follow
+        if (!moc_all_finite($n, torque))
             return MOC_TICK_BAD_INPUT;
         *state = next;
-        memcpy(tau, next.torque, sizeof next.torque);
-        return (int)status;
+        memcpy(tau, torque, sizeof torque);
+        return status;
+    }
+    """)
+)
+
+FOLLOW = {
+    "solver": """\
+    if (status == MOC_TICK_OK)
+        memcpy(next.held_x, seen->x, sizeof seen->x);
+    else
+        memcpy(seen->x, MOC_HOLDS_INFEASIBLE ? next.held_x : rest, sizeof seen->x);
+    moc_tick_follow(v, seen->x, seen->null_space, MOC_ROWS, seen, &next, torque);""",
+    "damping": "    moc_tick_follow(v, rest, seen->null_space, MOC_ROWS, seen, &next, torque);",
+    "levels": "    moc_tick_follow(v, rest, NULL, 0, seen, &next, torque);",
+}
+"""What follows the levels in the bare tick: the solver's answer, damping of the self-motion, or nothing."""
+
+ARM = Template(
+    dedent("""\
+    #include "moc_arm.h"
+
+    #include <math.h>
+    #include <stddef.h>
+
+    $prologue
+    $generated
+    $epilogue
+    void moc_gravity(const double *q, double *g)
+    {
+        const double *arg[] = {q};
+        double *res[] = {g};
+        moc_gravity_equations(arg, res, NULL, NULL, 0);
+    }
+
+    void moc_tool_pose(const double *q, double *pose)
+    {
+        const double *arg[] = {q};
+        double *res[] = {pose};
+        moc_tool_pose_equations(arg, res, NULL, NULL, 0);
     }
     """)
 )
@@ -209,6 +288,17 @@ MAIN = Template(
     """)
 )
 
+SAFE_RECORDING = Template(
+    dedent("""\
+    /* Consecutive ticks of the Python controller in its guard: q, v, tip_ref, trocar, wrench, solve_us, tau. */
+    enum { SAFE_TICKS = $ticks, SAFE_STOPPED_AT = $stopped_at };
+    static const double safe_sent[$n] = {$sent}; /* torque before the first of them */
+    static const double safe_recording[SAFE_TICKS][$width] = {
+    $rows
+    };
+    """)
+)
+
 RECORDING = Template(
     dedent("""\
     /* Consecutive ticks of the Python controller: q, v, tip_ref, trocar, tau, as in moc_tick.h. */
@@ -216,26 +306,5 @@ RECORDING = Template(
     static const double recording[TICKS][$width] = {
     $rows
     };
-    """)
-)
-
-MAKEFILE = Template(
-    dedent("""\
-    CC ?= cc
-    # Never -ffast-math: it drops the checks for NaN. -march=native saves a fifth of the time.
-    CFLAGS ?= $flags
-
-    moc_tick_test: main.c recording.h moc_tick.o
-    \t$$(CC) $$(CFLAGS) -Wall -Wextra main.c moc_tick.o -lm -o $$@
-
-    moc_tick.o: moc_tick.c moc_tick.h
-    \t$$(CC) $$(CFLAGS) -Wall -Wextra -c moc_tick.c -o $$@
-
-    .PHONY: test clean
-    test: moc_tick_test
-    \t./moc_tick_test
-
-    clean:
-    \trm -f moc_tick.o moc_tick_test
     """)
 )

@@ -1,0 +1,118 @@
+#include "moc_guard.h"
+
+#include <limits.h>
+#include <math.h>
+
+#include "moc_arm.h"
+#include "moc_dense.h"
+#include "moc_safe.h"
+
+void moc_guard_start(const double *q, const double *v, moc_guard_state *state)
+{
+    for (int i = 0; i < MOC_N; i++) {
+        state->q[i] = q[i];
+        state->v[i] = v[i];
+    }
+    state->tip_square = 0.0;
+    state->bad = 0;
+}
+
+/* No farther from the last belief than its age explains, and not too fast; NaN never is. */
+static int believable(const double *q, const double *v, const moc_guard_state *state)
+{
+    double ticks = 1.0 + (double)state->bad;
+    for (int i = 0; i < MOC_N; i++)
+        if (!(fabs(q[i] - state->q[i]) <= MOC_JUMP + ticks * (moc_v_max[i] * MOC_PERIOD) &&
+              fabs(v[i]) <= MOC_SPEED_FACTOR * moc_v_max[i]))
+            return 0;
+    return 1;
+}
+
+int moc_guard_believe(const double *q, const double *v, moc_guard_state *state)
+{
+    if (believable(q, v, state)) {
+        for (int i = 0; i < MOC_N; i++) {
+            state->q[i] = q[i];
+            state->v[i] = v[i];
+        }
+        state->bad = 0;
+        return 0;
+    }
+    if (state->bad < INT_MAX)
+        state->bad++;
+    for (int i = 0; i < MOC_N; i++)
+        state->q[i] += state->v[i] * MOC_PERIOD;
+    return state->bad > MOC_PATIENCE_TICKS ? MOC_STOP_MEASUREMENT : 0;
+}
+
+int moc_guard_follow(const double *tip, const double *tip_ref, moc_guard_state *state)
+{
+    double square = 0.0;
+    for (int i = 0; i < 3; i++)
+        square += (tip[i] - tip_ref[i]) * (tip[i] - tip_ref[i]);
+    state->tip_square += MOC_TIP_SHARE * (square - state->tip_square);
+    return state->tip_square <= MOC_TIP_ERROR * MOC_TIP_ERROR ? 0 : MOC_STOP_TIP;
+}
+
+/* The speed [rad/s] at which a joint may go towards a wall at this distance [rad]: it can still be stopped. */
+static double allowed_speed(double v_max, double distance)
+{
+    return fmin(v_max, sqrt(2.0 * MOC_WALL_BRAKE * fmax(distance, 0.0)));
+}
+
+/* What wall and brake leave of the torque above the weight: at least, at most. Returns whether they act. */
+static int wall(int i, double q, double v, double *least, double *most)
+{
+    double below = q - moc_q_min[i] - MOC_WALL_MARGIN, above = moc_q_max[i] - MOC_WALL_MARGIN - q;
+    double fall = allowed_speed(moc_v_max[i], below), rise = allowed_speed(moc_v_max[i], above);
+    int acts = 0;
+
+    *least = -HUGE_VAL;
+    *most = HUGE_VAL;
+    if (below < 0.0 || v < -fall) {
+        *least = MOC_WALL_STIFFNESS * fmax(-below, 0.0) - MOC_WALL_DAMPING * fmin(v + fall, 0.0);
+        acts = 1;
+    }
+    if (above < 0.0 || v > rise) {
+        *most = -MOC_WALL_STIFFNESS * fmax(-above, 0.0) - MOC_WALL_DAMPING * fmax(v - rise, 0.0);
+        acts = 1;
+    }
+    if (*least > *most) /* leaving a wall too fast already: neither spring nor brake */
+        *least = *most = 0.0;
+    return acts;
+}
+
+int moc_guard_limit(const double *before, const double *q, const double *v, double *tau)
+{
+    double least[MOC_N], most[MOC_N], weight[MOC_N];
+    int braked = 0, touched = 0;
+
+    if (!moc_all_finite(MOC_N, tau))
+        return -1;
+    for (int i = 0; i < MOC_N; i++)
+        braked |= wall(i, q[i], v[i], &least[i], &most[i]);
+    if (braked)
+        moc_gravity(q, weight);
+    for (int i = 0; i < MOC_N; i++) {
+        double asked = tau[i];
+        if (braked)
+            tau[i] = fmax(fmin(tau[i], weight[i] + most[i]), weight[i] + least[i]);
+        tau[i] = fmin(fmax(tau[i], before[i] - MOC_TORQUE_STEP), before[i] + MOC_TORQUE_STEP);
+        tau[i] = fmin(fmax(tau[i], -moc_tau_max[i]), moc_tau_max[i]);
+        touched += tau[i] < asked || tau[i] > asked;
+    }
+    return touched;
+}
+
+void moc_guard_rest(const double *before, const moc_guard_state *state, double *tau)
+{
+    double weight[MOC_N];
+
+    moc_gravity(state->q, weight);
+    int known = moc_all_finite(MOC_N, weight);
+    for (int i = 0; i < MOC_N; i++) {
+        double wanted = known ? moc_clip(weight[i], -moc_tau_max[i], moc_tau_max[i]) : 0.0;
+        double change = moc_clip(wanted - before[i], -MOC_TORQUE_STEP, MOC_TORQUE_STEP);
+        tau[i] = known ? before[i] + change : 0.0; /* a pose that gives no weight: the brakes alone */
+    }
+}

@@ -1,0 +1,132 @@
+"""moc_constants.h and moc_constants.c: the numbers that the hand-written C files are filled with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from moc_opt.control import ControlSettings
+from moc_opt.control.guard import GuardSettings
+from moc_opt.control.settings import per_joint
+from moc_opt.embedded.operations import worst_path
+from moc_opt.embedded.symbolic import Tick
+from moc_opt.model import RobotModel
+from moc_opt.solvers.base import Solver
+from moc_opt.solvers.exact import Exact
+
+LATE = ("hold", "zero", "iterate")
+DEFAULT_GUARD = GuardSettings()
+
+_HEADER = """\
+/* Generated: the settings as numbers, SI units. Change the scenario and export again instead of editing. */
+#ifndef MOC_CONSTANTS_H
+#define MOC_CONSTANTS_H
+
+#include <math.h>
+
+{macros}
+
+/* Of every joint: limits [rad], [rad/s], [Nm], and K_N2, D_N2 [N m s/rad]. */
+{arrays}
+
+#endif
+"""
+
+
+def constants(
+    tick: Tick,
+    robot: RobotModel,
+    control: ControlSettings,
+    solver: Solver | None,
+    period: float,
+    guard: GuardSettings,
+) -> dict[str, str]:
+    """Both files as text, by name."""
+    macros = _law(tick, control, solver, period) | _supervisor(control) | _guard(robot, guard, period)
+    macros["MOC_OPERATIONS"] = f"{worst_path(tick)['in all']} /* floating-point operations of the longest step */"
+    gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
+    arrays = {
+        "moc_q_min": robot.q_min, "moc_q_max": robot.q_max, "moc_v_max": robot.v_max, "moc_tau_max": robot.tau_max,
+        "moc_pull": gains.K_N2,
+        "moc_damping": gains.D_N2 if moc else per_joint("[control] dcac_damping", control.dcac_damping, robot.n),
+    }  # fmt: skip
+    levels = {
+        "moc_warning": (guard.rcm_warning_m, guard.trocar_force_warning_N),
+        "moc_limit": (guard.rcm_error_m, guard.trocar_force_N),
+    }
+    declared = [f"extern const double {name}[MOC_N];" for name in arrays]
+    declared += ["/* Root mean squares of RCM error [m] and trocar force [N]. */"]
+    declared += [f"extern const double {name}[2];" for name in levels]
+    defined = [
+        f"const double {name}[{len(values)}] = {{{', '.join(map(number, values))}}};"
+        for name, values in (arrays | levels).items()
+    ]
+    return {
+        "moc_constants.h": _HEADER.format(macros=_lines(macros), arrays="\n".join(declared)),
+        "moc_constants.c": "\n".join(['#include "moc_constants.h"', "", *defined, ""]),
+    }
+
+
+def number(value: float | None) -> str:
+    """The value to the last bit; None is no level, or no limit, at all."""
+    return "HUGE_VAL" if value is None or np.isinf(value) else repr(float(value))
+
+
+def _law(tick: Tick, control: ControlSettings, solver: Solver | None, period: float) -> dict[str, str]:
+    moc = control.law == "moc"
+    fade = min(1.0, period / control.ramp_s) if moc and control.ramp_s > 0.0 else 1.0
+    return {
+        "MOC_N": str(tick.n),
+        "MOC_ROWS": str(tick.rows),
+        "MOC_SOLVES": str(int(moc)),
+        "MOC_A_OF(report)": "((report)->subproblem)" if moc else "((report)->A)",
+        "MOC_B_OF(report)": f"((report)->subproblem + {6 * tick.n})" if moc else "NULL",
+        "MOC_PERIOD": number(period),
+        "MOC_FADE": number(fade),
+        "MOC_LIMITS_TORQUE": str(int(control.limit_torque)),
+        "MOC_TOLERANCE": number(solver.tolerance if isinstance(solver, Exact) else 0.0),
+    }
+
+
+def _supervisor(control: ControlSettings) -> dict[str, str]:
+    watch = control.supervisor
+    return {
+        "MOC_HOLDS_INFEASIBLE": str(int(control.fallback == "hold")),
+        "MOC_CHECK": str(int(watch.check)),
+        "MOC_PRIMAL_LIMIT": number(watch.primal_limit),
+        "MOC_RELATIVE_LIMIT": number(watch.relative_limit),
+        "MOC_OPPOSITE_LIMIT": number(watch.opposite_limit),
+        "MOC_HOLD_TICKS": str(watch.hold_ticks),
+        "MOC_KEEP_OFF_LIMITS": str(int(watch.keep_off_limits)),
+        "MOC_HAS_BUDGET": str(int(watch.budget_us is not None)),
+        "MOC_BUDGET_US": number(watch.budget_us),
+        **{f"MOC_LATE_{name.upper()}": str(code) for code, name in enumerate(LATE)},
+        "MOC_LATE": f"MOC_LATE_{watch.late.upper()}",
+    }
+
+
+def _guard(robot: RobotModel, guard: GuardSettings, period: float) -> dict[str, str]:
+    return {
+        "MOC_TORQUE_STEP": number(guard.torque_rate_Nm_per_s * period),
+        "MOC_WALL_MARGIN": number(guard.position_margin_rad),
+        "MOC_WALL_STIFFNESS": number(guard.wall_stiffness_Nm_per_rad),
+        "MOC_WALL_DAMPING": number(guard.wall_damping_Nm_s_per_rad),
+        "MOC_WALL_BRAKE": number(guard.wall_brake_rad_per_s2),
+        "MOC_JUMP": number(guard.jump_rad),
+        "MOC_SPEED_FACTOR": number(guard.speed_factor),
+        "MOC_PATIENCE_TICKS": str(guard.patience_ticks),
+        "MOC_TIP_ERROR": number(guard.tip_error_m),
+        "MOC_TIP_SHARE": number(min(1.0, period / guard.tip_error_s)),
+        "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)),
+        "MOC_TOOL_MASS": number(robot.data.tool_mass),
+        "MOC_TOOL_LENGTH": number(robot.data.tool_length),
+        "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad),
+        "MOC_STOP_SECONDS": number(guard.stop_s),
+    }
+
+
+def _lines(macros: Mapping[str, str]) -> str:
+    width = max(map(len, macros))
+    aligned: Iterable[str] = (f"#define {name.ljust(width)} {value}" for name, value in macros.items())
+    return "\n".join(aligned)

@@ -1,0 +1,41 @@
+"""The hand-written C files of this package, and which of them a law needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from importlib.resources import files
+
+from moc_opt.embedded.symbolic import Tick
+
+TICK = ("moc_dense", "moc_level3")
+"""What the bare tick needs beside what is generated."""
+GUARDED = ("moc_arm.h", "moc_guard", "moc_incision", "moc_safe")
+SINGULAR = ("moc_null_space",)
+SOLVING = ("moc_supervisor", "moc_answer", "moc_singular", "moc_subproblem.h")
+
+
+def read(*names: str) -> dict[str, str]:
+    """The text of files by name; a name without an ending is a pair of .h and .c."""
+    found: list[str] = []
+    for name in names:
+        found += [name] if "." in name else [f"{name}.h", f"{name}.c"]
+    folder = files("moc_opt.embedded") / "c"
+    return {name: (folder / name).read_text(encoding="utf-8") for name in found}
+
+
+def guarded(tick: Tick) -> dict[str, str]:
+    """Supervisor, guard and what they stand on, for the law of this tick."""
+    solves = any(field.name == "x" for field in tick.layout.report)
+    return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves else ()))
+
+
+def makefile(names: Iterable[str], flags: str, tested: bool) -> str:
+    """The Makefile for files of these names; `tested`: with the recorded run of the whole controller."""
+    names = sorted(names)
+    parts = [name for name in names if name.startswith("moc_") and name.endswith(".c")]
+    headers = [name for name in names if name.startswith("moc_") and name.endswith(".h")]
+    tests = ["moc_tick_test", *(["moc_safe_test"] if tested else [])]
+    text = read("Makefile.in")["Makefile.in"]
+    for place, words in (("flags", [flags]), ("parts", parts), ("headers", headers), ("tests", tests)):
+        text = text.replace(f"@{place}@", " ".join(words))
+    return text

@@ -1,0 +1,261 @@
+"""The whole controller in C beside `Safe(Driver(Controller), Guard)`: the same torque to 1e-9 Nm at every tick."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import moc_opt.sim.loop
+from moc_opt.control.guard import Guard
+from moc_opt.driver import Driver
+from moc_opt.embedded.guarded import FAULTS, GuardedController
+from moc_opt.model import RobotModel
+from moc_opt.scenario import Scenario, Setup, make_guard
+from moc_opt.sim.safe import Safe
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+SAME_NM = 1e-9
+
+pytestmark = pytest.mark.skipif(
+    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler (cc, gcc, clang) on the path"
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Libraries of this test run only, compiled once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+class Twin:
+    """Python's `Safe`, and the C program on the same inputs; what differs is kept."""
+
+    def __init__(self, brain: Driver, guard: Guard, sent: Array, scenario: Scenario) -> None:
+        self.python, self.brain, self.guard, self._sent = Safe(brain, guard, sent), brain, guard, sent
+        controller = brain.controller
+        self.c = GuardedController(
+            controller.robot, controller.settings, controller.solver, scenario.plant.period_s, scenario.guard
+        )
+        self.differences: list[float] = []
+        self.faults: Counter[str] = Counter()
+        self.limited_ticks = 0
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        self.python.start(seen, tip_ref, trocar)
+        self.c.start(seen.q, seen.v, self._sent)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        with np.errstate(all="ignore"):  # inputs of 1e300 overflow
+            tau = self.python.tick(seen, tip_ref, trocar)
+        solve_us = self.brain.controller.solve_us
+        found = self.c.tick(seen.q, seen.v, tip_ref, trocar, seen.force, 0.0 if np.isnan(solve_us) else solve_us)
+        self.differences.append(float(np.abs(found - tau).max()))
+        assert self.python.lost.startswith(self.c.reason), (self.python.lost, self.c.reason)
+        assert bool(self.python.lost) == bool(self.c.reason)
+        assert self.c.limited == self.python.limited
+        if not self.python.lost and self.brain.controller.solver is not None:
+            assert self.c.fault == self.brain.controller.fault.label
+            self.faults[self.c.fault] += 1
+        self.limited_ticks += self.c.limited > 0
+        return tau
+
+    @property
+    def lost(self) -> str:
+        return self.python.lost
+
+    @property
+    def limited(self) -> int:
+        return self.python.limited
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        return self.python.warnings
+
+
+def run_twins(scenario: Scenario) -> tuple[Twin, Any]:
+    """Run the scenario's closed loop with both; Python's torque goes to the plant."""
+    twins: list[Twin] = []
+
+    def make(brain: Driver, guard: Guard, sent: Array) -> Twin:
+        twins.append(Twin(brain, guard, sent, scenario))
+        return twins[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(moc_opt.sim.loop, "Safe", make)
+        trace = Setup(scenario).trace()
+    return twins[0], trace
+
+
+def scenario_of(**tables: Any) -> Scenario:
+    return Scenario(**{"judge": False, "bound_samples": 0, "duration_s": 2.5, **tables})
+
+
+NARROW = {"k0_per_s": 0.1, "speed_fraction": 0.15}
+"""A box in which the references are infeasible for long stretches."""
+RUNS: dict[str, dict[str, Any]] = {
+    "sound": {},
+    "tuned": {"control": {"preset": "tuned"}},
+    "paper": {"control": {"preset": "paper"}},
+    "dcac": {"control": {"law": "dcac"}},
+    "dcac-damped": {"control": {"law": "dcac", "dcac_damping": 3.0}},
+    "bridged": {"faults": {"nan_at_s": 0.8, "nan_ticks": 3}},
+    "nan": {"faults": {"nan_at_s": 0.8, "nan_ticks": 9999}},
+    "jump": {"faults": {"jump_at_s": 0.8, "jump_rad": 0.2}},
+    "drops": {"faults": {"drop_share": 0.3}},
+    "late-packets": {"faults": {"late_ticks": 5}},
+    "noise": {"faults": {"encoder_noise_rad": 0.002}},
+    "bump": {"faults": {"bump_N": 120.0, "bump_at_s": 0.8}},
+    "payload": {"faults": {"payload_kg": 2.0}},
+    "slip": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8}},
+    "violent": {"control": {"ramp_s": 0.0, "speed_fraction": 1.0, "K_N2": 80.0}, "start": {"swivel": "random"}},
+    "rate": {"guard": {"torque_rate_Nm_per_s": 100.0, "tip_error_m": 0.1}},
+    "infeasible-damping": {"control": NARROW},
+    "infeasible-hold": {"control": {**NARROW, "fallback": "hold"}},
+    "infeasible-hold-short": {"control": {**NARROW, "fallback": "hold", "supervisor": {"hold_ticks": 0}}},
+    "infeasible-hold-damping": {
+        "control": {**NARROW, "fallback": "hold", "supervisor": {"hold_ticks": 3, "keep_off_limits": False}}
+    },
+    "walls": {"control": {"limit_margin_rad": 0.3, "fallback": "hold"}, "guard": {"position_margin_rad": 0.3},
+              "start": {"q_rad": [0.595, -0.89, -1.0, 1.75, 0.77, -1.79, 0.0], "check_path": False}},
+    "incision-warning": {"faults": {"slip_m": 0.02, "slip_at_s": 0.8},
+                         "guard": {"trocar_force_warning_N": 0.5, "rcm_warning_m": 1e-4}},
+    "incision-off": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8},
+                     "guard": {"trocar_force_N": None, "rcm_error_m": None, "trocar_force_warning_N": None}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
+    scenario = scenario_of(**RUNS[name])
+    twin, trace = run_twins(scenario)
+    assert len(twin.differences) == len(trace) > 100
+    assert max(twin.differences) <= SAME_NM
+    ended = trace.meta["ended"]
+    # Each run has to be what it is here for.
+    stops = {
+        "nan": "measurements", "jump": "measurements", "slip": "the trocar's force",
+    }  # fmt: skip
+    if name in stops:
+        assert ended.startswith(f"stopped: {stops[name]}")
+    if name in ("sound", "tuned", "dcac", "bridged"):
+        assert ended == "completed"
+        assert twin.limited_ticks == 0
+    if name in ("violent", "rate", "walls"):
+        assert twin.limited_ticks > 10
+    if name.startswith("infeasible"):
+        assert twin.faults["infeasible"] > 100
+    if name == "incision-warning":
+        python = {w["of"]: w for w in trace.meta["warnings"]}
+        (rcm_tick, rcm), (force_tick, force) = twin.c.warned
+        period = scenario.plant.period_s
+        assert python["the RCM error"]["first_s"] == pytest.approx(rcm_tick * period)
+        assert python["the RCM error"]["largest"] == pytest.approx(1e3 * rcm)
+        assert python["the trocar's force"]["first_s"] == pytest.approx(force_tick * period)
+        assert python["the trocar's force"]["largest"] == pytest.approx(force)
+    counts = twin.brain.faults
+    assert {label: twin.c.count(label) for label in FAULTS[1:] if twin.c.count(label)} == {
+        label: entry["count"] for label, entry in counts.items()
+    }
+
+
+@pytest.mark.parametrize("late", ["hold", "zero", "iterate"])
+def test_late_answers_are_treated_alike(late: str) -> None:
+    """Recorded solve times, of which a quarter are beyond the budget, also many in a row."""
+    rng = np.random.default_rng(3)
+    times = np.where(rng.uniform(size=1000) < 0.1, 500.0, 10.0)
+    times[300:340] = 500.0
+    supervisor = {"budget_us": 100.0, "late": late, "hold_ticks": 5}
+    twin, _ = run_twins(
+        scenario_of(solver={"replay_us": tuple(times)}, control={"preset": "tuned", "supervisor": supervisor})
+    )
+    assert twin.faults["late"] > 100
+    assert max(twin.differences) <= SAME_NM
+
+
+# ---- the straight elbow, from recorded measurements: no loop leads an arm there ------------------------------------
+
+
+def stream(robot: RobotModel, angles: Array, seed: int, moving: float) -> list[tuple[Measurement, Array, Array]]:
+    """Measurements with the elbow at these angles, the other joints drawn; references near the tip that is seen."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-1.0, 1.0, robot.n) * [1.0, 0.5, 1.0, 0.0, 1.0, 0.5, 1.0]
+    q[5], v = 0.9, moving * rng.normal(scale=0.1, size=robot.n)
+    found = []
+    for angle in angles:
+        q[3] = angle
+        state = robot.state(q, v)
+        tip_ref = moving * rng.normal(size=(3, 3)) * [[1e-4], [1e-2], [1e-1]]
+        tip_ref[0] += state.tip
+        trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
+        found.append((Measurement(q.copy(), v.copy(), np.zeros(6)), tip_ref, trocar))
+    return found
+
+
+def compare_on(scenario: Scenario, given: list[tuple[Measurement, Array, Array]]) -> Twin:
+    """Both, open loop, on the same measurements."""
+    setup = Setup(scenario)
+    guard = make_guard(setup.robot, scenario)
+    twin = Twin(Driver(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
+    twin.start(*given[0])
+    for inputs in given:
+        twin.tick(*inputs)
+    return twin
+
+
+ELBOWS = {
+    "straight": np.zeros(30),
+    "nearly": np.full(30, 2e-6),
+    "a-thousandth": np.full(30, -1e-3),
+    "through": np.linspace(-0.03, 0.03, 61),  # zero is one of them
+    "through-unseen": np.linspace(-0.03, 0.03, 60),
+}
+
+
+@pytest.mark.parametrize("elbow", ELBOWS)
+@pytest.mark.parametrize(
+    "control",
+    [
+        {}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}}, {"damping": 0.0},
+        {"preset": "paper"}, {"law": "dcac"}, {"law": "dcac", "dcac_damping": 3.0}, {"projector": "static"},
+    ],
+    ids=lambda control: "-".join(f"{value}" for value in control.values()) or "default",
+)  # fmt: skip
+def test_a_straight_elbow_has_the_same_torque(robot: RobotModel, elbow: str, control: dict[str, Any]) -> None:
+    scenario = scenario_of(control=control, guard={"tip_error_m": 1.0, "rcm_error_m": None})
+    solved = 0
+    for seed, moving in itertools.product(range(3), (0.0, 1.0)):
+        twin = compare_on(scenario, stream(robot, ELBOWS[elbow], seed, moving))
+        assert max(twin.differences) <= SAME_NM
+        assert np.isfinite(twin.differences).all()
+        assert not twin.lost
+        solved += twin.faults["none"]
+    if elbow == "straight" and scenario.control.law == "moc":
+        assert len(twin.brain.controller.null_space) == 3  # rank four: the self-motion has a second freedom
+        assert solved > 0
+
+
+def test_what_is_no_number_is_treated_alike(robot: RobotModel) -> None:
+    """One bad entry in one tick of a sound stream, of every input; five in a row; and numbers of any size."""
+    angles = 1.2 + 1e-3 * np.arange(20)
+    scenario = scenario_of()
+    stopped = Counter()
+    for bad, field, ticks in itertools.product((np.nan, np.inf, -1e300, 1e300), range(5), (1, 5)):
+        given = stream(robot, angles, seed=1, moving=1.0)
+        for k in range(8, 8 + ticks):
+            arrays = [np.array(part) for part in (*given[k][0], given[k][1], given[k][2])]
+            arrays[field].flat[1] = bad
+            given[k] = (Measurement(*arrays[:3]), arrays[3], arrays[4])
+        twin = compare_on(scenario, given)
+        assert max(twin.differences) <= SAME_NM, (bad, field, ticks)
+        stopped[twin.lost.partition(" has been")[0]] += 1
+        assert bool(twin.lost) or (field < 3 and ticks == 1), (bad, field, ticks)
+    assert len(stopped) >= 4, stopped
