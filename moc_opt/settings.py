@@ -42,7 +42,7 @@ def explain(error: ValidationError) -> list[str]:
     """One line per wrong field: name, value, cure."""
     lines = []
     for item in error.errors():
-        field = repr(".".join(map(str, item["loc"])))[1:-1]  # a key of a file may hold anything
+        field = ".".join(map(str, item["loc"]))
         message = item["msg"].removeprefix("Value error, ")
         lines.append(
             f"{field} = {item['input']!r:.200}: {message[0].lower()}{message[1:]}" if field else message

@@ -108,7 +108,7 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = repr(".".join(map(str, loc)))[1:-1]  # a key of the file may hold anything
+    field = ".".join(map(str, loc))
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
         near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)
