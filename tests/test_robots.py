@@ -297,6 +297,12 @@ def test_degrees_do_not_fit_a_prismatic_joint(tmp_path: Path) -> None:
         load_data(write(tmp_path, urdf=urdf))
 
 
+@pytest.mark.parametrize("mass", [1e-300, 1e-9])
+def test_a_tool_of_no_mass_is_none(mass: float) -> None:
+    with pytest.raises(RobotError, match=r"tool of .* kg, 0\.3 m, radius 0\.004 m: .*raise tool\.mass_kg"):
+        load_data(tool_mass=mass)
+
+
 def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:
     start = URDF.index("<inertial>", URDF.index('<link name="link_6">'))
     end = URDF.index("</inertial>", start) + len("</inertial>")

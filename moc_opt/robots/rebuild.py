@@ -17,7 +17,7 @@ MOVING = frozenset({"revolute", "continuous", "prismatic"})
 MOST_LINKS = 500
 """Engines walk a tree by recursion: MuJoCo stops at a depth of 1000, and some thousands end the process."""
 SMALLEST_MASS, SMALLEST_MOMENT = 1e-6, 1e-12
-_TRIANGLE = 1e-6  # of the largest moment: files round their numbers
+_TRIANGLE, _FLAT, _THIN = 1e-6, 1e-9, 1e-12  # of the largest moment: files round their numbers
 _MOMENTS = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 _ATTRIBUTES = {
     "origin": {"xyz", "rpy"}, "mass": {"value"}, "inertia": set(_MOMENTS), "axis": {"xyz"}, "parent": {"link"},
@@ -57,14 +57,29 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
     Args:
         moments: ixx, iyy, izz, ixy, ixz, iyz [kg m^2].
     """
-    xx, yy, zz, xy, xz, yz = moments
-    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+    least, middle, most = _principal(moments)
     shown = f"principal moments {least:.4g}, {middle:.4g}, {most:.4g} kg m^2"
-    if least < SMALLEST_MOMENT:
-        return f"it is not positive definite ({shown}; {SMALLEST_MOMENT:g} is the least)"
+    if least < max(SMALLEST_MOMENT, _THIN * most):
+        return f"it is not positive definite ({shown}; {SMALLEST_MOMENT:g}, or {_THIN:g} of the largest, is the least)"
     if least + middle < most * (1.0 - _TRIANGLE):
         return f"the largest of its {shown} is more than the other two together (triangle inequality)"
     return None
+
+
+def _principal(moments: Iterable[float]) -> tuple[float, float, float]:
+    """The principal moments in rising order."""
+    xx, yy, zz, xy, xz, yz = moments
+    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
+    return least, middle, most
+
+
+def _off_the_edge(moments: dict[str, float]) -> dict[str, float]:
+    """Give a flat body a thickness of 1e-9: as it is, rounding decides whether MuJoCo takes it."""
+    least, middle, most = _principal(moments.values())
+    lacking = _FLAT * most - (least + middle - most)
+    if lacking <= 0.0:
+        return moments
+    return {key: value + lacking if key in ("ixx", "iyy", "izz") else value for key, value in moments.items()}
 
 
 def _link(link: ET.Element) -> ET.Element:
@@ -97,7 +112,7 @@ def _link(link: ET.Element) -> ET.Element:
     copy = ET.SubElement(made, "inertial")
     _place(copy, origin, where)
     ET.SubElement(copy, "mass", value=as_text(kilograms))
-    ET.SubElement(copy, "inertia", {key: as_text(value) for key, value in moments.items()})
+    ET.SubElement(copy, "inertia", {key: as_text(value) for key, value in _off_the_edge(moments).items()})
     return made
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from moc_opt.errors import RobotError
 from moc_opt.robots.description import Frames, Point, Tool
 from moc_opt.robots.numbers import as_text, number
-from moc_opt.robots.rebuild import MOVING
+from moc_opt.robots.rebuild import MOVING, SMALLEST_MASS, inertia_fault
 
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
 _OUR_LINKS = {TOOL_LINK, TIP_LINK, WRIST_LINK}
@@ -178,6 +178,12 @@ def to_text(root: ET.Element) -> str:
 def _rod(tool: Tool) -> ET.Element:
     m, length, r = tool.mass_kg, tool.length_m, tool.radius_m
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
+    fault = inertia_fault((across, across, about, 0.0, 0.0, 0.0))
+    if m < SMALLEST_MASS or fault is not None:
+        raise RobotError(
+            f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {fault or f'{SMALLEST_MASS:g} kg is the least'}; raise "
+            "tool.mass_kg (tool_mass) or tool.radius_m"
+        )
     link = ET.Element("link", name=TOOL_LINK)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=as_text(0.0, 0.0, length / 2), rpy="0 0 0")
