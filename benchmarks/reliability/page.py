@@ -78,7 +78,7 @@ PROMISES = (
         "`tests/test_motion.py`, `tests/test_motion_runs.py`, `tests/test_packets.py`, this benchmark",
     ),
     (
-        "A stop holds the arm where it is: within 20 mm from any swivel with drives of 8 to 100 % of their torque, "
+        "A stop holds the arm where it is: within 25 mm from any swivel with drives of 8 to 100 % of their torque, "
         "within 3 mm under 0.7 kg or masses that are 30 % wrong. While the trocar presses with more than "
         "`stop_yield_N` the brakes open, and the tissue pushes the arm back until the force has halved.",
         "Starts at both ends of the swivel, weak drives, unknown loads, and trocars that slip by 30 and 100 mm.",
