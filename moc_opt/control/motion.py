@@ -33,14 +33,17 @@ class MotionSettings(Settings):
         0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
     )
     repeat_m: float = Field(
-        0.0005, gt=0.0, description="way of the reference while all encoders repeat one reading to the last bit"
-    )
+        0.003, gt=0.0,
+        description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
+        "much to overcome static friction",
+    )  # fmt: skip
     repeat_torque: float = Field(
         0.06, gt=0.0, description="change of a torque meanwhile, of tau_max: static friction holds as much"
     )
     repeat_whole_torque: float = Field(
         0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
     )
+    repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     stuck_torque: float = Field(
         0.04, ge=0.0,
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
@@ -57,11 +60,12 @@ class MotionSettings(Settings):
 
     @property
     def levels(self) -> Array:
-        """(11,) as the kernels take them."""
+        """(12,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
             self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
+            self.repeat_whole_m,
         ])  # fmt: skip
 
 

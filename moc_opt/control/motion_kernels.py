@@ -120,10 +120,11 @@ def compare_readings(
         for i in range(3):
             still[i] = tip[i]
     else:
+        whole = still[9] > patience
+        least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]
         for i in range(3):
-            if abs(tip[i] - still[i]) > levels[3]:
+            if abs(tip[i] - still[i]) > way:
                 return REPEATED
-        least = levels[5] if still[9] > patience else levels[4]
         for i in range(n):
             if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
                 return REPEATED
