@@ -45,12 +45,12 @@ class MotionSettings(Settings):
     )
     repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     stuck_torque: float = Field(
-        0.04, ge=0.0,
+        0.06, ge=0.0,
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
         "repeats one reading",
     )  # fmt: skip
     stuck_rad_per_s: float = Field(
-        0.1, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
+        0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
     )
     residual_torque: float = Field(
         0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
