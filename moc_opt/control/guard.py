@@ -69,7 +69,7 @@ class GuardSettings(MotionSettings):
     )
     trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
     incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
-    stop_damping_Nm_s_per_rad: float = Field(40.0, gt=0.0, description="of the drives in a damped stop")
+    stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
     stop_holding: float = Field(
         0.25, ge=0.0, le=1.0,
         description="dry friction of the brakes in a stop, of tau_max; 0: damping alone, under which an arm sinks",

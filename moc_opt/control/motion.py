@@ -17,8 +17,10 @@ Array = NDArray[np.float64]
 _READINGS = Entry(
     kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
+_SETTLED = 6.0  # time constants of the residual after which it is what it will be
+
 _AGE = Entry(kernels.age, int64, int64, INDICES)
-_MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, float64, int64, VECTOR, VECTOR, MATRIX)
+_MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX)
 
 
 class MotionSettings(Settings):
@@ -31,21 +33,24 @@ class MotionSettings(Settings):
         0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
     )
     repeat_m: float = Field(
-        0.0005, gt=0.0, description="way of the reference while all encoders repeat one reading to the last bit"
-    )
+        0.003, gt=0.0,
+        description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
+        "much to overcome static friction",
+    )  # fmt: skip
     repeat_torque: float = Field(
         0.06, gt=0.0, description="change of a torque meanwhile, of tau_max: static friction holds as much"
     )
     repeat_whole_torque: float = Field(
         0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
     )
+    repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     stuck_torque: float = Field(
-        0.04, ge=0.0,
+        0.06, ge=0.0,
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
         "repeats one reading",
     )  # fmt: skip
     stuck_rad_per_s: float = Field(
-        0.1, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
+        0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
     )
     residual_torque: float = Field(
         0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
@@ -55,11 +60,12 @@ class MotionSettings(Settings):
 
     @property
     def levels(self) -> Array:
-        """(11,) as the kernels take them."""
+        """(12,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
             self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
+            self.repeat_whole_m,
         ])  # fmt: skip
 
 
@@ -75,6 +81,7 @@ class MotionWatch:
 
     def __init__(self, settings: MotionSettings, period: float, patience: int, tau_max: Array) -> None:
         self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
+        self._settling = round(_SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
         self._no_wrench = np.full(6, np.nan)
@@ -88,14 +95,17 @@ class MotionWatch:
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
         self._still = np.zeros(10)
-        self._weighed = False
+        self._weighed, self._ticks = 0, 0  # control periods since the last reading that was looked at
         self._tip = np.zeros(3)
 
     def age(self, stamp: int) -> int:
         """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
         if not self._on:
             return kernels.FRESH
-        return int(self._age(stamp, self._patience, self._clock))
+        before = int(self._clock[1])
+        found = int(self._age(stamp, self._patience, self._clock))
+        self._ticks += int(self._clock[1]) - before
+        return found
 
     def reference(self, tip_ref: Array) -> None:
         """Take note of where the tip is told to be, (3, 3) rows X_d, dX_d, ddX_d."""
@@ -106,9 +116,10 @@ class MotionWatch:
         if not self._on:
             return ""
         found = self._readings(
-            q, v, tau, self._no_wrench if wrench is None else wrench, self._tip, self._period, self._patience,
-            self._tau_max, self._levels, self._memory, self._still,
+            q, v, tau, self._no_wrench if wrench is None else wrench, self._tip, self._period * max(1, self._ticks),
+            self._patience, self._tau_max, self._levels, self._memory, self._still,
         )  # fmt: skip
+        self._ticks = 0
         if found == kernels.NOTHING:
             return ""
         if found == kernels.REPEATED:
@@ -124,12 +135,14 @@ class MotionWatch:
         """
         if not self._on:
             return ""
-        if not self._weighed:
-            self._memory[kernels.INTEGRAL], self._weighed = state.M @ state.v, True
+        self._weighed += 1
+        if self._weighed == 1:
+            self._memory[kernels.INTEGRAL] = state.M @ state.v
             return ""
         record = state.record
+        settled = int(self._weighed > self._settling)
         found = self._momentum(
-            record, self._n, tau, self._period, self._patience, self._tau_max, self._levels, self._memory
+            record, self._n, tau, settled, self._period, self._patience, self._tau_max, self._levels, self._memory
         )
         if found == kernels.NOTHING:
             return ""

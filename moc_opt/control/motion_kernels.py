@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED = range(11)
 """Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
-torque where all began to repeat; the observer's integral, its residual r, and the mean of r; r where the joint began to
-repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
+torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
+joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
 ROWS = 11
 
 NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED = 0, 1, 2, 3, 4
@@ -67,7 +67,7 @@ def compare_readings(
     tau: Array,
     wrench: Array,
     tip: Array,
-    period: float,
+    elapsed: float,
     patience: int,
     tau_max: Array,
     levels: Array,
@@ -81,13 +81,13 @@ def compare_readings(
         tau: (n,) the torque that went out last [Nm].
         wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
         tip: (3,) where the tip was told to be last [m].
-        period: control period [s].
+        elapsed: time since the reading before [s].
         patience: ticks.
         tau_max: (n,) [Nm].
         levels: as in ``MotionSettings.levels``.
         memory: (ROWS, n) changed in place.
-        still: (10,) changed in place: ``tip`` where all encoders began to repeat themselves, the last wrench, and the
-            ticks in a row in which it was the same.
+        still: (10,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
+            wrench, and the ticks in a row in which it was the same.
 
     Returns:
         NOTHING, RAN_AWAY, or REPEATED.
@@ -98,30 +98,33 @@ def compare_readings(
         if wrench[i] != still[3 + i]:
             still[9] = 0.0
         still[3 + i] = wrench[i]
-    keep = 1.0 - min(1.0, period / levels[0])
+    keep = 1.0 - min(1.0, elapsed / levels[0])
     ran_away, fewest = False, 1e18
     for i in range(n):
-        memory[GAP, i] = keep * memory[GAP, i] + (q[i] - memory[SHOWN, i]) - period * v[i]
+        if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
+            memory[SHOWN, i] = q[i] - elapsed * v[i]
+        memory[GAP, i] = keep * memory[GAP, i] + (q[i] - memory[SHOWN, i]) - elapsed * v[i]
         memory[PEAK, i] = max(keep * memory[PEAK, i], abs(v[i]))
         if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
             ran_away = True
-        if q[i] == memory[SHOWN, i]:
+        if memory[REPEATS, i] < 0.0 or q[i] == memory[SHOWN, i]:
             memory[REPEATS, i] += 1.0
         else:
             memory[REPEATS, i] = 0.0
             memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
         fewest = min(fewest, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
-    if fewest < 1.0:
+    if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
         for i in range(n):
             memory[TORQUE, i] = tau[i]
         for i in range(3):
             still[i] = tip[i]
-    elif fewest > patience:
+    else:
+        whole = still[9] > patience
+        least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]
         for i in range(3):
-            if abs(tip[i] - still[i]) > levels[3]:
+            if abs(tip[i] - still[i]) > way:
                 return REPEATED
-        least = levels[5] if still[9] > patience else levels[4]
         for i in range(n):
             if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
                 return REPEATED
@@ -130,12 +133,23 @@ def compare_readings(
 
 @njit(cache=True, nogil=True)
 def compare_momentum(
-    record: Array, n: int, tau: Array, period: float, patience: int, tau_max: Array, levels: Array, memory: Array
+    record: Array,
+    n: int,
+    tau: Array,
+    settled: int,
+    period: float,
+    patience: int,
+    tau_max: Array,
+    levels: Array,
+    memory: Array,
 ) -> int:
     """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
 
-    Args are those of ``compare_readings``; record is the flat state of the measurement. Returns NOTHING, STUCK or
-    UNEXPLAINED.
+    Args are those of ``compare_readings``; record is the flat state of the measurement, period the control period [s],
+    and settled 0 while the residual is still on its way from nothing to what the model does not know.
+
+    Returns:
+        NOTHING, STUCK or UNEXPLAINED.
     """
     s = state_views(record, n)
     momentum_residual(
@@ -145,6 +159,8 @@ def compare_momentum(
     found = NOTHING
     for i in range(n):
         r = memory[RESIDUAL, i]
+        if settled == 0:
+            memory[MEAN, i], memory[AT_REPEAT, i], memory[UNSEEN, i] = r, r, 0.0
         memory[MEAN, i] += share * (r - memory[MEAN, i])
         beyond = r - memory[AT_REPEAT, i]  # what static friction does not hold
         beyond -= min(max(beyond, -levels[6] * tau_max[i]), levels[6] * tau_max[i])
