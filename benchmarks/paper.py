@@ -23,6 +23,7 @@ from benchmarks.experiment import swivel as paper_swivel
 from benchmarks.experiment.config import STREAM, Config
 from benchmarks.experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.parallel import run_parallel
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.report.errors import BrowserError
@@ -64,7 +65,7 @@ def summarise(
                 "broke_off": sum(e["group"] == group and e["controller"] == controller for e in broken),
                 "oscillated": sum(
                     (m.group, m.controller, m.phase) == (group, controller, "whole")
-                    and m.ended.startswith("oscillated")
+                    and Ending.of(m.ended) is Ending.OSCILLATED
                     for m in found
                 ),
             }

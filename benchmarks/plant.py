@@ -25,6 +25,7 @@ from benchmarks.experiment.trials import MATCHED, seeds, trials, variant
 from benchmarks.parallel import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.metrics import summarize
 from moc_opt.report.console import console, progress
@@ -107,7 +108,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     baseline: Trace | None = None
     for controller in (MATCHED, job.solver):
-        row = {
+        row: dict[str, Any] = {
             "preset": job.preset, "effect": job.effect, "controller": controller, "trial": job.trial.name,
             "seed": job.trial.seed, "ended": "completed",
         }  # fmt: skip
@@ -118,7 +119,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
             row["ended"] = f"{type(error).__name__}: {error}"
             continue
         row["ended"] = trace.meta["ended"]
-        if row["ended"] == "completed":
+        if Ending.of(row["ended"]).whole:
             baseline = trace if controller == MATCHED else baseline
             row |= measure(trace, None if controller == MATCHED else baseline)
     return rows
@@ -139,7 +140,7 @@ def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             for controller in (MATCHED, config.solver):
                 mine = [r for r in rows if (r["preset"], r["effect"], r["controller"]) == (preset, effect, controller)]
                 group: dict[str, Any] = {
-                    "runs": len(mine), "broke_off": sum(r["ended"] != "completed" for r in mine),
+                    "runs": len(mine), "broke_off": sum(not Ending.of(r["ended"]).whole for r in mine),
                 }  # fmt: skip
                 for name in FIGURES:
                     values = [r[name] for r in mine if name in r]

@@ -34,6 +34,7 @@ from benchmarks.experiment.trials import MATCHED, Job, Measurement, Outcome, run
 from benchmarks.experiment.verdict import effect
 from benchmarks.parallel import run_parallel
 from benchmarks.tune_space import Candidate, Config, Range, Values, draw
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
@@ -109,7 +110,7 @@ def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
     if broken:
         return Score(candidate, math.inf, {}, f"broke off: {broken[0]['error']:.120}")
     found = [m for outcome in outcomes for m in outcome.measurements if m.group == ""]
-    shaken = [m.ended for outcome in outcomes for m in outcome.measurements if m.ended.startswith("oscillated")]
+    shaken = [m.ended for outcome in outcomes for m in outcome.measurements if Ending.of(m.ended) is Ending.OSCILLATED]
     if shaken:
         return Score(candidate, math.inf, {}, shaken[0])
     values = figures(found)

@@ -59,9 +59,7 @@ def extremes(Z: Array, low: Array, high: Array, slope: Array, damping: float) ->
     if found is None:
         return None
     w, force = found
-    forward, moved = Z @ slope, Z @ w
-    across = force - forward - damping * moved
-    pull = forward + across - Z @ (Z.T @ across)
+    pull = Z @ slope + force - Z @ (Z.T @ force)
     least = _lower_bound(low, high, pull, damping)
     most = _largest(Z, low, high, slope, damping, w)
     if most - least <= FLAT:  # every point is optimal to rounding

@@ -14,6 +14,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.ending import Ending
 from moc_opt.errors import TraceError, UnknownNameError
 from moc_opt.oscillation import shaking
 from moc_opt.trace import MissingDataError, Trace
@@ -135,7 +136,7 @@ def completed(trace: Trace) -> float:
     ended = trace.meta.get("ended")
     if not isinstance(ended, str):
         raise MissingDataError("meta has no 'ended': say how the run ended")
-    return float(ended == "completed")
+    return float(Ending.of(ended) is Ending.COMPLETED)
 
 
 @metric

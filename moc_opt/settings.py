@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+
+
+def _none_if_infinite(value: Any) -> Any:
+    return None if isinstance(value, float) and value == float("inf") else value
+
+
+Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
+"""A limit above zero; None, or in TOML ``inf``, is no limit."""
 
 
 class Settings(BaseModel):

@@ -119,6 +119,22 @@ def test_inconsistent_references_are_infeasible():
         assert solve(bent).status is expected
 
 
+@pytest.mark.parametrize(("decimals", "answered"), [(12, True), (8, True), (7, True), (4, False)])
+def test_references_rounded_to_a_few_decimals_have_an_answer_as_long_as_the_judge_accepts_one(decimals, answered):
+    for seed in range(40):
+        qp = random_problem(np.random.default_rng(seed), 7)
+        kept = NullSpaceQP(
+            qp.J_tip, qp.J_wrist, qp.v_tip.round(decimals), qp.v_wrist.round(decimals), qp.grad_mu, qp.lower, qp.upper
+        )
+        solution = solve(kept)
+        gap = np.abs(kept.A @ np.linalg.lstsq(kept.A, kept.b, rcond=1e-9)[0] - kept.b).max()
+        if answered:
+            assert solution.status is Status.SOLVED
+            assert kept.residuals(solution.x, solution.y).verified()
+        elif gap > 1e-6:  # no x comes nearer than that, half of it at the least
+            assert solution.status is Status.INFEASIBLE
+
+
 def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
     qp = random_problem(np.random.default_rng(14), damping=0.0)
     assert solve(qp).x[6] == 0.0

@@ -143,6 +143,25 @@ def test_nearest_point_and_its_forces(seed, shape):
     assert (force[~at_high] >= 0.0).all()
 
 
+def test_a_point_on_its_bound_is_its_own_nearest():
+    w, force = nearest(np.eye(2), np.array([0.0, -1.0]), np.ones(2), np.zeros(2))
+    np.testing.assert_array_equal(w, np.zeros(2))
+    np.testing.assert_array_equal(force, np.zeros(2))
+
+
+def test_joints_that_move_alike_make_no_corner():
+    """Two equal rows of Z meet in no point: the corners are those of the others."""
+    Z = np.linalg.qr(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, -0.7]]))[0]
+    Z[1] = Z[0]  # to the last bit
+    low, high, slope, damping = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
+    found = extremes(Z, low, high, slope, damping)
+    ring = np.linspace(0.0, 2.0 * np.pi, 20001)
+    rays = np.stack([np.cos(ring), np.sin(ring)])
+    edge = rays / np.abs(Z @ rays).max(0)  # the set's border, seen from its middle
+    worst = (slope @ edge + 0.5 * damping * (edge**2).sum(0)).max()
+    assert found.most == pytest.approx(worst, rel=1e-3)
+
+
 @pytest.mark.parametrize("small", [1e-2, 1e-4, 1e-5])
 def test_a_long_way_to_the_set_ends_on_it_to_rounding(small):
     """A bound that hardly depends on w has to be met by going far."""

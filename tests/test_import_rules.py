@@ -25,7 +25,7 @@ ROOMS = {
         "moc_opt.selfmotion", "moc_opt.selfmotion_kernels", "moc_opt.travel", "moc_opt.placing",
     ],
     "tasks": ["moc_opt.tasks"],
-    "trace": ["moc_opt.trace", "moc_opt.trace_file"],
+    "trace": ["moc_opt.trace", "moc_opt.trace_file", "moc_opt.ending"],
     "metrics": ["moc_opt.metrics", "moc_opt.oscillation"],
     "protocol": ["moc_opt.solvers.base"],
     "solvers": ["moc_opt.solvers"],

@@ -33,7 +33,7 @@ def runs() -> list[Run]:
     """The baseline, a solver, and one that broke off, as the study keeps them."""
     found = []
     for name, case in ((BASELINE, TRIAL.change(control={"law": "dcac"})), ("exact", TRIAL)):
-        (part,) = finish(case, None, True)
+        (part,) = finish(case, None, True, True)
         found.append(Run(name, TRIAL.name, part.values["metrics"], part.arrays, part.values["error"]))
     return [*found, Run("osqp", TRIAL.name, {}, error="hung")]
 
@@ -67,7 +67,7 @@ def test_poses_are_kept_thinned_and_the_rest_whole(runs: list[Run]) -> None:
     np.testing.assert_allclose(drawn.q_rad, trace.q_rad[::POSES_EVERY], atol=1e-6)
     np.testing.assert_array_equal(drawn.mu, trace.mu[::POSES_EVERY])
     assert runs[2].seen is None
-    (part,) = finish(TRIAL, None, False)
+    (part,) = finish(TRIAL, None, False, True)
     assert Run("exact", "a", {}, part.arrays).seen is None
 
 

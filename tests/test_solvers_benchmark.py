@@ -180,7 +180,7 @@ def test_all_files_are_written(folder, summary):
         "nlp-*",
         'id="map"',
         'href="replay.html"',
-        "cut off after 0.2 s",
+        "its first 0.2 s",
     ):
         assert words in page
     assert (out / "replay.html").stat().st_size > 10_000

@@ -20,6 +20,7 @@ from benchmarks.experiment.verdict import CLAIMS, Claim, effect, pairs
 from benchmarks.statistics import difference_of_changes
 from moc_opt import scenario
 from moc_opt.control import ControlSettings
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
@@ -125,7 +126,7 @@ def _metrics(case: Scenario) -> dict[str, float] | str:
     except MocOptError as error:
         return f"{type(error).__name__}: {error}"
     ended = str(trace.meta["ended"])
-    if ended.startswith("stopped"):
+    if not Ending.of(ended).whole:
         return ended
     metrics = summarize(trace)
     return {claim.metric: metrics[claim.metric] for claim in CLAIMS}

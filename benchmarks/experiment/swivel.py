@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.experiment.trials import MATCHED, variant
 from moc_opt import scenario
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
 from moc_opt.selfmotion import self_motion
@@ -55,8 +56,8 @@ def gain(job: tuple[Scenario, Start, str]) -> dict[str, Any]:
     except MocOptError as error:
         return {**row, "ended": "failed", "error": f"{type(error).__name__}: {error}"}
     endings = [str(trace.meta["ended"]) for trace in runs.values()]
-    row["ended"] = next((ended for ended in sorted(endings, reverse=True) if ended != "completed"), "completed")
-    if row["ended"].startswith("stopped"):
+    row["ended"] = max(endings, key=lambda ended: list(Ending).index(Ending.of(ended)))
+    if not Ending.of(row["ended"]).whole:
         return {**row, "error": row["ended"]}
     means = {name: float(trace.mu.mean()) for name, trace in runs.items()}
     row |= {"mu_dcac": means[MATCHED], "mu_moc": means[solver]}

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from moc_opt import scenario
 from moc_opt.control.settings import GAINS
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.metrics import PHASES, summarize
 from moc_opt.robots import load_data
@@ -142,11 +143,11 @@ def run_job(job: Job) -> Outcome:
             case = variant(job.trial, controller, job.solver_settings.get(controller))
             trace = scenario.run(case)
             ended = str(trace.meta["ended"])
-            if ended.startswith("stopped"):
+            if not Ending.of(ended).whole:
                 raise PlantError(ended)
             traces[controller] = trace
         except MocOptError as error:
-            ended = str(error) if str(error).startswith("stopped") else "failed"
+            ended = str(error) if Ending.of(str(error)) is Ending.STOPPED else Ending.FAILED.value
             outcome.broken.append(
                 {
                     "part": "broke off", "ended": ended, "group": job.group, "controller": controller, "task": job.task,

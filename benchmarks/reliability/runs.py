@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.reliability.config import BASELINE, Case, Config
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.loop import RunAway
@@ -128,10 +129,9 @@ def measure(
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m
     bounded = bool(tip.max() <= limits_mm[0] and rcm.max() <= limits_mm[1])  # False for NaN as well
-    if ended == "completed":
+    outcome = Ending.of(ended).value
+    if ended == Ending.COMPLETED:
         outcome = "survived" if bounded else "diverged"
-    else:
-        outcome = next((kind for kind in ("stopped", "oscillated") if ended.startswith(kind)), "ran away")
     force = np.linalg.norm(whole.trocar_force_N, axis=1)
     found: dict[str, Any] = {
         "outcome": outcome, "ticks": len(whole), "stopped_at_s": stopped_at,

@@ -16,6 +16,7 @@ from benchmarks.study.worker import Hung, Worker, WorkerError, beat, spread
 from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
+from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError
 from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
@@ -106,10 +107,16 @@ def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[s
     """One scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
     start = {"pose": "random", "swivel": "random"}
     return {
-        f"{task}/{seed}": base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start)
+        f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
         for task in tasks
         for seed in seeds
     }
+
+
+def placed(trial: Scenario) -> Scenario:
+    """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
+    q = scenario.Setup(trial).q_start.tolist()
+    return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
@@ -119,8 +126,15 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
 
 
-def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -> Iterator[Part]:
-    """Run and summarise, in a worker; a run that breaks off is a result, with its reason."""
+def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool) -> Iterator[Part]:
+    """Run and summarise, in a worker; a run that breaks off is a result, with its reason.
+
+    Args:
+        trial: the whole scenario.
+        baseline: columns of the run that mu is compared with.
+        poses: keep where arm and trocar were.
+        travel: find the ticks at which the elbow is on its way.
+    """
     last = perf_counter()
 
     def watch(tick: int) -> None:
@@ -135,19 +149,22 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
         yield Part({"ended": "failed", "error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
         return
     ended = str(trace.meta["ended"])
-    if ended.startswith("stopped"):
+    if not Ending.of(ended).whole:
         yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
         return
     metrics = summarize(trace, None if baseline is None else Trace(baseline))
-    flags = travelling(trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S)
-    metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
     if "fault" in trace.columns:
         names, counts = np.unique(trace.fault, return_counts=True)
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
         metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
     metrics["ticks"] = float(len(trace))
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
-    arrays[TRAVELLING] = flags
+    if travel:
+        flags = travelling(
+            trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
+        )
+        metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
+        arrays[TRAVELLING] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
     found = {"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}
@@ -155,7 +172,8 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool) -
 
 
 def run_one(
-    store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True
+    store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
+    travel: bool = True,
 ) -> Run:
     """One scenario in the worker, or from the store.
 
@@ -166,16 +184,17 @@ def run_one(
         label: the controller's name in tables.
         baseline: the run that mu is compared with.
         timed: whether its times mean anything: nothing else ran meanwhile.
+        travel: whether the ticks are found at which the elbow is on its way: ``settle`` asks for them.
     """
     reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
     shape = trial.model_dump(mode="json")
     mu = None if reference is None else reference["mu"]
-    key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed)
+    key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed, travel=travel)
     part = store.get(key)
     if part is None:
         try:
             # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
-            asked = (finish, trial, reference, timed)
+            asked = (finish, trial, reference, timed, travel)
             (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
@@ -295,7 +314,10 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
     values: dict[str, Any] = {
         "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
     }  # fmt: skip
-    values |= {ending: sum(run.ended.startswith(ending) for run in runs) for ending in ("stopped", "oscillated")}
+    values |= {
+        ending.value: sum(Ending.of(run.ended) is ending for run in runs)
+        for ending in (Ending.STOPPED, Ending.OSCILLATED)
+    }
     for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
         used = [run for run in whole if metric in run.metrics and (run.timed or metric not in CLOCKS)]
         if metric.endswith(("_p50_us", "_p99_us")) or metric in COMPARED.values() or not used:

@@ -11,7 +11,7 @@ from benchmarks.study.answers import Limits
 from benchmarks.testsets import RECIPES
 from moc_opt.errors import UnknownNameError
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Settings
+from moc_opt.settings import Level, Settings
 
 Parts = Literal["open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark"]
 PARTS: tuple[Parts, ...] = (
@@ -37,7 +37,7 @@ class ClosedLoop(Settings):
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     seeds: int = Field(5, ge=1, description="trials per task, each from a random pose")
     timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
-    duration_s: float | None = Field(None, gt=0.0)
+    duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
 
 
@@ -87,12 +87,12 @@ class Sweeps(Settings):
     """What is varied in closed loop."""
 
     KIND: ClassVar[str] = "[sweeps]"
-    tasks: list[str] = Field(["circle"], min_length=1)
-    seeds: int = Field(1, ge=1)
-    duration_s: float | None = Field(None, gt=0.0)
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    seeds: int = Field(5, ge=1, description="trials per task, as in [closed_loop]")
+    duration_s: Level = Field(4.0, description="as in [closed_loop]")
     values: Literal["few", "usual", "many"] = "usual"
     deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
-    late_percent: list[float] = Field([1.0, 5.0, 20.0], description="of the recorded times, above the budget")
+    late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
 
 
 class Config(Configuration):
@@ -123,8 +123,8 @@ class Config(Configuration):
             growth={"joints": [7, 10]},
             closed_loop={"tasks": self.closed_loop.tasks[:1], "seeds": 1, "duration_s": 1.0},
             sweeps={
-                "tasks": self.sweeps.tasks[:1], "duration_s": 0.7, "values": "few", "deadline_solvers": ["osqp"],
-                "late_percent": [5.0],
+                "tasks": self.sweeps.tasks[:1], "seeds": 1, "duration_s": 0.7, "values": "few",
+                "deadline_solvers": ["osqp"], "late_percent": [5.0],
             },
             parts=[part for part in self.parts if part not in ("qpbenchmark", "growth")],
         )  # fmt: skip
@@ -135,9 +135,10 @@ class Config(Configuration):
             open_loop={"ticks": 4000, "cold": 400},
             testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "twice": True},
+            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "twice": True},
             sweeps={
-                "tasks": list(TASKS), "seeds": 2, "values": "many", "late_percent": [0.1, 1.0, 5.0, 20.0],
+                "tasks": list(TASKS), "seeds": 5, "duration_s": None, "values": "many",
+                "late_percent": [0.1, 1.0, 5.0, 20.0],
             },
         )  # fmt: skip
 

@@ -45,7 +45,7 @@ class Look:
             cut = self.scenario.duration_s
             page.text(
                 f"Trial {self.trial} under every controller"
-                + (f", cut off after {cut:g} s, when the elbow has hardly begun to travel" if cut else "")
+                + (f", its first {cut:g} s" if cut else "")
                 + ". Of controllers whose elbows go the same way one is drawn; the table names the others."
             )
             add_map(page, self.found, what=f"trial {self.trial}", styles=styles)

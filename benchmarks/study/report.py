@@ -156,6 +156,11 @@ def _closed_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
     if "closed_loop" not in made:
         return
     page.section("Closed loop")
+    cut = study.config.closed_loop.duration_s
+    page.text(
+        "Each trial begins at a random pose and shows "
+        + (f"the first {cut:g} s of its task." if cut else "its whole task.")
+    )
     page.table(made["closed_loop"])
     first = study.runs[0].trial if study.runs else ""
     shown = {r.controller: r.trace for r in study.runs if r.trial == first and r.trace is not None}

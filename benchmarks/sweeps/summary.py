@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.table import PLAN_KEY
+from moc_opt.ending import Ending
 from moc_opt.errors import UnknownNameError
 
 BATCH = 8192
@@ -29,7 +30,7 @@ ACCURACY = 0.01
 QUANTILES = {"p05": 0.05, "p50": 0.50, "p95": 0.95}
 SHARED = "timing_shared"
 KEYS = ("index", "run", "solver", "seed", "ended", "error", SHARED)
-ENDINGS = ("stopped", "oscillated")
+ENDINGS = (Ending.STOPPED.value, Ending.OSCILLATED.value)
 
 Array = NDArray[np.float64]
 

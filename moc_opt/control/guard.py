@@ -11,29 +11,21 @@ that has been pressed hard: an unstable loop, or an arm that stands against its 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from moc_opt.control.guard_kernels import believable, limit_torque, squared_error
 from moc_opt.control.incision import Incision
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.robots import RobotData
-from moc_opt.settings import Settings
+from moc_opt.settings import Level, Settings
 
 Array = NDArray[np.float64]
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
-
-
-def _none_if_infinite(value: Any) -> Any:
-    return None if isinstance(value, float) and value == float("inf") else value
-
-
-Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
-"""A level above zero; None, or in TOML ``inf``, switches it off."""
 
 
 class GuardSettings(Settings):

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DOUBTFUL = 1e3  # a sixth pivot below this multiple of its tolerance is looked at more closely
-LEFT = 1e-6  # |A x - b| that the dropped rows may be left with [m/s]; the judge's primal tolerance
+LEFT = 1e-6  # |A x - b| that a dropped row may be left with [m/s]: the judge's primal tolerance
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
 OK, EMPTY, STUCK = 0, 1, 2

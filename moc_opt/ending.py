@@ -1,0 +1,28 @@
+"""How a run ended: the word with which ``meta["ended"]`` begins, and what follows from it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Ending(StrEnum):
+    """The ways in which a run ends; what comes after the word, as in "stopped: the tip ...", is the reason."""
+
+    COMPLETED = "completed"
+    OSCILLATED = "oscillated"
+    STOPPED = "stopped"
+    RAN_AWAY = "ran away"
+    FAILED = "failed"
+
+    @classmethod
+    def of(cls, ended: str) -> Ending:
+        """Read the ending from the text of ``meta["ended"]``; a text that begins with none of the words is FAILED."""
+        return next((ending for ending in cls if ended.startswith(ending.value)), cls.FAILED)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the task was driven to its end: only then do the run's figures enter a mean.
+
+        A run that oscillated was, and is counted beside the means.
+        """
+        return self in (Ending.COMPLETED, Ending.OSCILLATED)
