@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
-    c = commands.add_parser("export-c", help="write the scenario's control tick as dependency-free C")
+    c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
@@ -145,23 +145,16 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
 
 
 def export_c(path: Path | None, out: Path) -> int:
-    """Write C, and 50 ticks from the middle of a run for its self-test."""
-    import numpy as np
+    """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
+    from moc_opt.exported import export_scenario
+    from moc_opt.scenario import Scenario
 
-    from moc_opt.embedded import check_supported, export, record
-    from moc_opt.scenario import Scenario, Setup
-
-    scenario = Scenario() if path is None else Scenario.load(path)
-    setup = Setup(scenario.change(judge=False, bound_samples=0, control={"backend": "python"}))
-    law = (setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
-    check_supported(*law)
-    trace, t = setup.trace(), setup.times()
-    part = slice(len(t) // 2, len(t) // 2 + 50)
-    references = (np.stack(source.at(t[part]), axis=1) for source in (setup.reference, setup.registered))
-    recording = record(*law, trace.q_rad[part], trace.v_rad_per_s[part], *references)
-    for file in export(*law, recording, out):
+    files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
+    for file in files:
         print(file)
-    print(f"next: make -C {out} test")
+    parts = ", ".join(f"{part} {count}" for part, count in operations.items() if part != "in all")
+    print(f"longest step: {operations['in all']} floating-point operations ({parts})")
+    print(f"next: make -C {out} test, make -C {out} sanitize")
     return 0
 
 

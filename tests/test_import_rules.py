@@ -42,7 +42,9 @@ ROOMS = {
         "moc_opt.report.replay", "moc_opt.report.map", "moc_opt.report.map_figure", "moc_opt.report.map_page",
         "moc_opt.report.courses", "moc_opt.report.runs", "moc_opt.report.swivel",
     ],
-    "scenario": ["moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.layout", "moc_opt.driver"],
+    "scenario": [
+        "moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.layout", "moc_opt.driver", "moc_opt.exported",
+    ],
     "live": ["moc_opt.live"],
 }  # fmt: skip
 

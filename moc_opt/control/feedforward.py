@@ -82,27 +82,29 @@ def motion_feedforward(
     a[3], a[4] = dot(across[0], gap), dot(across[1], gap)
     for i in range(5):  # rows of A5 L^-T; the tip's become orthonormal, the wrist's orthogonal to them
         forward_in_place(M_factor, A5[i])
-        for _ in range(2):  # twice is enough for orthogonality to rounding
-            for k in range(min(i, 3)):
-                along = dot(A5[k], A5[i])
-                a[i] -= along * c[k]
-                for j in range(n):
-                    A5[i, j] -= along * A5[k, j]
+        for k in range(min(i, 3)):
+            along = dot(A5[k], A5[i])
+            a[i] -= along * c[k]
+            for j in range(n):
+                A5[i, j] -= along * A5[k, j]
         if i < 3:
             length = np.sqrt(dot(A5[i], A5[i]))
             inverse = 1.0 / length if length > 0.0 else np.nan
             c[i] = a[i] * inverse
             for j in range(n):
                 A5[i, j] *= inverse
-    # Turned about the tool so that the wrist's two rows are orthogonal as well: easiest and hardest direction.
-    turn = 0.5 * np.arctan2(2.0 * dot(A5[3], A5[4]), dot(A5[3], A5[3]) - dot(A5[4], A5[4]))
-    cosine, sine = np.cos(turn), np.sin(turn)
-    a[3], a[4] = cosine * a[3] + sine * a[4], cosine * a[4] - sine * a[3]
+    # Jacobi's rotation (Golub and Van Loan, 8.5.2), without its cosine, makes the wrist's two rows orthogonal as well.
+    product, gap_of_squares = dot(A5[3], A5[4]), dot(A5[3], A5[3]) - dot(A5[4], A5[4])
+    size = abs(gap_of_squares) + np.sqrt(gap_of_squares * gap_of_squares + 4.0 * product * product)
+    side = 2.0 if gap_of_squares >= 0.0 else -2.0
+    tangent = side * product / size if size > 0.0 else 0.0
+    a[3], a[4] = a[3] + tangent * a[4], a[4] - tangent * a[3]
     for j in range(n):
-        A5[3, j], A5[4, j] = cosine * A5[3, j] + sine * A5[4, j], cosine * A5[4, j] - sine * A5[3, j]
-    easy, hard = dot(A5[3], A5[3]), dot(A5[4], A5[4])
-    c[3] = a[3] / easy if easy > 0.0 else 0.0
-    c[4] = a[4] / hard if hard > STRAIGHT * STRAIGHT * easy else 0.0
+        A5[3, j], A5[4, j] = A5[3, j] + tangent * A5[4, j], A5[4, j] - tangent * A5[3, j]
+    one, other = dot(A5[3], A5[3]), dot(A5[4], A5[4])
+    least = STRAIGHT * STRAIGHT * max(one, other)
+    c[3] = a[3] / one if one > least else 0.0
+    c[4] = a[4] / other if other > least else 0.0
     torque = np.zeros(n)
     for i in range(n):  # L times the sum of the rows
         for k in range(i + 1):

@@ -239,24 +239,25 @@ def _orthogonal_effort(Y: SX, wish: SX) -> SX:
     effort: SX = ca.SX.zeros(Y.shape[0])
     tip: list[tuple[SX, SX]] = []
     for i in range(5):
-        for _ in range(2):
-            for unit, share in tip:
-                along = ca.dot(unit, columns[i])
-                wishes[i] = wishes[i] - along * share
-                columns[i] = columns[i] - along * unit
+        for unit, share in tip:
+            along = ca.dot(unit, columns[i])
+            wishes[i] = wishes[i] - along * share
+            columns[i] = columns[i] - along * unit
         if i < 3:
             length = ca.norm_2(columns[i])
             tip.append((columns[i] / length, wishes[i] / length))
             effort = effort + tip[i][1] * tip[i][0]
     one, other = columns[3:]
-    turn = 0.5 * ca.atan2(2 * ca.dot(one, other), ca.dot(one, one) - ca.dot(other, other))
-    c, s = ca.cos(turn), ca.sin(turn)
-    easy, hard = c * one + s * other, c * other - s * one
-    most, least = ca.dot(easy, easy), ca.dot(hard, hard)
-    for row, share, mobility, moves in (
-        (easy, c * wishes[3] + s * wishes[4], most, most > 0),
-        (hard, c * wishes[4] - s * wishes[3], least, least > STRAIGHT**2 * most),
-    ):
+    product, gap = ca.dot(one, other), ca.dot(one, one) - ca.dot(other, other)
+    size = ca.fabs(gap) + ca.sqrt(gap * gap + 4 * product * product)
+    tangent = ca.if_else(gap >= 0, 2, -2) * product / ca.if_else(size > 0, size, 1)
+    turned = (
+        (one + tangent * other, wishes[3] + tangent * wishes[4]),
+        (other - tangent * one, wishes[4] - tangent * wishes[3]),
+    )
+    mobilities = [ca.dot(row, row) for row, _ in turned]
+    for (row, share), mobility in zip(turned, mobilities, strict=True):
+        moves = mobility > STRAIGHT**2 * ca.fmax(*mobilities)
         effort = effort + ca.if_else(moves, share / ca.if_else(moves, mobility, 1), 0) * row
     return effort
 

@@ -36,14 +36,6 @@ void moc_solve_factored(int m, const double *L, double *x)
     }
 }
 
-double moc_dot(int m, const double *a, const double *b)
-{
-    double sum = 0.0;
-    for (int i = 0; i < m; i++)
-        sum += a[i] * b[i];
-    return sum;
-}
-
 int moc_all_finite(int m, const double *x)
 {
     double sum = 0.0;
