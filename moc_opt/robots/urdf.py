@@ -63,7 +63,8 @@ def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
     if last_link not in links:
         near = difflib.get_close_matches(last_link, links, n=3, cutoff=0.3)
         raise RobotError(
-            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or links}?"
+            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of "
+            f"{near or links[:20]}?"
         )
     by_child = {_name(joint, "child"): joint for joint in root.findall("joint")}
     path: list[ET.Element] = []
