@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
     from moc_opt.scenario import Scenario
@@ -23,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
         epilog="Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, "
-        "and what is printed says so first.",
+        "and what is printed says so first; 130 interrupted, 1 a defect: with --trace the rows so far are there.",
     )  # fmt: skip
     one.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario runs")
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
@@ -73,12 +74,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         print(_one_line(error), file=sys.stderr)
         return 130
+    except Exception as error:
+        if not hasattr(error, "__notes__"):
+            raise
+        print(_one_line(error), file=sys.stderr)  # a defect, in a run whose rows are safe
+        return 1
 
 
 def _one_line(error: BaseException) -> str:
     """What went wrong, and where what there is of the run is to be found."""
     said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
-    return "; ".join([said, *getattr(error, "__notes__", [])])
+    where = ""
+    if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        said, where = describe(error), f" ({Path(at.filename).name}:{at.lineno})"
+    return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
 def run_scenario(

@@ -205,7 +205,7 @@ def _measure(members: Sequence[tuple[IO[bytes], int]], most: int) -> None:
         version = npy.read_magic(file)
         header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
         shape, _, dtype = header(file)
-        total += (asked := math.prod(shape) * dtype.itemsize)
+        total += (asked := math.prod(shape) * max(dtype.itemsize, 1))
         if asked > size or total > most:
             raise ValueError(f"an array of {asked} bytes in {size}; {most} bytes at most are read")
 

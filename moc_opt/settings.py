@@ -19,6 +19,9 @@ from moc_opt import names
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
 from moc_opt.files import LARGEST_INTEGER, wrong_size
 
+LONGEST_S = 1e6
+"""Of any time that is run, waited for or averaged over [s]: a week and a half."""
+
 Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.names.RULE`."""
 
@@ -54,6 +57,10 @@ class Settings(BaseModel):
         most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
         if wrong := wrong_size(value, most):
             raise ValueError(wrong)
+        name = info.field_name or ""
+        is_time = name == "seconds" or (name.endswith("_s") and "_per_" not in name)
+        if is_time and isinstance(value, float) and value > LONGEST_S:
+            raise ValueError(f"give {LONGEST_S:g} s at most")
         return value
 
     def __init__(self, **values: Any) -> None:

@@ -96,7 +96,7 @@ def test_every_fault_meets_every_controller(shipped):
         ('[cases.none]\ngroup = "sensors"', ScenarioError, "run without a fault"),
         ('[cases.a]\ngroup = "plant"\nplant = { delay = 2 }', UnknownNameError, "delay_ticks"),
         ('[cases.a]\ngroup = "plant"\nfrom_s = 2.0\nuntil_s = 1.0', ScenarioError, "until_s"),
-        ("trials = ", ScenarioError, "cannot be used"),
+        ("trials = ", ScenarioError, "is not TOML"),
         ('solvers = ["oskp"]\n[cases.a]\ngroup = "plant"', UnknownNameError, "osqp"),
     ],
 )

@@ -138,11 +138,14 @@ def test_files_from_outside_are_opened_in_one_place():
 
 
 @pytest.mark.parametrize("shape", [(10**9,), (10**6, 10**6), (3,)])
-@pytest.mark.parametrize("kind", ["<f8", "<U100000", "|O"])
+@pytest.mark.parametrize("kind", ["<f8", "<U100000", "|O", "<U0"])
 def test_an_array_is_measured_by_its_header(shape, kind, tmp_path):
     sink = io.BytesIO()
     np.lib.format.write_array_header_1_0(sink, {"descr": kind, "fortran_order": False, "shape": shape})
     (tmp_path / "a.npy").write_bytes(sink.getvalue())
+    if kind == "<U0" and shape == (3,):
+        assert read_arrays(tmp_path / "a.npy", "times", MocOptError)[""].tolist() == ["", "", ""]
+        return
     with pytest.raises(MocOptError, match=r"a\.npy.*damaged or no file of arrays"):
         read_arrays(tmp_path / "a.npy", "times", MocOptError)
 

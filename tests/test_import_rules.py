@@ -64,7 +64,7 @@ ALLOWED = {
     "model": {"errors", "compiled", "robots"},
     "sim": {"errors", "settings", "compiled", "robots", "tasks", "trace"},
     "report": {"errors", "files", "metrics", "trace"},
-    "control": {"errors", "settings", "compiled", "tasks", "subproblem", "robots", "model", "protocol"},
+    "control": {"errors", "files", "settings", "compiled", "tasks", "subproblem", "robots", "model", "protocol"},
     "assemblies": {"errors", "settings", "tasks", "trace", "robots", "model", "sim", "control"},
     "pictures": {"errors", "trace", "model", "report"},
     "embedded": {"errors", "subproblem", "model", "protocol", "solvers", "control"},

@@ -164,6 +164,25 @@ def test_ctrl_c_says_one_line(tmp_path):
     assert len(Trace.load(target)) >= 5000
 
 
+def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeypatch):
+    ticks = iter(range(10**6))
+    real = Plant.measure
+
+    def breaking(self):
+        if next(ticks) == 150:
+            raise ZeroDivisionError("a defect\nof two lines")
+        return real(self)
+
+    monkeypatch.setattr(Plant, "measure", breaking)
+    file, target = tmp_path / "s.toml", tmp_path / "t.parquet"
+    file.write_text("duration_s = 1.0\n")
+    assert main(["run", str(file), "--trace", str(target)]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith("ZeroDivisionError: a defect of two lines (test_trace_writer.py:")
+    assert len(Trace.load(target)) == 149  # one measurement before the loop
+
+
 def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins(tmp_path, monkeypatch):
     monkeypatch.setattr(composer, "available_bytes", lambda: 50 * 2**20)
     made = Scenario(task={"hold_s": 60.0})
