@@ -44,6 +44,7 @@ ROOMS = {
     ],
     "scenario": [
         "moc_opt.scenario", "moc_opt.scenario_tables", "moc_opt.layout", "moc_opt.driver", "moc_opt.exported",
+        "moc_opt.rows",
     ],
     "live": ["moc_opt.live"],
 }  # fmt: skip

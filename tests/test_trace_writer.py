@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from moc_opt import scenario as composer
+from moc_opt import rows
 from moc_opt.__main__ import main
 from moc_opt.errors import PlantError, ScenarioError, TraceError
 from moc_opt.metrics import summarize
@@ -137,12 +137,12 @@ def test_a_killed_run_can_be_read_and_is_kept_by_the_next(number, tmp_path):
         assert found.meta["scenario"]["task"]["hold_s"] == 600.0
         assert np.array_equal(found.t_s, 0.002 * np.arange(len(found)))
         assert summarize(found)["mu_mean"] > 0.0
-    rows = len(Trace.open(target))
+    before = len(Trace.open(target))
     again = Setup(Scenario(**SHORT)).trace(to=target)
     assert "t.interrupted.parquet" in again.meta["earlier_run"]
     assert len(Trace.load(target)) == 200
     kept = Trace.load(tmp_path / "t.interrupted.parquet")
-    assert (len(kept), kept.meta["ended"]) == (rows, KILLED)
+    assert (len(kept), kept.meta["ended"]) == (before, KILLED)
 
 
 def test_ctrl_c_says_one_line(tmp_path):
@@ -184,7 +184,7 @@ def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeyp
 
 
 def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins(tmp_path, monkeypatch):
-    monkeypatch.setattr(composer, "available_bytes", lambda: 50 * 2**20)
+    monkeypatch.setattr(rows, "available_bytes", lambda: 50 * 2**20)
     made = Scenario(task={"hold_s": 60.0})
     with pytest.raises(ScenarioError, match=r"GiB of memory.*shorter duration_s.*--trace FILE"):
         Setup(made).trace(lambda tick: pytest.fail("it began"))

@@ -129,17 +129,17 @@ PROMISES = (
         "`tests/test_robot_numbers.py`, `tests/test_agreement.py`",
     ),
     (
-        "Files that come from outside are regular ones, measured before they are read, and bounded in what they can ask "
-        "for; every number of a setting is 0 or of a size from 1e-30 to 1e30, counts and times are bounded.",
+        "Files that come from outside are regular ones, measured before they are read, and bounded in what they can "
+        "ask for; every number of a setting is 0 or of a size from 1e-30 to 1e30, counts and times are bounded.",
         "Pipes, devices, links, sparse files, nesting and integers without end, headers that lie, for every reader; "
         "every numeric field of every table at the ends of its range; each case in a process with 2 GiB of addresses "
         "and 20 s, a death or a hang being a failure.",
         "`tests/test_files.py`, `tests/test_settings.py`, `tests/test_fuzz.py`",
     ),
     (
-        "A run whose trace goes into a file leaves what there was, whatever ends it: an interrupt, a defect, a full disk; "
-        "of a killed process all but the last block of 5000 ticks. A finished run of a sweep is done again only if its "
-        "own file is damaged.",
+        "A run whose trace goes into a file leaves what there was, whatever ends it: an interrupt, a defect, a full "
+        "disk; of a killed process all but the last block of 5000 ticks. A finished run of a sweep is done "
+        "again only if its own file is damaged.",
         "Exceptions of every kind, SIGKILL and SIGTERM in the middle of runs; bytes of any file of a sweep's, a "
         "study's and an interrupted run's folder changed, cut, inserted or taken away.",
         "`tests/test_trace_writer.py`, `tests/test_sweep_store.py`, `tests/test_fuzz.py`",
