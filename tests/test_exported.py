@@ -128,7 +128,7 @@ def test_the_program_finds_a_torque_beyond_the_limits(exported: tuple[Path, Expo
     assert done.returncode != 0, done.stdout
 
 
-# Constants, and sizes that are n at most: of a system (m), of a null space (rows, count, rank), of a loop outside (i, j).
+# Constants, and sizes that are n at most: of a system (m), a null space (rows, count, rank), a loop outside (i, j).
 BOUNDS = {
     *(f"< {bound}" for bound in (
         "2", "3", "6", "7", "9", "12", "MOC_N", "MOC_FAULTS", "SWEEPS", "2 * MOC_N", "MOC_N - plane->rank", "m", "rows",
