@@ -72,9 +72,8 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
     q = robot.random_regular_pose(rng)
     v = case["speed"] * rng.normal(scale=0.2, size=robot.n)
     solver = make_solver("exact", robot) if control.law == "moc" else None
-    python = Safe(
-        Driver(Controller(robot, control, solver, scenario.plant.period_s)), make_guard(robot, scenario), robot.gravity(q)
-    )
+    driver = Driver(Controller(robot, control, solver, scenario.plant.period_s))
+    python = Safe(driver, make_guard(robot, scenario), robot.gravity(q))
     ordinary = True
     for k in range(TICKS):
         given = _inputs(robot, rng, q + k * scenario.plant.period_s * v, v)
