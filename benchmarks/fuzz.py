@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from benchmarks import output
 from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import PAGE, write_page
+from moc_opt.embedded.compiler import CompilerError, find_compiler
 from moc_opt.errors import MocOptError
 from moc_opt.files import to_json
 from moc_opt.report.console import console, progress
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     from benchmarks.reliability import fuzz_checks
 
 KINDS = {
-    "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.2, "result_file": 0.2,
-    "record_file": 0.05, "name": 0.1, "option": 0.05, "urdf_number": 0.1, "hostile_file": 0.2, "extreme_number": 0.2,
-    "sweep_folder": 0.05, "study_folder": 0.05, "trace_folder": 0.05,
+    "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.15, "result_file": 0.2,
+    "record_file": 0.05, "exported": 0.05, "name": 0.1, "option": 0.05, "urdf_number": 0.1, "hostile_file": 0.2,
+    "extreme_number": 0.2, "sweep_folder": 0.05, "study_folder": 0.05, "trace_folder": 0.05,
 }  # fmt: skip
 """Kind of input -> its share of the cases."""
 CASE_S = 20
@@ -42,14 +43,19 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
 
     Returns:
         how often each verdict was given, and the smallest input of every failure, with what happened.
+
+    Raises:
+        CompilerError: kind "exported" without a C compiler.
     """
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks.reliability import fuzz_checks
+    from benchmarks.reliability import fuzz_c, fuzz_checks
 
     check, strategy = lookup(kind)
     fuzz_checks.warm_up()
+    if kind == "exported":
+        fuzz_c.warm_up()
     done()
     verdicts: Counter[str] = Counter()
     failures: list[str] = []
@@ -104,6 +110,14 @@ def lookup(kind: str) -> tuple[fuzz_checks.Check, SearchStrategy[Any]]:
     return getattr(fuzz_checks, kind), fuzz_inputs.STRATEGIES[kind]
 
 
+def has_compiler() -> bool:
+    """Whether the kind "exported" can be checked here."""
+    try:
+        return bool(find_compiler())
+    except CompilerError:
+        return False
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run; 0 when every case ended well, 1 when one did not, 2 where the command is wrong."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description="Send bad input.")
@@ -117,6 +131,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     given = options.parse_args(arguments)
     kinds = given.only or list(KINDS)
+    if not given.only and not has_compiler():
+        print("exported: left out, as there is no C compiler here", file=sys.stderr)
+        kinds.remove("exported")
     whole = sum(KINDS[kind] for kind in kinds)
     shares = {kind: max(1, round(given.cases * KINDS[kind] / whole)) for kind in kinds}
     summary: dict[str, dict[str, Any]] = {}

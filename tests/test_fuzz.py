@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.reliability import fuzz_checks, fuzz_files, limits
+from benchmarks.reliability import fuzz_c, fuzz_checks, fuzz_files, limits
 from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
@@ -34,10 +34,12 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
+     ("record_file", 40), ("exported", 60), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
      ("extreme_number", 80), ("sweep_folder", 40), ("study_folder", 40), ("trace_folder", 40)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
+    if kind == "exported" and not fuzz.has_compiler():
+        pytest.skip("no C compiler (cc, gcc, clang) on the path")
     verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
     assert failures == []
     assert verdicts.total() >= cases
@@ -89,6 +91,16 @@ def test_a_failure_is_found(change, what, monkeypatch):
     _, failures = fuzz.explore("subproblem", 5, 0, lambda: None)
     assert failures
     assert all(failure.startswith(what) for failure in failures)
+
+
+def test_a_wrong_torque_in_c_is_found(monkeypatch):
+    """One that is off by a nanonewton metre more than is allowed."""
+    if not fuzz.has_compiler():
+        pytest.skip("no C compiler (cc, gcc, clang) on the path")
+    right = fuzz_c.GuardedController.tick
+    monkeypatch.setattr(fuzz_c.GuardedController, "tick", lambda *given: right(*given) + 1.1e-9)
+    with pytest.raises(AssertionError, match="tick 0: C has"):
+        fuzz_c.exported({"law": 0, "seed": 1, "speed": 0.5, "events": []})
 
 
 def test_a_hang_is_found():

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from benchmarks.reliability.fuzz_c import exported
 from benchmarks.reliability.fuzz_inputs import good_trace
 from moc_opt.agreement import check_engines
 from moc_opt.control.answers import answer_residuals
@@ -28,6 +29,10 @@ from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
 from moc_opt.subproblem import NullSpaceQP, judge
 from moc_opt.trace import Trace
+
+__all__ = [
+    "exported", "record_file", "result_file", "robot_file", "scenario", "scenario_file", "subproblem", "warm_up",
+]  # fmt: skip
 
 Verdict = Literal["accepted", "refused"]
 LIMIT_S = 20

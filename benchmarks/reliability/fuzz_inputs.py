@@ -12,6 +12,7 @@ import numpy as np
 from hypothesis.extra.numpy import array_shapes, arrays
 from pydantic import BaseModel
 
+from benchmarks.reliability import fuzz_c
 from moc_opt.scenario import Scenario
 from moc_opt.trace import Trace
 
@@ -318,6 +319,6 @@ record_files = st.one_of(edited('{"record": "{}", "crc": 0}'), edited('{"a": 1}'
 
 STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
     "scenario": scenarios(), "scenario_file": edited(TOML), "robot_file": robot_files(), "subproblem": subproblems(),
-    "result_file": result_files(), "record_file": record_files,
+    "result_file": result_files(), "record_file": record_files, "exported": fuzz_c.cases,
 }  # fmt: skip
 """Kind of input -> where cases come from."""

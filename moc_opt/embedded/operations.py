@@ -77,7 +77,7 @@ def guard(n: int, gravity: int, tool_pose: int) -> int:
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 24 + 2 * 3 + 4 + 2 * 6
     walls = all_finite(n) + n * (4 + 2 * 6 + 12) + gravity + n * 12
     rest = gravity + all_finite(n) + n * 7
-    return believed + incision + 3 * 4 + 5 + walls + rest + 7 * all_finite(n) + 3 + 4 * n
+    return believed + incision + 3 * 4 + 5 + walls + rest + 7 * all_finite(n) + 3 + 4 * n + all_finite(6)
 
 
 def worst_path(tick: Tick) -> dict[str, int]:

@@ -1,5 +1,6 @@
 #include "moc_safe.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "moc_dense.h"
@@ -110,6 +111,8 @@ static void ask(const double *q, const double *v, const double *tip_ref, const d
     (void)took;
 #endif
     moc_tick_follow(v, x, Z, rows, seen, &state->law, tau);
+    if (!moc_all_finite(6, tip_ref)) /* the generated equations leave out what is zero, and zero times infinity too */
+        tau[0] = (double)NAN;
 }
 
 int moc_safe_step(const double q[MOC_N], const double v[MOC_N], const double tip_ref[9], const double trocar[6],

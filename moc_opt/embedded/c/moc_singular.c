@@ -12,7 +12,7 @@
 #define PARALLEL 1e-12 /* two bounds whose lines cross at a smaller angle have no corner */
 #define SLACK 1e-14    /* of the box's width: rounding of a point on a bound */
 #define ROUNDING 1e-9  /* of the largest entry of grad_mu: no gradient for an idle joint */
-#define LEFT 1e-6      /* |A x - b| that the dropped rows may be left with [m/s] */
+#define LEFT 1e-6      /* |A x - b| that a dropped row may be left with [m/s] */
 
 /* The points base + along0 w0 + along1 w1, their bounds, and the cost weight/2 |w|^2 - pull . w. */
 typedef struct {
@@ -80,7 +80,7 @@ static int left_over(const moc_plane *plane, const double *record, const double 
     for (int k = 0; k < plane->rank; k++)
         open[plane->pivot[k]] = 0;
     for (int i = 0; i < 6; i++) {
-        double gap = -plane->b[i], reach = MOC_TOLERANCE;
+        double gap = -plane->b[i], reach = LEFT;
         for (int j = 0; j < MOC_N; j++) {
             double entry = plane->W[i * MOC_N + j];
             gap += x ? entry * x[j] : 0.0;
