@@ -250,7 +250,7 @@ def test_a_tree_too_deep_for_the_engines_is_refused(count: int, tmp_path: Path) 
         f'<child link="k{i}"/></joint>'
         for i in range(count)
     )
-    with pytest.raises(RobotError, match="links or joints: an arm has 500 at most"):
+    with pytest.raises(RobotError, match=r"links or joints: an arm has 500 at most|20000 elements .* are the most"):
         load_data(write(tmp_path, urdf=changed(URDF, "</robot>", chain + "</robot>")))
 
 
