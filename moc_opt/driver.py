@@ -28,6 +28,11 @@ class Driver:
         return np.zeros(3) if self._state is None else self._state.tip
 
     @property
+    def state(self) -> RobotState | None:
+        """The model's state at the last tick; None before the first one."""
+        return self._state
+
+    @property
     def faults(self) -> dict[str, dict[str, Any]]:
         """Of the third level, as ``Controller.faults``."""
         return self.controller.faults

@@ -64,7 +64,7 @@ def describe(error: BaseException, most: int = 300) -> str:
     """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code."""
     try:
         said = " ".join(str(error).split())
-    except Exception as worse:  # noqa: BLE001 - an exception whose text cannot be had
+    except (Exception, SystemExit) as worse:  # noqa: BLE001 - an exception whose text cannot be had
         said = f"(its text raised {type(worse).__name__})"
     text = f"{type(error).__name__}: {said}" if said else type(error).__name__
     return text if len(text) <= most else text[: most - 3] + "..."

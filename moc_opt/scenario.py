@@ -224,7 +224,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 def make_guard(robot: RobotModel, scenario: Scenario) -> Guard:
     """The guard of an arm in its incision, with all that it can know."""
-    return Guard(robot.data, scenario.guard, scenario.plant.period_s, robot.gravity, robot.tool_pose)
+    return Guard(robot.data, scenario.guard, scenario.plant.period_s, robot.gravity, robot.tool_pose, robot.state)
 
 
 def make_stop(scenario: Scenario) -> Stop:

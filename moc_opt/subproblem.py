@@ -154,6 +154,10 @@ class NullSpaceQP:
         self._adopt(row, (row.shape[0] - 10) // 10)
         return self
 
+    def copy(self) -> NullSpaceQP:
+        """The same subproblem in memory of its own: what is done to one leaves the other as it is."""
+        return NullSpaceQP.from_row(self.row.copy())
+
     def _adopt(self, row: Array, n: int) -> None:
         if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code takes both for granted
             row = np.array(row, dtype=np.float64).ravel()

@@ -49,8 +49,36 @@ class Raises(Base):
     name = "raises"
     def misbehave(self):
         self_count = 1 / 0
+
+class Quits(Base):
+    name = "quits"
+    def supports(self, qp):
+        raise SystemExit("no more")
+
+class Empty(Base):
+    name = "empty"
+    def start(self, qp):
+        return None
+
+class Once(Raises):
+    name = "once"
+    started = []
+    def start(self, qp):
+        self.started.append(1)
+        if len(self.started) > 1:
+            raise RuntimeError("only once")
+        return super().start(qp)
+
+class Untyped(Base):
+    name = "untyped"
+    def start(self, qp):
+        return Untidy()
+
+class Untidy:
+    def solve(self, qp):
+        return None
 """
-NAMES = ("hangs", "stuck", "crashes", "raises")
+NAMES = ("hangs", "stuck", "crashes", "raises", "quits", "empty", "once", "untyped")
 
 
 def install(folder: Path) -> Path:

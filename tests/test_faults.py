@@ -155,7 +155,7 @@ def test_the_plant_forgets_a_fault_when_it_is_reset(robot):
     assert (plant.q != moved).any()
 
 
-@pytest.mark.parametrize("kind", ["fail", "nan", "lie", "raise", "outside", "hang"])
+@pytest.mark.parametrize("kind", ["fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"])
 @pytest.mark.parametrize("solver", ["exact", "rnn"])
 def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
     wrong = {"solver": kind, "solver_share": 0.2}
@@ -164,7 +164,7 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
     setup = Setup(scenario)
     np.testing.assert_array_equal(trace.injected, setup.spoilt())
     assert 10 < trace.injected.sum() < 50
-    label = {"fail": "failed", "nan": "not_finite", "lie": "lied", "raise": "raised", "hang": "late"}
+    label = {"fail": "failed", "nan": "not_finite", "lie": "lied", "raise": "raised", "hang": "late", "rig": "outside"}
     assert set(trace.fault[trace.injected]) == {label.get(kind, kind)}
     assert set(trace.fault[~trace.injected]) == {"none"}
     np.testing.assert_array_equal(trace.tau_Nm, again.tau_Nm)  # hanging, too, repeats itself

@@ -74,7 +74,7 @@ def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
     assert max(case.faults.get("bump_N", 0.0) for case in shipped.cases.values()) == 30.0
     assert max(c.trocar.get("breathing_amplitude_m", 0.0) for c in shipped.cases.values()) == 0.015
     kinds = {case.faults.get("solver") for case in shipped.cases.values()} - {None}
-    assert kinds == {"fail", "nan", "lie", "raise", "outside", "hang"}
+    assert kinds == {"fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"}
 
 
 def test_every_fault_meets_every_controller(shipped):

@@ -126,7 +126,10 @@ def test_a_bridged_gap_goes_unnoticed():
 
 
 def test_the_weight_is_carried_and_the_last_push_is_not(robot):
-    """In a stop the torque of the last pose's gravity coasts less far than holding the last torque would."""
+    """In a stop the torque of the last pose's gravity coasts less far than holding the last torque would.
+
+    Without the brakes' dry friction, which would hold the arm in either case.
+    """
 
     class Holding(Guard):
         def rest(self, before):
@@ -139,7 +142,7 @@ def test_the_weight_is_carried_and_the_last_push_is_not(robot):
         t = PERIOD * np.arange(ticks)
         references = np.stack(setup.reference.at(t), axis=1)
         trocars = np.stack(setup.trocar.at(t), axis=1)
-        guard = kind(robot.data, GuardSettings(), PERIOD, robot.gravity)
+        guard = kind(robot.data, GuardSettings(stop_holding=0.0), PERIOD, robot.gravity)
         brain = Driver(setup.controller())
         stop_at = 350
 
@@ -203,11 +206,14 @@ def test_a_controller_that_breaks_down_stops_the_arm(robot, how, says):
 
 
 def test_an_unstable_loop_is_stopped():
-    """Five ticks of delay are too many for these gains: the run says so instead of oscillating to its end."""
+    """Five ticks of delay are too many for these gains: the run says so instead of oscillating to its end.
+
+    The torque of a tick long past does not go with the motion that is seen, and then the tip leaves its reference.
+    """
     trace = run(
         Scenario(control={"preset": "tuned"}, plant={"preset": "realistic", "delay_ticks": 6}, **QUICK)
     )
-    assert "off its reference" in trace.meta["ended"]
+    assert "off its reference" in trace.meta["ended"] or "the encoders do not show" in trace.meta["ended"]
     assert trace.t_s[-1] < 4.0
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.05
     assert trace.tip_error_m.max() < 0.05

@@ -38,6 +38,22 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     assert warnings(trace()) == []
 
 
+@pytest.mark.parametrize(("raised", "most"), [(1, False), (2, False), (3, True)])
+def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
+    """A run whose answers all came from the fallback completes like any other: it must not read like one."""
+    faults = {"raised": {"count": raised, "first_at_s": 0.0, "first": "ZeroDivisionError"}}
+    table = run_table("slip", trace(faults=faults), {"mu_mean": 0.25})
+    assert [row["metric"] for row in table.rows] == ["ended", "solver replaced", "mu_mean"]
+    said = table.rows[1]["value"]
+    assert said.startswith(f"at {raised} of 4 ticks")
+    assert f"raised {raised}" in said
+    assert ("not this solver's" in said) == most
+    found = run_json(trace(faults=faults), {"mu_mean": 0.25})
+    assert found["solver_replaced"] == said
+    assert list(found).index("solver_replaced") < list(found).index("mu_mean")
+    assert "solver_replaced" not in run_json(trace(), {})
+
+
 def test_each_figure_has_the_notation_that_suits_it():
     """In one notation for all, one rounding error would turn millimetres and counts into powers of ten."""
     figures = {"tip_error_mean_mm": 0.28412, "claimed_solved": 4034.0, "primal_max": 2.91e-16, "mu_mean": float("nan")}

@@ -102,6 +102,25 @@ def test_an_exception_costs_one_answer(broken):
     assert (counts["raised"], counts["failed"], counts["verified_solved"]) == (2, 2, 6)
 
 
+@pytest.mark.parametrize(("name", "reason"), [("quits", "SystemExit: no more"), ("empty", "start returned None")])
+def test_a_solver_that_cannot_even_be_started_is_a_row_with_its_reason(broken, name, reason):
+    found = cell(broken, Entry(name, "recommended", {}, ""), load("circle", 64))
+    assert reason in found.refused
+    assert found.counts()["not_asked"] == 2
+
+
+def test_a_solver_that_starts_only_once_costs_the_answers_after_its_exception(broken):
+    found = cell(broken, Entry("once", "recommended", {"at": 1}, ""), load("circle", 32))
+    assert found.status.tolist() == ["solved", "raised", "raised", "raised"]
+    assert "RuntimeError: only once" in found.part.values["events"][-1]
+
+
+def test_an_answer_without_form_costs_one_answer(broken):
+    found = cell(broken, Entry("untyped", "recommended", {}, ""), load("circle", 64))
+    assert found.status.tolist() == ["raised", "raised"]
+    assert "solve returned a NoneType" in found.part.values["events"][0]
+
+
 def test_a_solver_that_refuses_is_not_asked(worker):
     found = cell(worker, Entry("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
     assert "damping" in found.refused

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.answers import answer_residuals, well_formed
+from moc_opt.control.answers import MOST_ITERATIONS, answer_residuals, received
 from moc_opt.control.manipulability import null_space
 from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings
 from moc_opt.errors import ControlError
@@ -77,8 +77,11 @@ def test_a_good_answer_is_followed_and_copied(qp, Z):
     mine = supervisor()
     solution, x = mine.solve(Scripted(good), qp, Z)
     assert mine.fault is Fault.NONE
-    assert solution is good
+    np.testing.assert_array_equal(solution.x, good.x)
+    np.testing.assert_array_equal(solution.y, good.y)
     np.testing.assert_array_equal(x, good.x)
+    assert not np.shares_memory(solution.x, good.x)
+    assert not np.shares_memory(solution.y, good.y)
     assert not np.shares_memory(x, good.x)
     assert mine.counts == {}
 
@@ -89,6 +92,7 @@ def wrong_answers(qp):
         Fault.FAILED: no_answer(7, Status.NUMERICAL),
         Fault.RAISED: RuntimeError("from inside a solver"),
         Fault.NOT_FINITE: Solution(np.where(np.arange(7) == 3, np.nan, x), None, Status.SOLVED),
+        Fault.MALFORMED: Solution(x, np.zeros(6, complex), Status.SOLVED),
         Fault.OUTSIDE: Solution(x + 0.5, None, Status.SOLVED),
         Fault.LIED: opposite(qp),
         Fault.INFEASIBLE: no_answer(7, Status.INFEASIBLE),
@@ -187,7 +191,7 @@ def test_what_was_held_cannot_be_changed_from_outside(qp, Z):
 def test_what_is_no_solution_at_all_is_a_fault(answer, qp, Z):
     mine = supervisor()
     solution, x = mine.solve(Scripted(answer), qp, Z)
-    assert mine.fault in (Fault.FAILED, Fault.NOT_FINITE)
+    assert mine.fault is Fault.MALFORMED
     assert solution.x.shape == (7,)
     assert not x.any()
 
@@ -203,21 +207,74 @@ def test_an_answer_with_gaps_in_memory_is_an_answer(qp, Z):
     np.testing.assert_array_equal(solution.x, good.x)
 
 
-@pytest.mark.parametrize("y", [None, np.zeros(5), np.zeros(7), np.zeros((6, 1)), [0.0] * 6])
-@pytest.mark.parametrize("iterations", [3, "many", 2.5])
-def test_what_is_wrong_with_an_answer_is_left_out_of_it(y, iterations, qp):
-    """x that lies backwards in memory too: compiled code would read on beyond its first number."""
+class Liar:
+    """Says that it is of another class."""
+
+    __class__ = Solution
+
+
+class Shy(tuple):
+    """A Solution that raises where it is read."""
+
+    __class__ = Solution
+
+    def __iter__(self):
+        raise RuntimeError("do not look")
+
+
+class Odd(np.ndarray):
+    """An array whose copies may do anything."""
+
+
+BAD_DUALS = [np.zeros(5), np.zeros((6, 1)), [0.0] * 6, np.zeros(6, complex), np.zeros(6, "f4"), np.array(["a"] * 6), 3]
+BAD_COUNTS = ["many", 2.5, None, -1, MOST_ITERATIONS + 1, 10**400, float("nan"), True]
+
+
+@pytest.mark.parametrize("y", BAD_DUALS, ids=str)
+def test_duals_of_another_form_are_a_fault(y, qp, Z):
+    """They are asked for with that form; a trace could not hold them, and the judge could not read them."""
+    mine = supervisor()
+    good = solved(qp)
+    solution, x = mine.solve(Scripted(Solution(good.x, y, Status.SOLVED)), qp, Z)
+    assert mine.fault is Fault.MALFORMED
+    assert mine.firsts["malformed"].text.startswith("y ")
+    assert solution.y is None
+    np.testing.assert_array_equal(x, np.zeros(7))
+
+
+@pytest.mark.parametrize("iterations", BAD_COUNTS, ids=lambda given: str(given)[:10])
+def test_a_count_that_no_trace_can_hold_is_a_fault(iterations, qp, Z):
+    mine = supervisor()
+    solution, _ = mine.solve(Scripted(Solution(solved(qp).x, None, Status.SOLVED, iterations)), qp, Z)
+    assert mine.fault is Fault.MALFORMED
+    assert mine.firsts["malformed"].text.startswith("iterations ")
+    assert solution.iterations == 0
+    for right in (0, np.int64(7), MOST_ITERATIONS):
+        mine.solve(Scripted(Solution(solved(qp).x, None, Status.SOLVED, right)), qp, Z)
+        assert mine.fault is Fault.NONE
+
+
+@pytest.mark.parametrize("answer", [Liar(), Shy((1, 2)), (1, 2), object(), np.zeros(7)], ids=lambda a: type(a).__name__)
+def test_whatever_comes_back_something_stands_in(answer, qp, Z):
+    mine = supervisor()
+    _, x = mine.solve(Scripted(answer), qp, Z)
+    assert mine.fault in (Fault.MALFORMED, Fault.RAISED)
+    np.testing.assert_array_equal(x, np.zeros(7))
+
+
+def test_answers_that_lie_oddly_in_memory_are_copied(qp):
     good = solved(qp)
     for x in (good.x, good.x[::-1].copy()[::-1], good.x.astype(">f8").astype("<f8")):
-        found = well_formed(Solution(x, y, Status.SOLVED, iterations), 7)
+        found, wrong = received(Solution(x, good.y, Status.SOLVED, 3), 7)
+        assert wrong == ""
         np.testing.assert_array_equal(found.x, good.x)
+        np.testing.assert_array_equal(found.y, good.y)
         assert found.x.strides == (8,)
-        assert found.y is None
-        assert found.iterations == (3 if iterations == 3 else 0)
-        kept = well_formed(Solution(x, good.y, Status.SOLVED, iterations), 7)
-        np.testing.assert_array_equal(kept.y, good.y)
-    for x in (good.x[:6], good.x.astype(np.float32), list(good.x), np.r_[good.x, 0.0], None):
-        assert np.isnan(well_formed(Solution(x, None, Status.SOLVED, 1), 7).x).tolist() == [True] * 7
+        assert not np.shares_memory(found.x, x)
+    for x in (good.x[:6], good.x.astype(np.float32), list(good.x), np.r_[good.x, 0.0], None, good.x.view(Odd)):
+        found, wrong = received(Solution(x, None, Status.SOLVED, 1), 7)
+        assert wrong.startswith("x ")
+        assert np.isnan(found.x).tolist() == [True] * 7
 
 
 @pytest.mark.parametrize(
@@ -228,6 +285,8 @@ def test_what_is_wrong_with_an_answer_is_left_out_of_it(y, iterations, qp):
         (Solution([0.0] * 7, None, Status.SOLVED), "x is a list: give an array of float64"),
         (Solution(np.zeros(7, np.float32), None, Status.SOLVED), "x is an array of float32"),
         (Solution(np.zeros(3), None, Status.SOLVED), "x has shape (3,): give (7,)"),
+        (Solution(np.zeros(7), np.zeros(5), Status.SOLVED), "y has shape (5,): give (6,)"),
+        (Solution(np.zeros(7), None, Status.SOLVED, -3), "iterations is out of range"),
     ],
 )
 def test_an_answer_of_a_wrong_form_is_told_from_a_solver_in_trouble(answer, words, qp, Z):
@@ -257,14 +316,94 @@ def test_what_is_not_finite_is_told_by_nan(bad, place, qp, Z):
     assert np.isnan(answer_residuals(qp.row, 7, Z, x)).all()
 
 
-def test_wrong_duals_do_not_cost_the_answer(qp, Z):
-    good = solved(qp)
+class Grader:
+    """Makes the problem writable and easy, and answers that one; then writes on, into what it has handed over."""
+
+    def __init__(self):
+        self.x, self.given = np.full(7, 50.0), None
+
+    def observe(self, v):
+        v.setflags(write=True)
+        v[:] = 1e3
+
+    def solve(self, qp):
+        for array in (qp.row, qp.row if qp.row.base is None else qp.row.base):
+            array.setflags(write=True)
+            part = fields(array)
+            part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
+        return Solution(self.x, None, Status.SOLVED)
+
+
+def test_a_solver_cannot_grade_itself(qp, Z):
+    before, v = np.array(qp.row), np.zeros(7)
     mine = supervisor()
-    solution, x = mine.solve(Scripted(Solution(good.x, np.zeros(5), Status.SOLVED)), qp, Z)
-    assert mine.fault is Fault.NONE
-    assert solution.y is None
+    _, x = mine.solve(Grader(), qp, Z, v)
+    assert mine.fault is Fault.OUTSIDE
+    np.testing.assert_array_equal(x, np.zeros(7))
+    np.testing.assert_array_equal(qp.row, before)
+    np.testing.assert_array_equal(v, 0.0)
+
+
+def test_what_a_solver_writes_after_its_answer_changes_nothing(qp, Z):
+    good = solved(qp)
+    handed = Solution(good.x.copy(), good.y.copy(), Status.SOLVED)
+    mine = supervisor()
+    solution, x = mine.solve(Scripted(handed), qp, Z)
+    handed.x[:], handed.y[:] = 50.0, np.nan
+    np.testing.assert_array_equal(solution.x, good.x)
+    np.testing.assert_array_equal(solution.y, good.y)
     np.testing.assert_array_equal(x, good.x)
-    assert well_formed(good, 7) is good
+
+
+@given(
+    st.sampled_from(list(Status)), st.integers(0, 2**32 - 1), st.floats(1e-4, 1e3),
+    st.sampled_from(["hold", "zero", "iterate"]),
+)
+@settings(max_examples=60, deadline=None)
+def test_no_claim_gets_an_answer_past_the_equalities(status, seed, size, late):
+    """Whatever status stands on it, and late or not: what is followed keeps A x = b and the box within the limits."""
+    rng = np.random.default_rng(seed)
+    problem = random_problem(rng, 7, damping=1e-5)
+    x = rng.normal(size=7) * size
+    limits = SupervisorSettings()
+    mine = supervisor(times=[rng.choice([1.0, 1e6])], budget_us=1e3, late=late)
+    _, followed = mine.solve(Scripted(Solution(x, None, status)), problem, null_space(problem.A))
+    if np.array_equal(followed, x):
+        most = limits.primal_limit if status is Status.SOLVED else limits.box_limit
+        assert np.abs(problem.A @ x - problem.b).max() <= most
+        assert max((problem.lower - x).max(), (x - problem.upper).max()) <= most
+
+
+@pytest.mark.parametrize("error", [SystemExit("enough"), GeneratorExit(), RuntimeError("no"), MemoryError()], ids=repr)
+@pytest.mark.parametrize("where", ["observe", "solve"])
+def test_whatever_a_session_raises_is_counted(error, where, qp, Z):
+    class Raises:
+        def observe(self, v):
+            if where == "observe":
+                raise error
+
+        def solve(self, qp):
+            raise error
+
+    mine = supervisor()
+    _, x = mine.solve(Raises(), qp, Z, np.zeros(7))
+    assert mine.fault is Fault.RAISED
+    assert mine.firsts["raised"].text.startswith(type(error).__name__)
+    assert np.isfinite(x).all()
+
+
+@pytest.mark.parametrize("where", ["observe", "solve"])
+def test_a_users_interrupt_passes(where, qp, Z):
+    class Interrupted:
+        def observe(self, v):
+            if where == "observe":
+                raise KeyboardInterrupt
+
+        def solve(self, qp):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        supervisor().solve(Interrupted(), qp, Z, np.zeros(7))
 
 
 def test_a_lie_is_seen_at_every_tick_where_it_is_one(recorded):
@@ -641,7 +780,7 @@ def trocar(setup, t):
 def test_honest_solvers_are_not_refused(name):
     """No registered solver, as it comes, loses more than one percent of its ticks to the check."""
     trace = run(Scenario(solver={"name": name}, judge=False, **QUICK))
-    refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "raised"))
+    refused = np.isin(trace.fault, ("lied", "outside", "late", "not_finite", "malformed", "raised"))
     assert refused.mean() <= 0.01, dict(zip(*np.unique(trace.fault, return_counts=True), strict=True))
 
 

@@ -19,9 +19,11 @@ from benchmarks.study.settings import Entry
 from benchmarks.study.store import Part, Store
 from benchmarks.study.worker import Crashed, Hung, Raised, Worker, WorkerError
 from benchmarks.timing import each_us
+from moc_opt.control.answers import received
+from moc_opt.errors import describe
 from moc_opt.model import load_robot
 from moc_opt.scenario import make_solver
-from moc_opt.solvers.base import Solver
+from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.registry import accepts
 from moc_opt.subproblem import NullSpaceQP
 
@@ -89,22 +91,42 @@ def _problems(rows: Array) -> list[NullSpaceQP]:
 def answers(entry: Entry, rows: Array, warm: bool, arm: Callable[[], Any] | None = None) -> Iterator[Any]:
     """Yield the reason why the solver does not take these problems, or "", then (status, iterations, x, y) each."""
     solver, problems = _made(entry, arm), _problems(rows)
-    reason = solver.supports(problems[0])
-    if reason is not None:
-        yield reason
-        return
     # Before the first word: setting up may compile, and the patience for that is longer than for a solve.
-    session: Any = solver.start(problems[0])
-    yield ""
+    session, reason = _session(solver, problems[0])
+    yield reason
+    if session is None:
+        return
     for qp in problems:
-        try:
-            solution = (session if warm else solver.start(qp)).solve(qp)
-        except Exception as error:  # noqa: BLE001 - it is counted, and the next problem is asked
-            yield RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), f"{type(error).__name__}: {error}"
-            session = solver.start(qp) if warm else None
+        said = ""
+        if session is None or not warm:
+            session, said = _session(solver, qp)
+        solution, said = (no_answer(qp.n, Status.NUMERICAL), said) if session is None else _asked(session, qp)
+        if said:  # it is counted, and the next problem is asked of a new session
+            session = None
+            yield RAISED, 0, np.full(qp.n, np.nan), np.full(6, np.nan), said
             continue
         y = np.full(6, np.nan) if solution.y is None else solution.y
-        yield solution.status.label, int(solution.iterations), np.array(solution.x), np.array(y), ""
+        yield solution.status.label, solution.iterations, solution.x, y, ""
+
+
+def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
+    """A session, or None and the reason why there is none: the solver's own, or what it raised."""
+    try:
+        reason = solver.supports(qp)
+        if reason is None:
+            session = solver.start(qp)
+            return (session, "") if session is not None else (None, "start returned None: return a Session")
+        return None, reason if isinstance(reason, str) and reason else f"supports returned {reason!r:.100}"
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - foreign code may raise anything
+        return None, describe(error)
+
+
+def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
+    """The answer, and what was raised or is wrong with its form."""
+    try:
+        return received(session.solve(qp), qp.n)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
+        return no_answer(qp.n, Status.NUMERICAL), describe(error)
 
 
 def warm_times(

@@ -18,41 +18,53 @@ AT_BOUND = 1e-4  # a joint this near to a bound is at it [rad/s]
 SWEEPS = 200
 PASSES = 2e-3  # natural residuals up to here may be verified by the judge: the line is not looked at any further
 
-_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+MOST_ITERATIONS = 2**31 - 1
+"""The largest number that a trace can hold."""
+
+_DOUBLE, _SIX = np.dtype(np.float64), (6,)
 
 
-def well_formed(solution: object, n: int) -> Solution:
-    """The answer as it is, or one without an x where a solver hands back something else than a Solution.
+def received(given: object, n: int) -> tuple[Solution, str]:
+    """A private copy of what a solver handed back, and what of it is not as ``Solution`` wants it ("" where all is).
 
-    The x of the result is an array (n,) of float64, without gaps in memory.
+    The copy shares no memory with the solver's: x (n,) and y (6,) are arrays of float64 without gaps, iterations an
+    int that fits 32 bits. What is wrong in any part leaves no x (NaN): a solver that gets its own form wrong is not
+    believed in the rest. NaN in x or y is no matter of form.
     """
-    if not isinstance(solution, Solution) or not isinstance(solution.status, Status):
-        return no_answer(n, Status.NUMERICAL)
-    x, y, status, iterations = solution
-    right = isinstance(x, np.ndarray) and x.shape == (n,) and x.dtype == _DOUBLE
-    if (
-        right
-        and x.strides == _CLOSE
-        and (y is None or (isinstance(y, np.ndarray) and y.shape == (6,)))
-        and type(iterations) is int
+    if not isinstance(given, Solution):
+        return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
+    x, y, status, iterations = Solution._make(tuple.__iter__(given)) if type(given) is not Solution else given
+    if not (
+        type(x) is np.ndarray
+        and x.dtype == _DOUBLE
+        and x.shape == (n,)
+        and (y is None or (type(y) is np.ndarray and y.dtype == _DOUBLE and y.shape == _SIX))
+        and type(status) is Status
+        and (type(iterations) is int or isinstance(iterations, np.integer))
+        and 0 <= iterations <= MOST_ITERATIONS
     ):
-        return solution
-    x = np.array(x) if right else np.full(n, np.nan)
-    y = y if isinstance(y, np.ndarray) and y.shape == (6,) else None
-    return Solution(x, y, status, iterations if isinstance(iterations, int) else 0)
+        return no_answer(n, status if type(status) is Status else Status.NUMERICAL), _wrong(x, y, status, iterations, n)
+    return Solution(x.copy(), None if y is None else y.copy(), status, int(iterations)), ""
 
 
-def malformed(solution: object, n: int) -> str:
-    """What of an answer is not as ``Solution`` wants it, so that it has no x; "" where it has one."""
-    if not isinstance(solution, Solution):
-        return f"solve returned a {type(solution).__name__}: return a Solution"
-    if not isinstance(solution.status, Status):
-        return f"the status is a {type(solution.status).__name__}: give a Status"
-    x = solution.x
-    if not isinstance(x, np.ndarray) or x.dtype != _DOUBLE:
-        kind = f"an array of {x.dtype}" if isinstance(x, np.ndarray) else f"a {type(x).__name__}"
-        return f"x is {kind}: give an array of float64"
-    return "" if x.shape == (n,) else f"x has shape {x.shape}: give ({n},)"
+def _wrong(x: object, y: object, status: object, iterations: object, n: int) -> str:
+    if type(status) is not Status:
+        return f"the status is a {type(status).__name__}: give a Status"
+    return _unlike("x", x, n) or ("" if y is None else _unlike("y", y, 6)) or _uncountable(iterations)
+
+
+def _unlike(name: str, value: object, length: int) -> str:
+    if type(value) is not np.ndarray:
+        return f"{name} is a {type(value).__name__}: give an array of float64"
+    if value.dtype != _DOUBLE:
+        return f"{name} is an array of {value.dtype}: give an array of float64"
+    return "" if value.shape == (length,) else f"{name} has shape {value.shape}: give ({length},)"
+
+
+def _uncountable(iterations: object) -> str:
+    if type(iterations) is not int and not isinstance(iterations, np.integer):
+        return f"iterations is a {type(iterations).__name__}: give an int"
+    return f"iterations is out of range: give 0 to {MOST_ITERATIONS}"
 
 
 @njit(cache=True, nogil=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Protocol, cast
+from typing import Any
 
 import numpy as np
 from numba import bool_, float64, int64
@@ -33,14 +33,6 @@ _TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VE
 _AFTER_SOLVER = Entry(
     tick.after_solver, VECTOR, int64, MATRIX, VECTOR, VECTOR, VECTOR, float64, VECTOR, VECTOR, VECTOR
 )
-
-
-class ObservesVelocity(Protocol):
-    """A session that wants the measured velocity before each solve (``rnn-printed``)."""
-
-    def observe(self, v: Array) -> None:
-        """Take in the measured joint velocity (n,) [rad/s]."""
-        ...
 
 
 class Controller:
@@ -98,7 +90,7 @@ class Controller:
         self._uses_null_space = solver is not None or settings.damps_dcac
         self._started = False
         self._session: Session | None = None
-        self._listener: ObservesVelocity | None = None
+        self._listens = False  # whether the session observes the measured velocity
         self._rest = np.zeros(robot.n)
         self._before_solver, self._after_solver = _BEFORE_SOLVER.code, _AFTER_SOLVER.code
         self._tracking_torque = _TRACKING_TORQUE.code
@@ -158,10 +150,7 @@ class Controller:
         if self.solver is not None:
             references = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
             qp = self._build(state, *references)
-            self._session = _started(self.solver, qp)
-            self._listener = (
-                cast(ObservesVelocity, self._session) if hasattr(self._session, "observe") else None
-            )
+            self._session, self._listens = _started(self.solver, qp)
             self._supervisor.warm_up(qp, self._Z)
         self._started = True
 
@@ -247,10 +236,9 @@ class Controller:
 
     def _answer(self, session: Session, qp: NullSpaceQP, state: RobotState) -> Array:
         """The x that the arm follows: the solver's, or what stands in for it."""
-        if self._listener is not None:
-            self._listener.observe(state.v)
         self.subproblem = qp
-        self.solution, self.answer = self._supervisor.solve(session, qp, self._Z)
+        v = state.v if self._listens else None
+        self.solution, self.answer = self._supervisor.solve(session, qp, self._Z, v)
         return self.answer
 
     def _follow_null_space(self, state: RobotState) -> None:
@@ -259,18 +247,29 @@ class Controller:
             self._Z = manipulability.null_space(state.A, like=self._Z)
 
 
-def _started(solver: Solver, qp: NullSpaceQP) -> Session:
-    """A session for problems like ``qp``, or a ControlError in the words of the solver or of what it raised."""
-    refusal = f"solver {solver.name!r} cannot run in this controller: "
+def _started(solver: Solver, qp: NullSpaceQP) -> tuple[Session, bool]:
+    """A session for problems like ``qp``, and whether it observes the measured velocity.
+
+    Raises:
+        ControlError: the solver does not take the problem or hands back no session, in its own words or in those of
+            what it raised. A MocOptError of its own passes.
+    """
+    name = "?"
     try:
-        reason = solver.supports(qp)
+        name = repr(solver.name)
+        reason = solver.supports(qp.copy())
         if reason is None:
-            return solver.start(qp)
-    except MocOptError:
+            session = solver.start(qp.copy())
+            if callable(getattr(session, "solve", None)):
+                return session, hasattr(session, "observe")
+            reason = f"start returned a {type(session).__name__} without solve: return a Session"
+        elif not isinstance(reason, str):
+            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+    except (KeyboardInterrupt, MocOptError):
         raise
-    except (Exception, SystemExit) as error:
-        raise ControlError(refusal + describe(error)) from error
-    raise ControlError(refusal + reason)
+    except BaseException as error:  # foreign code may raise anything
+        raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
+    raise ControlError(f"solver {name} cannot run in this controller: {reason}")
 
 
 def _read_only(array: Array) -> Array:

@@ -17,18 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from moc_opt.control.guard_kernels import believable, limit_torque, squared_error
+from moc_opt.control.guard_kernels import believable, holding_friction, limit_torque, squared_error
 from moc_opt.control.incision import Incision
+from moc_opt.control.motion import MotionSettings, MotionWatch
+from moc_opt.control.motion_kernels import FRESH, OLD
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.robots import RobotData
-from moc_opt.settings import Level, Settings
+from moc_opt.settings import Level
+from moc_opt.state import RobotState
 
 Array = NDArray[np.float64]
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
+_PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 
 
-class GuardSettings(Settings):
+class GuardSettings(MotionSettings):
     """Safety limits."""
 
     KIND: ClassVar[str] = "[guard]"
@@ -65,7 +69,14 @@ class GuardSettings(Settings):
     )
     trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
     incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
-    stop_damping_Nm_s_per_rad: float = Field(40.0, gt=0.0, description="of the drives in a damped stop")
+    stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
+    stop_holding: float = Field(
+        0.25, ge=0.0, le=1.0,
+        description="dry friction of the brakes in a stop, of tau_max; 0: damping alone, under which an arm sinks",
+    )
+    stop_yield_N: Level = Field(
+        8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
+    )
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
 
     @model_validator(mode="after")
@@ -88,6 +99,8 @@ class Guard:
             drives that carry it by themselves.
         tool_pose: q (n,) [rad] -> (4, 3) axes and tip of the tool (``RobotModel.tool_pose``); None for an arm
             that is in no incision: nothing is known of a trocar then.
+        state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: without one, what
+            torque the motion needs is not known.
     """
 
     def __init__(
@@ -97,6 +110,7 @@ class Guard:
         period: float,
         gravity: Callable[[Array], Array] | None = None,
         tool_pose: Callable[[Array], Array] | None = None,
+        state: Callable[[Array, Array], RobotState] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
         self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
@@ -109,9 +123,11 @@ class Guard:
         self._fastest = settings.speed_factor * data.v_max
         self._step = settings.torque_rate_Nm_per_s * period
         self._unknown, self._rest = np.empty(0), np.zeros(data.n)
-        self._gravity = gravity
+        self._gravity, self._state = gravity, state
+        self._motion = MotionWatch(settings, period, settings.patience_ticks, data.tau_max)
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
+        self._press_share = min(1.0, _PRESS_PER_S * period)
         self._incision = None if tool_pose is None else Incision(
             tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
@@ -121,10 +137,11 @@ class Guard:
 
     def _believe_anew(self, q: Array, v: Array) -> None:
         self._q, self._v, self._bad = q, v, 0
-        self._square, self.limited, self.reason = 0.0, 0, ""
+        self._square, self.limited, self.reason, self._yields = 0.0, 0, "", False
+        self._press = 0.0
 
-    def start(self, q: Array, v: Array) -> None:
-        """Believe the first measurement; what is compiled runs once, so that no compiler runs in the loop.
+    def start(self, q: Array, v: Array, stamp: int = 0) -> None:
+        """Believe the first measurement, number ``stamp``; what is compiled runs once: no compiler runs in the loop.
 
         Raises:
             ControlError: it is not finite.
@@ -132,18 +149,39 @@ class Guard:
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
         self._believe_anew(np.array(q), np.array(v))
+        self._motion.start(q, v, stamp)
         self.believe(q, v)
+        if self._state is not None:
+            self.weigh(q, v, None, self._rest)
+            self.weigh(q, v, None, self._rest)
         self.limit(self._rest, self._rest, q, v)
         self.follow(np.zeros(3), np.zeros((3, 3)))
         self.limited = 0
+        self._believe_anew(np.array(q), np.array(v))
+        self._motion.start(q, v, stamp)
         if self._incision is not None:
             self._incision.look(q, np.zeros((2, 3)), np.zeros(6))
             self._incision.forget()
 
-    def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The measurement, or the last believed one moved on where this one cannot be true."""
-        if believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
+    def believe(
+        self, q: Array, v: Array, stamp: int | None = None, sent: Array | None = None, wrench: Array | None = None
+    ) -> tuple[Array, Array]:
+        """The measurement, or the last believed one moved on where this one cannot be true.
+
+        Args:
+            q, v: (n,) as measured [rad], [rad/s].
+            stamp: number of the control period in which it was taken; None: the arm counts none.
+            sent: (n,) the torque that went out before it [Nm]; None: not known.
+            wrench: (6,) as the sensor at the tool's mount shows it; None: not known.
+        """
+        late = FRESH if stamp is None else self._motion.age(stamp)
+        if late == OLD:
+            self.give_up(f"measurements are more than {self.settings.patience_ticks} ticks late")
+        if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
             self._q, self._v, self._bad = q, v, 0
+            wrong = self._motion.look(q, v, sent, wrench) if sent is not None else ""
+            if wrong:
+                self.give_up(wrong)
         else:
             self._bad += 1
             self._q = self._q + self._v * self._period
@@ -151,8 +189,22 @@ class Guard:
                 self.give_up("measurements not believed")
         return self._q, self._v
 
+    def weigh(self, q: Array, v: Array, state: RobotState | None, sent: Array) -> None:
+        """Take note of the motion that the torque (n,) [Nm] before (q, v) should have made.
+
+        ``state`` is that of (q, v) where the controller shows it; None: it is computed.
+        """
+        if state is None:
+            if self._state is None:
+                return
+            state = self._state(q, v)
+        wrong = self._motion.weigh(state, sent)
+        if wrong:
+            self.give_up(wrong)
+
     def follow(self, tip: Array, tip_ref: Array) -> None:
         """Take note of how far the tip (3,) is from its reference (3, 3) rows X_d, ... [m]."""
+        self._motion.reference(tip_ref)
         self._square += self._share * (squared_error(tip, tip_ref) - self._square)
         if not self._square <= self._most:
             self.give_up(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
@@ -210,6 +262,27 @@ class Guard:
             return self._rest  # a model that knows no weight: the brakes alone
         wanted = np.clip(weight, -self._limits[3], self._limits[3])
         return before + np.clip(wanted - before, -self._step, self._step)
+
+    def hold(self, wrench: Array) -> Array:
+        """Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
+
+        They stay closed where the drives cannot carry the weight. Brakes that hold an arm against tissue that pushes it
+        would keep up the force; an arm without them sinks under any load that its model does not know of. They close
+        again once the force has halved.
+
+        Args:
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+        """
+        level, friction, weight = self.settings.stop_yield_N, np.zeros(self._rest.size), self._weight(self._q)
+        weight = weight if np.isfinite(weight).all() else self._rest
+        if self._incision is not None and level is not None and (np.abs(weight) <= self._limits[3]).all():
+            # A mean: in the first moments the tool's inertia force stands beside the trocar's.
+            force = self._incision.pressed(self._q, wrench)
+            self._press = self._press + self._press_share * (force - self._press) if np.isfinite(force) else 0.0
+            self._yields = self._press > (0.5 * level if self._yields else level)
+        if not self._yields:
+            holding_friction(weight, self._limits[3], self.settings.stop_holding, friction)
+        return friction
 
     def _weight(self, q: Array) -> Array:
         return self._rest if self._gravity is None else self._gravity(q)

@@ -81,3 +81,13 @@ def squared_error(tip: Array, tip_ref: Array) -> float:
     for i in range(3):
         square += (tip[i] - tip_ref[0, i]) ** 2
     return square
+
+
+@njit(cache=True, nogil=True)
+def holding_friction(weight: Array, tau_max: Array, share: float, friction: Array) -> None:
+    """Fill friction (n,) [Nm] of brakes that hold the arm in a stop, whatever its drives are worth.
+
+    ``share`` of the drive's largest torque, and one and a half times what that drive cannot carry of the weight (n,).
+    """
+    for i in range(weight.shape[0]):
+        friction[i] = share * tau_max[i] + 1.5 * max(abs(weight[i]) - tau_max[i], 0.0)

@@ -144,9 +144,13 @@ class Incision:
 
     def forget(self) -> None:
         """Begin anew: nothing seen yet."""
-        self._means, self._tick, self._unread = np.zeros(2), -1, 0
+        self._means, self._tick, self._unread, self._point = np.zeros(2), -1, 0, np.full(3, np.nan)
         self._watched = [Watched(*given) for given in self._levels]
         self._lowest = np.array([watched.lowest_square for watched in self._watched])
+
+    def pressed(self, q: Array, wrench: Array) -> float:
+        """Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number."""
+        return float(trocar_force(self._pose(q), self._point, wrench, *self._tool))
 
     def look(self, q: Array, trocar: Array, wrench: Array) -> str:
         """Take in one tick; return the reason to stop, or "".
@@ -157,6 +161,7 @@ class Incision:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         """
         self._tick += 1
+        self._point = trocar[0]
         found = self._take(self._pose(q), trocar, wrench, *self._tool, self._share, self._lowest, self._means)
         if found == _BELOW:
             self._unread = 0

@@ -4,6 +4,9 @@ Tip and RCM control never depend on a solver. An answer that raised, is missing,
 too late, or is claimed to be optimal and is not, is replaced: by the last good one for a few ticks,
 then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each
 kind is kept in words.
+
+A solver sees a copy of the subproblem, and what it hands back is copied before it is looked at: what it writes into
+either afterwards reaches neither the check nor the torque.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.control.answers import RESIDUALS, malformed, well_formed
+from moc_opt.control.answers import RESIDUALS, received
 from moc_opt.control.manipulability import into_the_box, least_violation
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.settings import Settings
@@ -35,6 +38,7 @@ class Fault(Enum):
     INFEASIBLE = "the solver found the subproblem infeasible"
     FAILED = "the solver gave no answer"
     RAISED = "the solver raised an exception"
+    MALFORMED = "the answer has not the form of a Solution"
     NOT_FINITE = "the answer holds NaN or infinity"
     OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
     LIED = "the solver claimed an optimum and the residual check disagrees"
@@ -134,40 +138,59 @@ class Supervisor:
             self._least_violation(qp)
         self._retreat(qp, Z)
 
-    def solve(self, session: Session, qp: NullSpaceQP, Z: Array) -> tuple[Solution, Array]:
+    def solve(
+        self, session: Session, qp: NullSpaceQP, Z: Array, v: Array | None = None
+    ) -> tuple[Solution, Array]:
         """Ask, check, and answer in any case.
+
+        Args:
+            session: of the solver.
+            qp: the subproblem; the session gets a copy.
+            Z: (r, n) basis of ker A.
+            v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
             what the solver said, and the x (n,) that the arm follows.
         """
-        begin = perf_counter_ns()
-        raised = ""
-        try:
-            solution = session.solve(qp)
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
-            solution, raised = no_answer(qp.n, Status.NUMERICAL), describe(error)
-        self.solve_us = (perf_counter_ns() - begin) * 1e-3
-        if self._times is not None:
-            self.solve_us = next(self._times, self.solve_us)
-        given, solution = solution, well_formed(solution, qp.n)
-        if self._stop_late and self._late:
-            try:
-                solution = well_formed(self._stopped(session, qp, solution), qp.n)
-            except (Exception, SystemExit) as error:  # noqa: BLE001 - as above
-                solution, raised = no_answer(qp.n, Status.NUMERICAL), raised or describe(error)
-        self.fault = Fault.RAISED if raised else self._judge(solution, qp, Z)
+        solution, wrong, raised = self._ask(session, qp, v)
+        self.fault = Fault.RAISED if raised else Fault.MALFORMED if wrong else self._judge(solution, qp, Z)
         self._asked += 1
         if self.fault is _NO_FAULT:
-            # A copy: the solver may write its next answer, or none, into the same memory.
-            self._good, self._age = solution.x.copy(), 0
+            self._good, self._age = solution.x.copy(), 0  # a copy: the caller has the solution as well
             return solution, self._good
         label = self.fault.label
         self.counts[label] += 1
         if label not in self.firsts:
             cure = f" ({solution.status.value})" if self.fault is Fault.FAILED else ""
-            said = raised or malformed(given, qp.n) or self.fault.value + cure
-            self.firsts[label] = First(self._asked - 1, said)
+            self.firsts[label] = First(self._asked - 1, raised or wrong or self.fault.value + cure)
         return solution, self._replace(solution, qp, Z)
+
+    def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, str, str]:
+        """The answer as a private copy, what is wrong with its form, and what was raised; all in ``solve_us``."""
+        shown, given, raised = qp.copy(), None, ""
+        begin = perf_counter_ns()
+        try:
+            if v is not None:
+                session.observe(v.copy())  # type: ignore[attr-defined]
+            given = session.solve(shown)
+        except KeyboardInterrupt:  # a user's Ctrl-C
+            raise
+        except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
+            raised = describe(error)
+        self.solve_us = (perf_counter_ns() - begin) * 1e-3
+        if self._times is not None:
+            self.solve_us = next(self._times, self.solve_us)
+        if raised:
+            return no_answer(qp.n, Status.NUMERICAL), "", raised
+        try:
+            solution, wrong = received(given, qp.n)
+            if self._stop_late and self._late and not wrong:
+                solution, wrong = received(self._stopped(session, shown, solution), qp.n)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - as above
+            return no_answer(qp.n, Status.NUMERICAL), "", describe(error)
+        return solution, wrong, ""
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         status = solution.status

@@ -219,8 +219,9 @@ class LiveRun:
         begin = perf_counter_ns()
         self._sent = self._safe.tick(seen, tip_ref, registered)
         tick_us = (perf_counter_ns() - begin) * 1e-3
+        if self._safe.lost:
+            self._plant.brake(self._stop.damping, self._safe.hold(seen))
         if self._safe.lost and self._halt_at < 0:
-            self._plant.brake(self._stop.damping)
             self._halt_at = self._ticks + round(self._stop.seconds / self.period_s)
         self._fade()
         self._plant.write_truth(self._truth)
@@ -351,6 +352,11 @@ class _Pilot:
     def tip(self) -> Array:
         """Where the last tick saw the tip (3,) [m]."""
         return self._run._state.tip
+
+    @property
+    def state(self) -> RobotState:
+        """The model's state at the last tick."""
+        return self._run._state
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Nothing: the controller starts at its first tick, when it takes over."""

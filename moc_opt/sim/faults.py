@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -10,8 +9,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.settings import Settings
 from moc_opt.sim.mjcf import TOOL_BODY
+from moc_opt.sim.packets import Packets, PacketSettings
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.sensors import Measurement
 
@@ -20,7 +19,7 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 
 
-class FaultSettings(Settings):
+class FaultSettings(PacketSettings):
     """Everything is off by default. Times are counted from the start of the run."""
 
     KIND: ClassVar[str] = "[faults]"
@@ -32,10 +31,6 @@ class FaultSettings(Settings):
     encoder_noise_rad: float = Field(
         default=0.0, ge=0.0, le=0.01, description="more noise, standard deviation"
     )
-    drop_share: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="of the measurements that never arrive"
-    )
-    late_ticks: int = Field(default=0, ge=0, le=50, description="measurements arrive so much later")
     nan_at_s: float | None = Field(default=None, ge=0.0, description="the encoders say NaN from then on")
     nan_ticks: int = Field(default=1, ge=1, description="for so many ticks")
     jump_at_s: float | None = Field(
@@ -54,7 +49,7 @@ class FaultSettings(Settings):
     slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
     slip_at_s: float = Field(default=2.0, ge=0.0)
 
-    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "hang"] = Field(
+    solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
         default="none",
         description="how the solver's answers are spoilt (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
     )
@@ -81,19 +76,17 @@ class Faults:
 
     def __init__(self, settings: FaultSettings, n: int, period: float, seed: int) -> None:
         self.settings, self._period = settings, period
-        signs, noise, drops, directions = (
-            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)
+        signs, noise, drops, directions, drifts = (
+            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)
         )
         self._bias = settings.encoder_bias_rad * signs.choice([-1.0, 1.0], size=n)
-        self._noise, self._drops = noise, drops
+        self._noise, self._packets = noise, Packets(settings, n, period, drops, drifts)
         angle = directions.uniform(0.0, 2.0 * np.pi, size=2)
         self._bump = settings.bump_N * np.array([np.cos(angle[0]), np.sin(angle[0]), 0.0])
         self._weight = np.array([0.0, 0.0, -settings.payload_kg * GRAVITY])
         self._slip = settings.slip_m * np.array([np.cos(angle[1]), np.sin(angle[1]), 0.0])
         self._bump_on = round(settings.bump_at_s / period)
         self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
-        self._past: deque[Measurement] = deque(maxlen=settings.late_ticks + 1)
-        self._last: Measurement | None = None
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
         """What arrives of a measurement."""
@@ -105,12 +98,7 @@ class Faults:
             q = q + s.jump_rad
         if s.nan_at_s is not None and 0 <= tick - round(s.nan_at_s / self._period) < s.nan_ticks:
             q = np.full_like(q, np.nan)
-        self._past.append(Measurement(q, v, seen.force))
-        arrived = self._past[0]
-        if s.drop_share > 0.0 and self._last is not None and self._drops.uniform() < s.drop_share:
-            arrived = self._last
-        self._last = arrived
-        return arrived
+        return self._packets.arrive(seen._replace(q=q, v=v), tick)
 
     def act(self, plant: Plant, tick: int) -> None:
         """Begin and end the pushes that fall on this tick."""

@@ -156,9 +156,9 @@ def simulate(
                 ended = f"stopped: {safe.lost} (t = {kept['t_s'][k]:.3f} s)"
                 stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
                 stopped["stopped_at_s"] = float(kept["t_s"][k])
-                plant.brake(stop.damping)
             brain.note(k, kept)
             if safe.lost:
+                plant.brake(stop.damping, safe.hold(seen))
                 _blank(kept, k)
             plant.write_truth(truth[k])
             wrench[k], torques[k], limited[k] = seen.force, tau, safe.limited

@@ -132,6 +132,7 @@ class Plant:
         self.mj_model = compile_model(data.name, spec)
         self.mj_data = mujoco.MjData(self.mj_model)
         self._drive_damping = np.array(self.mj_model.dof_damping)
+        self._drive_friction = np.array(self.mj_model.dof_frictionloss)
         self._substeps = tuple(i * settings.substep_s for i in range(settings.substeps))
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._bind()
@@ -203,13 +204,14 @@ class Plant:
         self._wrench_sensor = WrenchSensor.of(self.settings, force)
         self._pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
+        self.mj_model.dof_frictionloss[:] = self._drive_friction
         self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
         self._joints.place(start - self.mismatch.encoder_bias)
         self._drives.start(self._joints.bias)
         self._joints.start(speed)
         q, v = self._encoders.start(*self._shown)
-        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
+        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench), self._ticks)
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
         """Advance one control period.
@@ -252,7 +254,7 @@ class Plant:
                 "rotor inertia"
             )
         q, v = self._encoders.read(*self._shown)
-        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench))
+        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._wrench), self._ticks)
 
     def _listen(self, trocar: ArrayLike) -> bool:
         """Take in what the caller says of the trocar; False where that is nonsense."""
@@ -269,18 +271,27 @@ class Plant:
         """What the sensors showed at the end of the last period; asking twice gives the same."""
         return self._measurement
 
-    def brake(self, damping_Nm_s_per_rad: float) -> None:
-        """Short-circuit the drives: more damping in every joint, whatever is commanded, until reset.
+    def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
+        """Close the brakes: more damping and dry friction in every joint, whatever is commanded, until reset.
 
-        It acts on the true velocity, as a real arm's brakes do: no sensor is needed.
+        Both act on the true motion, as a real arm's brakes do: no sensor is needed. Damping alone holds nothing: under
+        a load that the torque does not carry the arm sinks.
+
+        Args:
+            damping_Nm_s_per_rad: of the drives, short-circuited.
+            friction_Nm: of the holding brakes, one number or one a joint (n,).
 
         Raises:
-            PlantError: not a positive number.
+            PlantError: the damping is not a positive number, or a friction not 0 or more.
         """
         if not 0.0 < damping_Nm_s_per_rad < np.inf:
             raise PlantError(f"damping_Nm_s_per_rad = {damping_Nm_s_per_rad!r}: give a positive number")
+        friction = np.broadcast_to(np.asarray(friction_Nm, dtype=np.float64), self.data.n)
+        if not ((friction >= 0.0) & np.isfinite(friction)).all():
+            raise PlantError(f"friction_Nm = {friction.tolist()}: give 0 or more")
         drives = self._joints.motors  # brakes sit there
         self.mj_model.dof_damping[drives] = self._drive_damping[drives] + damping_Nm_s_per_rad
+        self.mj_model.dof_frictionloss[drives] = self._drive_friction[drives] + friction
 
     def push(self, body: str, force: ArrayLike, point: ArrayLike | None = None) -> None:
         """Hold an external force on a link from the next period on, until it is cleared, replaced or reset.

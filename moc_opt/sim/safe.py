@@ -66,12 +66,22 @@ class Watchdog(Protocol):
         """The torque (n,) [Nm] of a damped stop, ``before`` being the last one sent."""
         ...
 
-    def start(self, q: Array, v: Array) -> None:
+    def hold(self, wrench: Array) -> Array:
+        """Dry friction (n,) [Nm] of the brakes in a stop, where the tool exerts ``wrench`` (6,) on its mount."""
+        ...
+
+    def start(self, q: Array, v: Array, stamp: int = 0) -> None:
         """Believe the first measurement."""
         ...
 
-    def believe(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """The measurement, or what stands in for one that cannot be true."""
+    def believe(
+        self, q: Array, v: Array, stamp: int | None = None, sent: Array | None = None, wrench: Array | None = None
+    ) -> tuple[Array, Array]:
+        """The measurement, or what stands in for one that cannot be true, is old, or repeats itself."""
+        ...
+
+    def weigh(self, q: Array, v: Array, state: Any, sent: Array) -> None:
+        """Take note of the motion that the torque before (q, v) should have made; None: of that state."""
         ...
 
     def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
@@ -98,13 +108,14 @@ class Safe:
 
     def __init__(self, brain: Pilot, guard: Watchdog | None, sent: Array) -> None:
         self._brain, self._guard, self._sent = brain, guard, sent
+        self._sees_state = hasattr(brain, "state")  # and the model's state at the last measurement
         self._sees_tip = hasattr(brain, "tip")  # a controller may say where it sees the tip (3,) [m]
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Take the first measurement as it is, and start controller and guard at it."""
         self._brain.start(seen.q, seen.v, tip_ref, trocar)
         if self._guard is not None:
-            self._guard.start(seen.q, seen.v)
+            self._guard.start(seen.q, seen.v, seen.stamp)
 
     @property
     def lost(self) -> str:
@@ -121,19 +132,25 @@ class Safe:
         """See ``Watchdog``."""
         return [] if self._guard is None else self._guard.warnings
 
+    def hold(self, seen: Measurement) -> Array | float:
+        """Dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        return 0.0 if self._guard is None else self._guard.hold(seen.force)
+
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
         """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once the arm is lost."""
         guard = self._guard
         if guard is None:
             return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
         if not guard.lost:
-            q, v = guard.believe(seen.q, seen.v)
+            q, v = guard.believe(seen.q, seen.v, seen.stamp, self._sent, seen.force)
             guard.feel(q, trocar, seen.force)
         if not guard.lost:
             try:
                 asked = self._brain.tick(q, v, tip_ref, trocar)
                 if self._sees_tip:
                     guard.follow(self._brain.tip, tip_ref)  # type: ignore[attr-defined]
+                state = self._brain.state if self._sees_state else None  # type: ignore[attr-defined]
+                guard.weigh(q, v, state, self._sent)
             except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
                 guard.give_up(f"the controller failed: {error}")
             else:

@@ -27,6 +27,8 @@ class Measurement(NamedTuple):
     """(n,) joint velocities [rad/s]."""
     force: Array
     """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
+    stamp: int = 0
+    """Number of the control period in which it was taken, counted by the arm: what was seen has an age."""
 
 
 _NOISE_ROWS = 64

@@ -16,8 +16,8 @@ from moc_opt.subproblem import NullSpaceQP, fields
 
 Array = NDArray[np.float64]
 
-Kind = Literal["fail", "nan", "lie", "raise", "outside"]
-KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside")
+Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
+KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside", "rig", "malformed")
 
 
 class InjectedFault(SolverError):
@@ -32,7 +32,8 @@ class Faulty:
         inner: the solver that answers otherwise.
         kind: "fail" gives no answer and says so, "nan" claims success for NaN, "lie" claims success for
             the best answer to the opposite gradient (feasible: only an optimality check sees it),
-            "outside" for an answer beyond the box, "raise" raises. The solver inside is not asked then.
+            "outside" for an answer beyond the box, "raise" raises, "rig" answers 50 rad/s and rewrites the subproblem
+            so that this fits, "malformed" gives duals of another kind. The solver inside is not asked then.
         rate: share of faulty ticks, 0 to 1.
         seed: of the draw; the same seed spoils the same ticks.
 
@@ -99,6 +100,13 @@ class FaultySession:
             return Solution(np.full(qp.n, np.nan), None, Status.SOLVED)
         if kind == "outside":
             return Solution(10.0 * qp.upper + 1.0, None, Status.SOLVED)
+        if kind == "malformed":
+            return self._inner.solve(qp)._replace(y=np.zeros(6, dtype=complex))
+        if kind == "rig":
+            qp.row.setflags(write=True)
+            part = fields(qp.row)
+            part.A[:], part.b[:], part.lower[:], part.upper[:] = 0.0, 0.0, -1e3, 1e3
+            return Solution(np.full(qp.n, 50.0), None, Status.SOLVED)
         row = np.array(qp.row)
         fields(row).grad_mu[:] *= -1.0
         return self._liar.solve(NullSpaceQP.from_row(row))

@@ -1,0 +1,151 @@
+"""Old, repeated and frozen measurements: how old each one is, and whether it shows the arm that the torque went to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import float64, int64
+from numpy.typing import NDArray
+from pydantic import Field
+
+from moc_opt.compiled import INDICES, MATRIX, VECTOR, Entry
+from moc_opt.control import motion_kernels as kernels
+from moc_opt.settings import Settings
+from moc_opt.state import RobotState
+
+Array = NDArray[np.float64]
+
+_READINGS = Entry(
+    kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
+)
+_SETTLED = 6.0  # time constants of the residual after which it is what it will be
+
+_AGE = Entry(kernels.age, int64, int64, INDICES)
+_MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX)
+
+
+class MotionSettings(Settings):
+    """When a measurement is not believed to show the arm: part of ``[guard]``."""
+
+    motion: bool = Field(True, description="whether age and motion of the measurements are watched")
+    motion_s: float = Field(0.1, gt=0.0, description="how long q - integral of v is remembered")
+    motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")
+    motion_lag_s: float = Field(
+        0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
+    )
+    repeat_m: float = Field(
+        0.003, gt=0.0,
+        description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
+        "much to overcome static friction",
+    )  # fmt: skip
+    repeat_torque: float = Field(
+        0.06, gt=0.0, description="change of a torque meanwhile, of tau_max: static friction holds as much"
+    )
+    repeat_whole_torque: float = Field(
+        0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
+    )
+    repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
+    stuck_torque: float = Field(
+        0.06, ge=0.0,
+        description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
+        "repeats one reading",
+    )  # fmt: skip
+    stuck_rad_per_s: float = Field(
+        0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
+    )
+    residual_torque: float = Field(
+        0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
+    )
+    residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
+    residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
+
+    @property
+    def levels(self) -> Array:
+        """(12,) as the kernels take them."""
+        return np.array([
+            self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
+            self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
+            self.residual_rate_per_s, self.residual_s,
+            self.repeat_whole_m,
+        ])  # fmt: skip
+
+
+class MotionWatch:
+    """The memory of one arm's measurements.
+
+    Args:
+        settings: the levels.
+        period: control period [s].
+        patience: ticks.
+        tau_max: (n,) [Nm].
+    """
+
+    def __init__(self, settings: MotionSettings, period: float, patience: int, tau_max: Array) -> None:
+        self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
+        self._settling = round(_SETTLED / (settings.residual_rate_per_s * period))
+        self._levels, self._on = settings.levels, settings.motion
+        self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
+        self._no_wrench = np.full(6, np.nan)
+        self._n = self._tau_max.size
+        self._rest = np.zeros(self._n)
+        self.start(np.zeros(self._n), np.zeros(self._n), 0)
+
+    def start(self, q: Array, v: Array, stamp: int) -> None:
+        """Begin anew at a measurement; the next one taken in may be the same."""
+        self._clock = np.array([stamp - 1, stamp - 1, -2], dtype=np.int64)
+        self._memory = np.zeros((kernels.ROWS, self._n))
+        self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
+        self._still = np.zeros(10)
+        self._weighed, self._ticks = 0, 0  # control periods since the last reading that was looked at
+        self._tip = np.zeros(3)
+
+    def age(self, stamp: int) -> int:
+        """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
+        if not self._on:
+            return kernels.FRESH
+        before = int(self._clock[1])
+        found = int(self._age(stamp, self._patience, self._clock))
+        self._ticks += int(self._clock[1]) - before
+        return found
+
+    def reference(self, tip_ref: Array) -> None:
+        """Take note of where the tip is told to be, (3, 3) rows X_d, dX_d, ddX_d."""
+        self._tip[:] = tip_ref[0]
+
+    def look(self, q: Array, v: Array, tau: Array, wrench: Array | None = None) -> str:
+        """Take in a new reading, after the torque (n,) [Nm] went out; return what is wrong with it, or ""."""
+        if not self._on:
+            return ""
+        found = self._readings(
+            q, v, tau, self._no_wrench if wrench is None else wrench, self._tip, self._period * max(1, self._ticks),
+            self._patience, self._tau_max, self._levels, self._memory, self._still,
+        )  # fmt: skip
+        self._ticks = 0
+        if found == kernels.NOTHING:
+            return ""
+        if found == kernels.REPEATED:
+            return "all encoders repeat one reading while the arm is told to move"
+        return "the encoders' positions do not follow their velocities"
+
+    def weigh(self, state: RobotState, tau: Array) -> str:
+        """Take in the state of a measurement; return what is wrong with its motion, or "".
+
+        Args:
+            state: of what is believed.
+            tau: (n,) the torque that went out before it [Nm].
+        """
+        if not self._on:
+            return ""
+        self._weighed += 1
+        if self._weighed == 1:
+            self._memory[kernels.INTEGRAL] = state.M @ state.v
+            return ""
+        record = state.record
+        settled = int(self._weighed > self._settling)
+        found = self._momentum(
+            record, self._n, tau, settled, self._period, self._patience, self._tau_max, self._levels, self._memory
+        )
+        if found == kernels.NOTHING:
+            return ""
+        if found == kernels.STUCK:
+            return "an encoder repeats one reading while torque acts on its joint"
+        return "the torque went into a motion that the encoders do not show"

@@ -1,0 +1,174 @@
+"""Whether what the encoders show can be the motion of the arm that the torque went to: compiled, over flat state.
+
+Four signs, each of which a sound arm stays well below:
+
+- the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
+- all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
+  enough where the wrench sensor repeats its reading too;
+- one encoder repeats its reading, while the momentum residual says that its joint must have gathered speed;
+- the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that nobody sees.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.control.observer import momentum_residual
+from moc_opt.model_kernels import state_views
+
+Array = NDArray[np.float64]
+
+GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED = range(11)
+"""Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
+torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
+joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
+ROWS = 11
+
+NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED = 0, 1, 2, 3, 4
+
+FRESH, REPEAT, OLD = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
+    """Judge the age of a measurement by its number; call once a tick.
+
+    The delay with which the first new measurement came is ordinary; an age of ``patience`` ticks more is too old.
+
+    Args:
+        stamp: number of the control period in which it was taken, by the arm's count.
+        patience: ticks.
+        clock: (3,) changed in place: the number that a measurement of this tick would have, that of the newest one
+            seen, and the ordinary delay, -1 while it is not known; (s - 1, s - 1, -2) before the first one, number s.
+
+    Returns:
+        FRESH; REPEAT, for one that is not newer than what was seen, or from a time that has not come; OLD.
+    """
+    clock[0] += 1
+    late = clock[0] - stamp
+    if -patience <= late < 0:  # the arm counted on while the controller missed ticks: its clock holds
+        clock[0], late = stamp, 0
+    newer = late >= 0 and stamp > clock[1]
+    if newer:
+        clock[1] = stamp
+        if clock[2] < 0:  # the one that the run is started with is as old as it is told to be
+            clock[2] = late if clock[2] == -1 else -1
+    if clock[0] - clock[1] > max(clock[2], 0) + patience:
+        return OLD
+    return FRESH if newer else REPEAT
+
+
+@njit(cache=True, nogil=True)
+def compare_readings(
+    q: Array,
+    v: Array,
+    tau: Array,
+    wrench: Array,
+    tip: Array,
+    elapsed: float,
+    patience: int,
+    tau_max: Array,
+    levels: Array,
+    memory: Array,
+    still: Array,
+) -> int:
+    """Compare a new reading with its own velocity and with the last one.
+
+    Args:
+        q, v: (n,) as the sensors show them [rad], [rad/s].
+        tau: (n,) the torque that went out last [Nm].
+        wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
+        tip: (3,) where the tip was told to be last [m].
+        elapsed: time since the reading before [s].
+        patience: ticks.
+        tau_max: (n,) [Nm].
+        levels: as in ``MotionSettings.levels``.
+        memory: (ROWS, n) changed in place.
+        still: (10,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
+            wrench, and the ticks in a row in which it was the same.
+
+    Returns:
+        NOTHING, RAN_AWAY, or REPEATED.
+    """
+    n = q.shape[0]
+    still[9] += 1.0
+    for i in range(6):
+        if wrench[i] != still[3 + i]:
+            still[9] = 0.0
+        still[3 + i] = wrench[i]
+    keep = 1.0 - min(1.0, elapsed / levels[0])
+    ran_away, fewest = False, 1e18
+    for i in range(n):
+        if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
+            memory[SHOWN, i] = q[i] - elapsed * v[i]
+        memory[GAP, i] = keep * memory[GAP, i] + (q[i] - memory[SHOWN, i]) - elapsed * v[i]
+        memory[PEAK, i] = max(keep * memory[PEAK, i], abs(v[i]))
+        if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
+            ran_away = True
+        if memory[REPEATS, i] < 0.0 or q[i] == memory[SHOWN, i]:
+            memory[REPEATS, i] += 1.0
+        else:
+            memory[REPEATS, i] = 0.0
+            memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
+        fewest = min(fewest, memory[REPEATS, i])
+        memory[SHOWN, i] = q[i]
+    if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
+        for i in range(n):
+            memory[TORQUE, i] = tau[i]
+        for i in range(3):
+            still[i] = tip[i]
+    else:
+        whole = still[9] > patience
+        least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]
+        for i in range(3):
+            if abs(tip[i] - still[i]) > way:
+                return REPEATED
+        for i in range(n):
+            if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
+                return REPEATED
+    return RAN_AWAY if ran_away else NOTHING
+
+
+@njit(cache=True, nogil=True)
+def compare_momentum(
+    record: Array,
+    n: int,
+    tau: Array,
+    settled: int,
+    period: float,
+    patience: int,
+    tau_max: Array,
+    levels: Array,
+    memory: Array,
+) -> int:
+    """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
+
+    Args are those of ``compare_readings``; record is the flat state of the measurement, period the control period [s],
+    and settled 0 while the residual is still on its way from nothing to what the model does not know.
+
+    Returns:
+        NOTHING, STUCK or UNEXPLAINED.
+    """
+    s = state_views(record, n)
+    momentum_residual(
+        s.M, s.energy_slope, s.gravity, s.v, tau, levels[9], period, memory[INTEGRAL], memory[RESIDUAL]
+    )
+    share = min(1.0, period / levels[10])
+    found = NOTHING
+    for i in range(n):
+        r = memory[RESIDUAL, i]
+        if settled == 0:
+            memory[MEAN, i], memory[AT_REPEAT, i], memory[UNSEEN, i] = r, r, 0.0
+        memory[MEAN, i] += share * (r - memory[MEAN, i])
+        beyond = r - memory[AT_REPEAT, i]  # what static friction does not hold
+        beyond -= min(max(beyond, -levels[6] * tau_max[i]), levels[6] * tau_max[i])
+        memory[UNSEEN, i] += period * beyond / s.M[i, i]
+        if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[7]:
+            found = STUCK
+        far = abs(r - memory[MEAN, i]) > levels[8] * tau_max[i]
+        memory[EXCEEDED, i] = memory[EXCEEDED, i] + 1.0 if far else 0.0
+        if memory[EXCEEDED, i] > patience:
+            return UNEXPLAINED
+    return found

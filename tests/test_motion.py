@@ -1,0 +1,193 @@
+"""Age and motion of measurements: the kernels against laws that hold for all inputs, and what is believed."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.control import motion_kernels as kernels
+from moc_opt.control.guard import Guard, GuardSettings
+from moc_opt.control.motion import MotionSettings, MotionWatch
+from moc_opt.control.motion_kernels import FRESH, OLD, REPEAT
+
+PERIOD, PATIENCE, N = 0.002, 3, 7
+
+
+def ages(stamps, patience=PATIENCE):
+    """What becomes of packets numbered so, one a tick, of a run that began with number 0 at tick 0."""
+    watch = MotionWatch(MotionSettings(), PERIOD, patience, np.full(N, 100.0))
+    watch.start(np.zeros(N), np.zeros(N), 0)
+    return [watch.age(int(stamp)) for stamp in stamps]
+
+
+@given(st.integers(0, 6), st.integers(0, 3), st.integers(1, 50))
+@settings(max_examples=60, deadline=None)
+def test_a_constant_delay_is_ordinary(patience, late, ticks):
+    """Up to the patience itself: nothing new can arrive before that many ticks are over."""
+    late = min(late, patience)
+    found = ages([max(0, k - late) for k in range(late + ticks + 1)], patience)
+    assert found[0] == FRESH
+    assert found[1 : late + 1] == [REPEAT] * late
+    assert found[late + 1 :] == [FRESH] * ticks
+
+
+@given(st.integers(0, 6), st.integers(0, 3), st.integers(0, 40))
+@settings(max_examples=60, deadline=None)
+def test_packets_that_stop_are_too_old_after_the_patience_and_not_before(patience, late, last):
+    late = min(late, patience)
+    stamps = [min(last, max(0, k - late)) for k in range(late + last + patience + 2)]
+    found = ages(stamps, patience)
+    ordinary = late if last > 0 else 0  # where nothing new ever came no delay is known
+    first = last + ordinary + patience + 1
+    assert OLD not in found[:first]
+    if first < len(found):
+        assert found[first] == OLD
+
+
+@given(st.lists(st.integers(-10, 200), min_size=1, max_size=80), st.integers(0, 6))
+@settings(max_examples=200, deadline=None)
+def test_what_is_fresh_is_newer_than_all_before_it_and_never_too_old(stamps, patience):
+    """Whatever comes, in whatever order: replays, jumps ahead, packets of the past."""
+    newest, clock, delay = 0, 0, None
+    found = ages([0, *stamps], patience)[1:]  # as a run does: the first one it takes in is the one it was started with
+    for stamp, one in zip(stamps, found, strict=True):
+        clock += 1
+        if 0 < stamp - clock <= patience:
+            clock = stamp
+        if one == FRESH:
+            assert stamp > newest
+            assert stamp <= clock
+            newest, delay = stamp, clock - stamp if delay is None else delay
+            assert clock - stamp <= delay + patience
+        if clock - newest > (delay or 0) + patience:
+            assert one == OLD
+
+
+def test_a_growing_lag_is_too_old_when_it_has_grown_by_the_patience():
+    for growth in (0.05, 0.2, 0.9):
+        stamps = [k if k < 20 else 20 + int((k - 20) * (1.0 - growth)) for k in range(400)]
+        found = ages(stamps)
+        first = found.index(OLD)
+        assert first - stamps[first] == PATIENCE + 1
+        assert all(k - stamps[k] <= PATIENCE for k in range(first))
+
+
+def looked(q, v, tau=None, reference=None, wrench=None, **levels):
+    """The first thing that is wrong with readings (k, n), and at which of them."""
+    watch = MotionWatch(MotionSettings(**levels), PERIOD, PATIENCE, np.full(N, 100.0))
+    watch.start(q[0], v[0], 0)
+    for k in range(len(q)):
+        if reference is not None:
+            watch.reference(reference[k])
+        given_tau = np.zeros(N) if tau is None else tau[k]
+        wrong = watch.look(q[k], v[k], given_tau, None if wrench is None else wrench[k])
+        if wrong:
+            return wrong, k
+    return "", len(q)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.sampled_from([30.0, 50.0, 100.0, 0.0]))
+@settings(max_examples=40, deadline=None)
+def test_readings_with_a_filtered_velocity_are_believed(seed, speed, cutoff):
+    """Smooth motion of any direction, quantized, with noise, its velocity low-passed as the plant's encoders do."""
+    rng = np.random.default_rng(seed)
+    t = PERIOD * np.arange(800)[:, None]
+    rate = rng.uniform(0.5, 3.0, N)
+    q = speed / rate * np.sin(rate * t + rng.uniform(0, 6, N)) + rng.normal(scale=1e-5, size=(800, N))
+    q = 2.4e-5 * np.rint(q / 2.4e-5)
+    gain = 1.0 if cutoff == 0.0 else -np.expm1(-2 * np.pi * cutoff * PERIOD)
+    v = np.empty_like(q)
+    v[0] = (q[1] - q[0]) / PERIOD
+    for k in range(1, len(q)):
+        v[k] = v[k - 1] + gain * ((q[k] - q[k - 1]) / PERIOD - v[k - 1])
+    assert looked(q, v)[0] == ""
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1, 1.0])
+@pytest.mark.parametrize("joint", [0, 6])
+def test_a_position_that_stands_while_its_velocity_goes_on_is_noticed(speed, joint):
+    v = np.zeros((400, N))
+    v[:, joint] = speed
+    q = np.cumsum(v, axis=0) * PERIOD
+    assert looked(q, v)[0] == ""
+    q[100:, joint] = q[100, joint]
+    wrong, k = looked(q, v)
+    assert "do not follow their velocities" in wrong
+    assert 0 < (k - 100) * PERIOD * speed < 2.0 * (0.001 + 0.012 * speed)  # what went unseen till then [rad]
+
+
+@pytest.mark.parametrize(("whole", "way"), [(False, 3e-3), (True, 5e-4)])
+def test_one_reading_repeated_is_noticed_once_the_tip_is_told_to_move(whole, way):
+    still = np.tile(np.linspace(-1.0, 1.0, N), (600, 1))
+    slow = np.zeros((600, 3, 3))
+    slow[:, 0, 0] = 0.01 * PERIOD * np.arange(600)
+    assert looked(still, 0.0 * still)[0] == ""  # at rest, and told to be: nothing can be said
+    wrench = np.zeros((600, 6)) if whole else np.random.default_rng(0).normal(size=(600, 6))
+    wrong, k = looked(still, 0.0 * still, reference=slow, wrench=wrench)
+    assert "all encoders repeat" in wrong
+    assert slow[k, 0, 0] == pytest.approx(way, abs=1e-4)  # and the patience
+    one = still.copy()
+    one[:, 6] += 1e-5 * np.arange(600)
+    assert looked(one, np.gradient(one, PERIOD, axis=0), reference=slow)[0] == ""  # one of them lives
+
+
+@pytest.mark.parametrize(("whole", "needed"), [(False, 6.0), (True, 0.05)])
+def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
+    """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""
+    still = np.zeros((600, N))
+    tau = np.zeros((600, N))
+    tau[:, 2] = -0.02 * np.arange(600)
+    rng = np.random.default_rng(0)
+    wrench = np.zeros((600, 6)) if whole else rng.normal(size=(600, 6))
+    wrong, k = looked(still, still, tau=tau, wrench=wrench)
+    assert "all encoders repeat" in wrong
+    assert abs(tau[k, 2]) == pytest.approx(needed, abs=0.1)
+
+
+def test_kernels_take_no_more_than_they_are_given(robot):
+    """The memory has the rows that the kernels name, and a watch begun anew has none of the past."""
+    assert kernels.EXCEEDED == kernels.ROWS - 1
+    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    q = np.array(robot.data.q_home)
+    for _ in range(2):
+        guard.start(q, np.zeros(N), 5)
+        for k in range(5, 5 + PATIENCE + 2):
+            guard.believe(q, np.zeros(N), 5, np.zeros(N))
+            assert guard.lost == (k > 5 + PATIENCE)
+        assert "3 ticks late" in guard.reason
+
+
+def test_the_watch_can_be_switched_off(robot):
+    guard = Guard(robot.data, GuardSettings(motion=False), PERIOD, robot.gravity)
+    guard.start(robot.data.q_home, np.zeros(N), 0)
+    for _ in range(50):
+        guard.believe(robot.data.q_home, np.zeros(N), 0, np.zeros(N))
+    assert not guard.lost
+
+
+@pytest.mark.parametrize("joint", range(4))
+def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
+    """An arm whose reading stands, by a little noise, while a torque that no friction holds acts on a joint."""
+    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    q, v, rng = np.array(robot.data.q_home), np.zeros(N), np.random.default_rng(joint)
+    for seen in ("noisy", "stuck"):
+        guard.start(q, v, 0)
+        extra = np.zeros(N)
+        for k in range(1000):
+            noise = 1e-5 * rng.normal(size=N)
+            noise[joint] *= seen == "noisy"
+            extra[joint] = 0.02 * robot.tau_max[joint] * (k > 100)
+            guard.believe(q + noise, v, k, robot.gravity(q) + extra)
+            guard.weigh(q + noise, v, None, robot.gravity(q) + extra)
+        assert not guard.lost  # as much as friction holds
+        extra[joint] = 0.5 * robot.tau_max[joint]
+        for more in range(200):
+            noise = 1e-5 * rng.normal(size=N)
+            noise[joint] *= seen == "noisy"
+            guard.believe(q + noise, v, 1000 + more, robot.gravity(q) + extra)
+            guard.weigh(q + noise, v, None, robot.gravity(q) + extra)
+            if guard.lost:
+                break
+        assert guard.lost
+        assert more * PERIOD < 0.15
+        assert ("repeats one reading" if seen == "stuck" else "torque") in guard.reason

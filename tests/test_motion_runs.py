@@ -1,0 +1,133 @@
+"""Frozen, late, repeated and drifting measurements in whole runs: stopped, how soon, and what it costs."""
+
+import numpy as np
+import pytest
+
+from moc_opt.scenario import Scenario, run
+
+QUICK = {"bound_samples": 0, "judge": False}
+SMALL = {"task": {"path": "circle", "sizes": {"radius": 0.003}}}
+LAWS = {"tuned": {"preset": "tuned"}, "dcac": {"law": "dcac"}, "c": {"backend": "c"}}
+
+
+def stopped(trace, at_s):
+    """How long after its cause the stop was ordered [s]."""
+    assert trace.meta["ended"].startswith("stopped: "), trace.meta["ended"]
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
+    return trace.meta["stopped_at_s"] - at_s
+
+
+def excursion(trace):
+    """Largest tip error up to the stop, and way of the tip from there, which is not meant to follow any more [m]."""
+    stop = trace.t_s >= trace.meta["stopped_at_s"]
+    coast = np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max()
+    return trace.tip_error_registered_m[~stop].max(initial=0.0), coast
+
+
+def force(trace):
+    return np.linalg.norm(trace.trocar_force_N, axis=1)
+
+
+@pytest.mark.parametrize("control", LAWS.values(), ids=LAWS)
+@pytest.mark.parametrize("task", [SMALL, {}], ids=["small", "circle"])
+@pytest.mark.parametrize("faults", [{"drop_share": 1.0}, {"frozen_at_s": 0.9}], ids=["all-dropped", "frozen"])
+def test_packets_that_stop_stop_the_arm(control, task, faults):
+    """On a circle of 3 mm as on any: the errors that such a measurement shows stay below every limit on errors."""
+    scenario = Scenario(control=control, faults=faults, duration_s=2.0, **task, **QUICK)
+    trace = run(scenario)
+    patience = scenario.guard.patience_ticks * scenario.plant.period_s
+    assert stopped(trace, faults.get("frozen_at_s", 0.0)) <= patience + 2 * scenario.plant.period_s
+    assert "3 ticks late" in trace.meta["ended"]
+    error, coast = excursion(trace)
+    assert error < 2.5e-3
+    assert coast < 1e-3
+    assert force(trace).max() < 3.0
+
+
+@pytest.mark.parametrize("late", range(4))
+@pytest.mark.parametrize("law", ["dcac", "moc"])
+def test_a_constant_delay_stops_nothing(law, late):
+    control = {"preset": "robust", "law": law}
+    trace = run(Scenario(control=control, faults={"late_ticks": late}, plant={"delay_ticks": 0}, **QUICK))
+    assert trace.meta["ended"] == "completed"
+
+
+@pytest.mark.parametrize("late", [0, 2])
+@pytest.mark.parametrize("at", [0.1, 1.3])
+def test_a_short_gap_is_bridged(at, late):
+    base = Scenario(control={"preset": "robust"}, faults={"late_ticks": late}, duration_s=2.0, **QUICK)
+    clean, gap, longer = (
+        run(base.change(faults={} if ticks == 0 else {"frozen_at_s": at, "frozen_ticks": ticks})) for ticks in (0, 3, 4)
+    )
+    assert clean.meta["ended"] == gap.meta["ended"] == "completed"
+    assert np.abs(gap.tip_m - clean.tip_m).max() < 2e-4
+    assert stopped(longer, at) <= 0.01
+
+
+@pytest.mark.parametrize("growth", [0.05, 0.3])
+def test_a_lag_that_grows_is_stopped(growth):
+    trace = run(Scenario(faults={"lag_at_s": 1.0, "lag_growth": growth}, duration_s=2.0, **QUICK))
+    assert stopped(trace, 1.0) < 5 / growth * 0.002
+    assert force(trace).max() < 3.0
+
+
+def test_packets_of_the_past_are_not_believed():
+    trace = run(Scenario(faults={"replay_at_s": 1.0, "replay_ticks": 200}, duration_s=2.0, **QUICK))
+    assert stopped(trace, 1.0) <= 0.01
+    assert force(trace).max() < 3.0
+
+
+@pytest.mark.parametrize("velocity", ["repeated", "zero"])
+@pytest.mark.parametrize("seed", range(4))
+def test_frozen_readings_with_forged_numbers_are_seen_through(seed, velocity):
+    """Poses and moments that no level was chosen on; small tasks and large ones."""
+    rng = np.random.default_rng(100 + seed)
+    at = float(rng.uniform(0.0, 2.5))
+    task = {"path": str(rng.choice(["line", "spiral"])), "v_max_m_per_s": float(rng.uniform(0.01, 0.1))}
+    faults = {"frozen_at_s": at, "forged_stamps": True, "frozen_velocity": velocity}
+    trace = run(Scenario(
+        seed=500 + seed, start={"pose": "random", "swivel": "random"}, faults=faults, task=task, duration_s=4.0, **QUICK
+    ))  # fmt: skip
+    assert stopped(trace, at) < 0.1
+    error, coast = excursion(trace)
+    assert error < 4e-3
+    assert coast < 4e-3
+    assert force(trace).max() < 5.0
+
+
+@pytest.mark.parametrize("joint", [0, 1, 3, 5])
+def test_one_stuck_encoder_is_found_or_felt(joint):
+    """By its joint's momentum; at the latest the trocar's force stops it: not before tens of millimetres."""
+    faults = {"frozen_at_s": 1.2, "frozen_joint": joint, "frozen_velocity": "zero"}
+    scenario = Scenario(faults=faults, duration_s=4.0, **QUICK)
+    blind = run(scenario.change(guard={"motion": False, "trocar_force_N": None, "rcm_error_m": None}))
+    trace = run(scenario)
+    assert stopped(trace, 1.2) < 1.5
+    assert force(trace).max() < 32.0
+    error, coast = excursion(trace)
+    assert max(error, coast) < 0.1
+    assert error < 0.8 * blind.tip_error_registered_m.max()
+
+
+def test_a_drift_is_felt_at_the_trocar_alone():
+    """The model agrees with drifting encoders: what the arm feels is the only sign."""
+    trace = run(Scenario(faults={"drift_rad_per_s": 0.02, "drift_at_s": 0.5}, duration_s=6.0, **QUICK))
+    assert "the trocar's force" in trace.meta["ended"]
+    assert force(trace).max() < 30.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sound_runs_are_not_stopped(seed):
+    """Wrong masses, friction from none to twice, delay, a payload, coarse and noise-free encoders: 225 more in docs."""
+    rng = np.random.default_rng(900 + seed)
+    plant = {
+        "delay_ticks": int(rng.integers(0, 3)), "friction": float(rng.uniform(0.0, 2.0)), "mass_error": 0.2,
+        "calibration_error_m": 0.001, "encoder_noise_rad": float(rng.choice([0.0, 3e-5])),
+        "encoder_resolution_rad": float(rng.choice([0.0, 1e-4])),
+        "velocity_cutoff_Hz": float(rng.choice([30.0, 100.0])),
+    }  # fmt: skip
+    trace = run(Scenario(
+        seed=900 + seed, plant=plant, control={"preset": "tuned", "law": ("moc", "dcac")[seed % 2]},
+        faults={"payload_kg": 0.5 * (seed % 3 == 0)}, start={"swivel": "random"}, **QUICK,
+    ))  # fmt: skip
+    assert trace.meta["ended"] == "completed"

@@ -1,0 +1,144 @@
+"""How a stop ends: the arm is held, whatever its start and its drives, and gives way to a trocar that presses.
+
+The bounds stand in docs/reliability.md. Starts, moments and loads are drawn anew here: no setting was chosen on them.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from moc_opt import scenario_tables
+from moc_opt.control.guard import Guard, GuardSettings
+from moc_opt.errors import PlantError
+from moc_opt.model import RobotModel
+from moc_opt.scenario import Scenario, run
+from moc_opt.sim import Plant, PlantSettings
+
+QUICK = {"bound_samples": 0, "judge": False}
+
+
+@pytest.fixture
+def weak(monkeypatch):
+    """Give every arm that a scenario asks for drives of a share of their torque."""
+    share = [1.0]
+    built = scenario_tables.RobotTable.arm
+
+    def arm(table):
+        data = built(table).data
+        return RobotModel(dataclasses.replace(data, tau_max=share[0] * data.tau_max))
+
+    monkeypatch.setattr(scenario_tables.RobotTable, "arm", arm)
+    return share
+
+
+def after(trace):
+    """Way of the tip in the stop [m], largest force [N] in it, last force [N]."""
+    stop = trace.t_s >= trace.meta["stopped_at_s"]
+    force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
+    return np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max(), force.max(), force[-1]
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3, 0.15, 0.08])
+@pytest.mark.parametrize("swivel", [0.0, 1.0])
+def test_an_arm_with_weak_drives_is_held_from_any_swivel(weak, share, swivel):
+    """At 0.15 the drives carry three quarters of the weight: under damping alone the tip sank by 70 mm."""
+    weak[0] = share
+    rng = np.random.default_rng(round(1e3 * share) + int(swivel))
+    for seed in rng.integers(1000, 2000, 2).tolist():
+        faults = {"nan_at_s": float(rng.uniform(0.05, 1.5)), "nan_ticks": 10**6}
+        start = {"swivel": swivel, "check_path": False}
+        trace = run(Scenario(
+            seed=seed, start=start, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
+        ))  # fmt: skip
+        assert trace.meta["ended"].startswith("stopped")
+        way, _, _ = after(trace)
+        assert way < 0.025
+        assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
+
+
+@pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
+@pytest.mark.parametrize("seed", [41, 42])
+def test_an_unknown_load_does_not_sink(load, seed):
+    """Nor masses that are 30 % wrong; as long as it does not feel like a trocar that presses with stop_yield_N."""
+    scenario = Scenario(
+        seed=seed, start={"pose": "random"}, faults={"nan_at_s": 0.4, "nan_ticks": 10**6, **load},
+        plant={"mass_error": 0.3},
+        duration_s=1.2, **QUICK,
+    )  # fmt: skip
+    way, _, _ = after(run(scenario))
+    assert way < 0.003
+    sinking, _, _ = after(run(scenario.change(guard={"stop_holding": 0.0})))
+    assert sinking > 2.0 * way
+
+
+@pytest.mark.parametrize("seed", range(50, 54))
+@pytest.mark.parametrize("slip_m", [0.03, 0.1])
+def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
+    """The tissue may go on moving when the stop is ordered: the force is not held up, and falls to a few newtons."""
+    at = float(np.random.default_rng(seed).uniform(0.2, 1.8))
+    scenario = Scenario(
+        seed=seed, start={"swivel": "random"}, faults={"slip_m": slip_m, "slip_at_s": at}, control={"preset": "tuned"},
+        duration_s=2.8, **QUICK,
+    )  # fmt: skip
+    trace = run(scenario)
+    assert trace.meta["ended"].startswith("stopped: ")
+    _, most, last = after(trace)
+    assert most < 80.0
+    assert last < 16.0
+    held = run(scenario.change(guard={"stop_yield_N": None}))
+    assert after(held)[2] > 1.5 * last  # brakes that stay closed keep the force up
+
+
+def test_brakes_are_open_only_while_the_trocar_presses(robot):
+    """And never where the drives cannot carry the weight, or the sensor says nothing."""
+    guard = Guard(robot.data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    q = np.array(robot.data.q_home)
+    guard.start(q, np.zeros(7))
+    pose = robot.tool_pose(q)
+    trocar = np.array([pose[3] - 0.15 * pose[2], np.zeros(3)])
+    mass, length = robot.data.tool_mass, robot.data.tool_length
+    weight = -9.81 * mass * pose[:3, 2]
+    free = np.concatenate([weight, [-0.5 * length * weight[1], 0.5 * length * weight[0], 0.0]])
+
+    def pressed(force):
+        """The sensor's reading with that force of the trocar across the shaft."""
+        return free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
+
+    guard.feel(q, trocar, free)
+    for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
+        for _ in range(100):
+            friction = guard.hold(pressed(force))
+        assert friction.any() == closed, force
+        if closed:
+            np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
+    data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
+    weak = Guard(data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    weak.start(q, np.zeros(7))
+    weak.feel(q, trocar, free)
+    for _ in range(100):
+        friction = weak.hold(pressed(20.0))
+    missing = np.abs(robot.gravity(q)) - data.tau_max
+    assert missing.max() > 0.0
+    np.testing.assert_allclose(friction, 0.25 * data.tau_max + 1.5 * np.maximum(missing, 0.0))
+
+
+def test_brakes_hold_what_they_are_told_to(robot):
+    plant = Plant(robot.data, PlantSettings.nominal(trocar_stiffness_N_per_m=0.0, trocar_damping_Ns_per_m=0.0))
+    ways = []
+    weight = np.abs(robot.gravity(robot.data.q_home))
+    for friction in (0.0, 0.5 * weight, 1.1 * weight):
+        plant.reset(robot.data.q_home)
+        plant.brake(40.0, friction)
+        for _ in range(250):
+            plant.step(np.zeros(7))
+        ways.append(np.abs(plant.q - robot.data.q_home).max())
+    assert ways[0] > 0.1
+    assert ways[0] > ways[1] > 100 * ways[2]
+    assert ways[2] < 1e-3
+    plant.reset(robot.data.q_home)
+    plant.step(np.zeros(7))
+    assert np.abs(plant.v).max() > 1e-3  # open again
+    for bad in (-1.0, np.nan, np.inf):
+        with pytest.raises(PlantError, match="friction_Nm"):
+            plant.brake(40.0, bad)
