@@ -131,6 +131,16 @@ def test_one_reading_repeated_is_noticed_once_the_tip_is_told_to_move(whole, way
     assert looked(one, np.gradient(one, PERIOD, axis=0), reference=slow)[0] == ""  # one of them lives
 
 
+@pytest.mark.parametrize("noisy", [True, False])
+def test_a_packet_repeated_whole_at_rest_is_noticed_where_its_sensor_has_noise(noisy):
+    still = np.zeros((600, N))
+    wrench = np.random.default_rng(1).normal(size=(600, 6)) if noisy else np.ones((600, 6))
+    wrench[300:] = wrench[300]
+    assert looked(still, still, wrench=wrench) == (
+        ("all encoders repeat one reading, as no arm that moves or has noise does", 326) if noisy else ("", 600)
+    )
+
+
 @pytest.mark.parametrize(("whole", "needed"), [(False, 6.0), (True, 0.05)])
 def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
     """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""

@@ -44,6 +44,9 @@ class MotionSettings(Settings):
         0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
     )
     repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
+    repeat_whole_ticks: int = Field(
+        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise"
+    )
     stuck_torque: float = Field(
         0.06, ge=0.0,
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
@@ -60,12 +63,12 @@ class MotionSettings(Settings):
 
     @property
     def levels(self) -> Array:
-        """(12,) as the kernels take them."""
+        """(13,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
             self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
-            self.repeat_whole_m,
+            self.repeat_whole_m, self.repeat_whole_ticks,
         ])  # fmt: skip
 
 
@@ -94,7 +97,7 @@ class MotionWatch:
         self._clock = np.array([stamp - 1, stamp - 1, -2], dtype=np.int64)
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
-        self._still = np.zeros(10)
+        self._still = np.zeros(12)
         self._weighed, self._ticks = 0, 0  # control periods since the last reading that was looked at
         self._tip = np.zeros(3)
 
@@ -123,7 +126,7 @@ class MotionWatch:
         if found == kernels.NOTHING:
             return ""
         if found == kernels.REPEATED:
-            return "all encoders repeat one reading while the arm is told to move"
+            return "all encoders repeat one reading, as no arm that moves or has noise does"
         return "the encoders' positions do not follow their velocities"
 
     def weigh(self, state: RobotState, tau: Array) -> str:

@@ -25,6 +25,7 @@ GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, 
 torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
 joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
 ROWS = 11
+FIRST_TICKS = 100.0
 
 NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED = 0, 1, 2, 3, 4
 
@@ -86,8 +87,9 @@ def compare_readings(
         tau_max: (n,) [Nm].
         levels: as in ``MotionSettings.levels``.
         memory: (ROWS, n) changed in place.
-        still: (10,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
-            wrench, and the ticks in a row in which it was the same.
+        still: (12,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
+            wrench, the ticks in a row in which it was the same, the first ticks counted, and whether the wrench ever
+            repeated itself in them: where it never did its sensor has noise.
 
     Returns:
         NOTHING, RAN_AWAY, or REPEATED.
@@ -98,6 +100,10 @@ def compare_readings(
         if wrench[i] != still[3 + i]:
             still[9] = 0.0
         still[3 + i] = wrench[i]
+    if still[10] < FIRST_TICKS:
+        still[10] += 1.0
+        if still[9] > 0.0:
+            still[11] = 1.0
     keep = 1.0 - min(1.0, elapsed / levels[0])
     ran_away, fewest = False, 1e18
     for i in range(n):
@@ -120,6 +126,8 @@ def compare_readings(
         for i in range(3):
             still[i] = tip[i]
     else:
+        if still[10] >= FIRST_TICKS and still[11] == 0.0 and still[9] > levels[12]:
+            return REPEATED
         whole = still[9] > patience
         least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]
         for i in range(3):
