@@ -89,9 +89,11 @@ def record_with_faults(
     sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
     safe = Safe(Driver(controller), make_guard(setup.robot, scenario), sent)
     tau, solve_us, stopped_at = np.empty_like(q), np.zeros(k), -1
-    safe.start(Measurement(q[0], v[0], wrench[0]), tip_ref[0], trocar[0])
+    stamp = np.arange(float(k))
+    stamp[3 * k // 10] -= min(borne, 1)  # a packet comes again
+    safe.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
     for i in range(k):
-        tau[i] = safe.tick(Measurement(q[i], v[i], wrench[i]), tip_ref[i], trocar[i])
+        tau[i] = safe.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
         solve_us[i] = 0.0 if np.isnan(controller.solve_us) else controller.solve_us
         stopped_at = i if safe.lost and stopped_at < 0 else stopped_at
-    return SafeRecording(q, v, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)
+    return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)

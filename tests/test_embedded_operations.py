@@ -83,9 +83,9 @@ def test_no_step_does_more_than_is_stated(
         tip_ref[0] += state.tip
         trocar = np.array([state.tip - 0.15 * state.tool_direction, np.zeros(3)])
         controller.start(q, v, np.zeros(robot.n))
-        for _ in range(2):
+        for stamp in range(2):
             count.value = 0
-            tau = controller.tick(q, v, tip_ref, trocar, np.zeros(6))
+            tau = controller.tick(q, v, tip_ref, trocar, np.zeros(6), stamp)
             if not controller.reason:
                 most, least = max(most, count.value), min(least, count.value)
                 faults.add(controller.fault)

@@ -22,7 +22,7 @@ TICKS = 12
 SAME_NM = 1e-9
 ORDINARY = 1e3
 """Numbers above it lead to torques of which 1e-9 Nm is less than rounding: there only the limits are looked at."""
-FIELDS = ("q", "v", "wrench", "tip_ref", "trocar")
+FIELDS = ("q", "v", "wrench", "tip_ref", "trocar", "stamp")
 LAWS: tuple[dict[str, Any], ...] = (
     {}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}}, {"law": "dcac", "dcac_damping": 3.0},
     {"preset": "paper"},
@@ -39,7 +39,7 @@ cases = st.fixed_dictionaries({
         st.tuples(st.integers(1, TICKS - 1), st.sampled_from(FIELDS), st.integers(0, 8), _strange), max_size=6
     ),
 })  # fmt: skip
-"""Law, pose and motion, and events: at a tick, an entry of a field gets a value."""
+"""Law, pose and motion, and events: at a tick, an entry of a field gets a value, or the packet is one tick old."""
 
 
 @cache
@@ -77,16 +77,17 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
     ordinary = True
     for k in range(TICKS):
         given = _inputs(robot, rng, q + k * scenario.plant.period_s * v, v)
-        for _, field, entry, value in (event for event in case["events"] if event[0] == k):
+        for _, field, entry, value in (e for e in case["events"] if e[0] == k and e[1] != "stamp"):
             given[field].flat[entry % given[field].size] = value
             ordinary = ordinary and not ORDINARY < abs(value) < np.inf
-        seen = Measurement(given["q"], given["v"], given["wrench"])
+        stamp = k - sum(1 for tick, field, _, _ in case["events"] if field == "stamp" and tick == k)
+        seen = Measurement(given["q"], given["v"], given["wrench"], stamp)
         if k == 0:
             python.start(seen, given["tip_ref"], given["trocar"])
             c.start(seen.q, seen.v, robot.gravity(q))
         with np.errstate(all="ignore"):
             expected = python.tick(seen, given["tip_ref"], given["trocar"])
-        found = c.tick(given["q"], given["v"], given["tip_ref"], given["trocar"], given["wrench"])
+        found = c.tick(given["q"], given["v"], given["tip_ref"], given["trocar"], given["wrench"], stamp)
         if not (np.isfinite(found).all() and (np.abs(found) <= robot.tau_max).all()):
             raise AssertionError(f"tick {k}: torque {found.tolist()} is beyond its limits")
         if ordinary and not (np.abs(found - expected).max() <= SAME_NM and python.lost.startswith(c.reason)):

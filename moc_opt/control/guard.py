@@ -29,7 +29,7 @@ from moc_opt.state import RobotState
 Array = NDArray[np.float64]
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
-_PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
+PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 
 
 class GuardSettings(MotionSettings):
@@ -127,7 +127,7 @@ class Guard:
         self._motion = MotionWatch(settings, period, settings.patience_ticks, data.tau_max)
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
-        self._press_share = min(1.0, _PRESS_PER_S * period)
+        self._press_share = min(1.0, PRESS_PER_S * period)
         self._incision = None if tool_pose is None else Incision(
             tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),

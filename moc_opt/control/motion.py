@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 _READINGS = Entry(
     kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
-_SETTLED = 6.0  # time constants of the residual after which it is what it will be
+SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
 _AGE = Entry(kernels.age, int64, int64, INDICES)
 _MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX)
@@ -84,7 +84,7 @@ class MotionWatch:
 
     def __init__(self, settings: MotionSettings, period: float, patience: int, tau_max: Array) -> None:
         self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
-        self._settling = round(_SETTLED / (settings.residual_rate_per_s * period))
+        self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
         self._no_wrench = np.full(6, np.nan)

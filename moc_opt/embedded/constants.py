@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.guard import GuardSettings
+from moc_opt.control.guard import PRESS_PER_S, GuardSettings
+from moc_opt.control.motion import SETTLED
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.symbolic import Tick
@@ -121,8 +122,30 @@ def _guard(robot: RobotModel, guard: GuardSettings, period: float) -> dict[str, 
         "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)),
         "MOC_TOOL_MASS": number(robot.data.tool_mass),
         "MOC_TOOL_LENGTH": number(robot.data.tool_length),
+        **_motion(guard, period),
+        "MOC_STOP_HOLDING": number(guard.stop_holding),
+        "MOC_STOP_YIELD": number(guard.stop_yield_N),
+        "MOC_PRESS_SHARE": number(min(1.0, PRESS_PER_S * period)),
         "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad),
         "MOC_STOP_SECONDS": number(guard.stop_s),
+    }
+
+
+def _motion(guard: GuardSettings, period: float) -> dict[str, str]:
+    return {
+        "MOC_MOTION": str(int(guard.motion)),
+        "MOC_MOTION_S": number(guard.motion_s),
+        "MOC_MOTION_RAD": number(guard.motion_rad),
+        "MOC_MOTION_LAG_S": number(guard.motion_lag_s),
+        "MOC_REPEAT_M": number(guard.repeat_m),
+        "MOC_REPEAT_TORQUE": number(guard.repeat_torque),
+        "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
+        "MOC_STUCK_TORQUE": number(guard.stuck_torque),
+        "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
+        "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
+        "MOC_RESIDUAL_RATE": number(guard.residual_rate_per_s),
+        "MOC_RESIDUAL_SHARE": number(min(1.0, period / guard.residual_s)),
+        "MOC_SETTLING_TICKS": str(round(SETTLED / (guard.residual_rate_per_s * period))),
     }
 
 

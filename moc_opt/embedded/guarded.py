@@ -25,6 +25,8 @@ REASONS = (
     "", "not started", "the controller's state is damaged", "measurements not believed",
     "the wrench sensor's readings are no numbers", "the RCM error has been above",
     "the trocar's force has been above", "the tip has been", "the controller's torque is not finite",
+    "measurements are more than", "all encoders repeat one reading", "the encoders' positions do not follow",
+    "an encoder repeats one reading", "the torque went into a motion",
 )  # fmt: skip
 """How the guard in Python begins the reasons to stop in moc_safe.h, in its order."""
 
@@ -57,14 +59,15 @@ class GuardedController:
         self._has_clock = settings.supervisor.budget_us is not None
         self._reason = 0
 
-    def start(self, q: ArrayLike, v: ArrayLike, sent: ArrayLike) -> None:
-        """Reset: begin at q (n,) [rad], v (n,) [rad/s], the torque ``sent`` (n,) [Nm] acting."""
-        given = self._pointers(q, v, sent)
-        self._reason = self.library.moc_safe_start(*given[0], self._state)
+    def start(self, q: ArrayLike, v: ArrayLike, sent: ArrayLike, stamp: int = 0) -> None:
+        """Reset: begin at measurement number ``stamp`` of q (n,) [rad], v (n,) [rad/s], ``sent`` (n,) [Nm] acting."""
+        (q_at, v_at, sent_at), _kept = self._pointers(q, v, sent)
+        number = ctypes.c_int64(stamp)
+        self._reason = self.library.moc_safe_start(q_at, v_at, number, sent_at, self._state)
 
     def tick(
         self, q: ArrayLike, v: ArrayLike, tip_ref: ArrayLike, trocar: ArrayLike, wrench: ArrayLike,
-        solve_us: float = 0.0,
+        stamp: int, solve_us: float = 0.0,
     ) -> Array:  # fmt: skip
         """Torque (n,) [Nm] for this period, within its limits; that of a damped stop once the arm is lost.
 
@@ -72,16 +75,25 @@ class GuardedController:
             q, v: (n,) measured [rad], [rad/s].
             tip_ref, trocar: as for `Controller.tick`.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+            stamp: number of the control period in which it was measured.
             solve_us: what the clock says of the solver, where it has a time budget.
         """
         if self._has_clock:
             ctypes.c_double.in_dll(self.library, "moc_solve_us").value = solve_us
         tau = np.empty(self._n)
-        given = self._pointers(q, v, tip_ref, trocar, wrench, sizes=(self._n, self._n, 9, 6, 6))
+        sizes = (self._n, self._n, 9, 6, 6)
+        (q_at, v_at, *others), _kept = self._pointers(q, v, tip_ref, trocar, wrench, sizes=sizes)
         self._reason = self.library.moc_safe_step(
-            *given[0], self._state, ctypes.c_void_p(tau.ctypes.data), None
+            q_at, v_at, ctypes.c_int64(stamp), *others, self._state, ctypes.c_void_p(tau.ctypes.data), None
         )
         return tau
+
+    def hold(self, wrench: ArrayLike) -> Array:
+        """Dry friction (n,) [Nm] of the brakes in a stop, once a period; wrench (6,) as for ``tick``."""
+        friction = np.empty(self._n)
+        (at,), _kept = self._pointers(wrench, sizes=(6,))
+        self.library.moc_safe_hold(at, self._state, ctypes.c_void_p(friction.ctypes.data))
+        return friction
 
     @property
     def reason(self) -> str:

@@ -62,6 +62,8 @@ def layout(n: int, law: str, rows: int) -> Layout:
         Field("wrist", (3,), "wrist centre N [m], world axes"),
         Field("M", (n, n), "joint-space inertia, rotor inertia included [kg m^2]"),
         Field("h", (n,), "C v + g [Nm]"),
+        Field("energy_slope", (n,), "dT/dq, slope of the kinetic energy [Nm]"),
+        Field("gravity", (n,), "torque that carries the arm's weight [Nm]"),
         Field("levels", (n,), "torque of levels 1 and 2: tip and RCM [Nm]"),
     )
     if rows:

@@ -72,12 +72,15 @@ def straight_elbow(n: int) -> int:
 
 
 def guard(n: int, gravity: int, tool_pose: int) -> int:
-    """moc_guard_believe, _follow, _limit and _rest, moc_incision_look, and the checks of moc_safe_step."""
+    """moc_guard, moc_motion, moc_incision, and the checks of moc_safe_step; what only a stop needs as well."""
     believed = 1 + n * 10
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 24 + 2 * 3 + 4 + 2 * 6
+    readings = 2 + 6 * 3 + n * 24 + 8 + 6 + 3 * n
+    weighed = n * (dot(n) + 6) + n * 26
     walls = all_finite(n) + n * (4 + 2 * 6 + 12) + gravity + n * 12
     rest = gravity + all_finite(n) + n * 7
-    return believed + incision + 3 * 4 + 5 + walls + rest + 7 * all_finite(n) + 3 + 4 * n + all_finite(6)
+    checks = 7 * all_finite(n) + all_finite(6) + 4 * n + 6
+    return believed + readings + weighed + incision + 3 * 4 + 5 + walls + rest + checks
 
 
 def worst_path(tick: Tick) -> dict[str, int]:

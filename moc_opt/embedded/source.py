@@ -42,6 +42,8 @@ class SafeRecording(NamedTuple):
     """(k,n) [rad]; may hold what is no number"""
     v: Array
     """(k,n) [rad/s]"""
+    stamp: Array
+    """(k,) numbers of the control periods in which that was measured"""
     tip_ref: Array
     """(k,3,3)"""
     trocar: Array

@@ -100,7 +100,7 @@ class _Law:
         self.status: SX = ca.SX(OK)
         self.results = {
             **s, "mu": self.mu, "grad_mu": self.grad_mu, "tip": self.at.tip, "wrist": self.at.wrist,
-            "M": ca.vec(self.M), "h": self.h,
+            "M": ca.vec(self.M), "h": self.h, "energy_slope": energy_slope, "gravity": self.gravity,
         }  # fmt: skip
 
         self.results["levels"] = self._tip_and_rcm()

@@ -290,7 +290,7 @@ MAIN = Template(
 
 SAFE_RECORDING = Template(
     dedent("""\
-    /* Consecutive ticks of the Python controller in its guard: q, v, tip_ref, trocar, wrench, solve_us, tau. */
+    /* Consecutive ticks of the Python controller in its guard: q, v, stamp, tip_ref, trocar, wrench, solve_us, tau. */
     enum { SAFE_TICKS = $ticks, SAFE_STOPPED_AT = $stopped_at };
     static const double safe_sent[$n] = {$sent}; /* torque before the first of them */
     static const double safe_recording[SAFE_TICKS][$width] = {

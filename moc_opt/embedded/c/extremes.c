@@ -89,6 +89,7 @@ static void draw_pose(double *q)
 }
 
 typedef struct {
+    int64_t stamp;
     double q[MOC_N], v[MOC_N], tip_ref[9], trocar[6], wrench[6], sent[MOC_N];
 } inputs;
 
@@ -97,6 +98,7 @@ static inputs draw(void)
     inputs in;
     double pose[12];
 
+    in.stamp = (int64_t)(bits() % 1000);
     draw_pose(in.q);
     moc_tool_pose(in.q, pose);
     for (int i = 0; i < MOC_N; i++) {
@@ -114,7 +116,7 @@ static inputs draw(void)
     return in;
 }
 
-static long steps, reasons[MOC_STOP_TORQUE + 1];
+static long steps, reasons[MOC_REASONS];
 #if MOC_SOLVES
 static long faults[MOC_FAULTS];
 #endif
@@ -124,14 +126,20 @@ static int safe(const inputs *in, moc_safe_state *state)
 {
     double tau[MOC_N];
     int before = state->reason, fine = 1;
-    int reason = moc_safe_step(in->q, in->v, in->tip_ref, in->trocar, in->wrench, state, tau, NULL);
+    int reason = moc_safe_step(in->q, in->v, in->stamp, in->tip_ref, in->trocar, in->wrench, state, tau, NULL);
+    double friction[MOC_N];
 
     for (int i = 0; i < MOC_N; i++)
         fine &= tau[i] >= -moc_tau_max[i] && tau[i] <= moc_tau_max[i];
-    if (before == MOC_RUNNING && reason >= 0 && reason <= MOC_STOP_TORQUE)
+    if (reason != MOC_RUNNING) {
+        moc_safe_hold(in->wrench, state, friction);
+        for (int i = 0; i < MOC_N; i++)
+            fine &= friction[i] >= 0.0 && friction[i] < HUGE_VAL;
+    }
+    if (before == MOC_RUNNING && reason >= 0 && reason < MOC_REASONS)
         reasons[reason]++;
     steps++;
-    fine &= reason >= MOC_RUNNING && reason <= MOC_STOP_TORQUE;
+    fine &= reason >= MOC_RUNNING && reason < MOC_REASONS;
 #if MOC_SOLVES
     if (reason == MOC_RUNNING)
         faults[state->supervisor.fault]++;
@@ -159,9 +167,14 @@ static int course(void)
 
     memset(&state, (int)(bits() & 0xff), sizeof state); /* what lies in memory before the start */
     if (!chance(50))
-        moc_safe_start(in.q, in.v, in.sent, &state);
+        moc_safe_start(in.q, in.v, in.stamp, in.sent, &state);
     for (int k = 0, stopped = 0; k < 40 && stopped < 3; k++) {
         given = in;
+        given.stamp += k;
+        if (chance(one_in)) /* a packet again, or from another time */
+            given.stamp = chance(2) ? given.stamp - 1 - (int64_t)(bits() % 5) : (int64_t)bits();
+        if (chance(4 * one_in))
+            in.stamp -= 1 + (int64_t)(bits() % 3); /* from now on later */
         spoil(given.q, MOC_N, one_in);
         spoil(given.v, MOC_N, one_in);
         spoil(given.tip_ref, 9, 10 * one_in);
@@ -228,7 +241,7 @@ int main(int count, char **words)
         }
     }
     printf("%ld states: every torque finite and within its limits\n", steps);
-    for (int k = 0; k <= MOC_STOP_TORQUE; k++)
+    for (int k = 0; k < MOC_REASONS; k++)
         printf("  %s: %ld\n", moc_safe_reason(k), reasons[k]);
 #if MOC_SOLVES
     for (int k = 0; k < MOC_FAULTS; k++)

@@ -7,14 +7,15 @@
 #include "moc_dense.h"
 #include "moc_safe.h"
 
-void moc_guard_start(const double *q, const double *v, moc_guard_state *state)
+void moc_guard_start(const double *q, const double *v, int64_t stamp, moc_guard_state *state)
 {
     for (int i = 0; i < MOC_N; i++) {
         state->q[i] = q[i];
         state->v[i] = v[i];
     }
-    state->tip_square = 0.0;
-    state->bad = 0;
+    state->tip_square = state->press = 0.0;
+    state->bad = state->yields = 0;
+    moc_motion_start(q, v, stamp, &state->motion);
 }
 
 /* No farther from the last belief than its age explains, and not too fast; NaN never is. */
@@ -28,26 +29,34 @@ static int believable(const double *q, const double *v, const moc_guard_state *s
     return 1;
 }
 
-int moc_guard_believe(const double *q, const double *v, moc_guard_state *state)
+int moc_guard_believe(const double *q, const double *v, int64_t stamp, const double *sent, const double *wrench,
+                      moc_guard_state *state)
 {
-    if (believable(q, v, state)) {
+    int age = moc_motion_age(stamp, &state->motion), reason = age == MOC_OLD ? MOC_STOP_LATE : 0;
+
+    if (age == MOC_FRESH && believable(q, v, state)) {
         for (int i = 0; i < MOC_N; i++) {
             state->q[i] = q[i];
             state->v[i] = v[i];
         }
         state->bad = 0;
-        return 0;
+        int wrong = moc_motion_look(q, v, sent, wrench, &state->motion);
+        return reason ? reason : wrong;
     }
     if (state->bad < INT_MAX)
         state->bad++;
     for (int i = 0; i < MOC_N; i++)
         state->q[i] += state->v[i] * MOC_PERIOD;
-    return state->bad > MOC_PATIENCE_TICKS ? MOC_STOP_MEASUREMENT : 0;
+    if (reason == 0 && state->bad > MOC_PATIENCE_TICKS)
+        reason = MOC_STOP_MEASUREMENT;
+    return reason;
 }
 
 int moc_guard_follow(const double *tip, const double *tip_ref, moc_guard_state *state)
 {
     double square = 0.0;
+    for (int i = 0; i < 3; i++)
+        state->motion.told[i] = tip_ref[i];
     for (int i = 0; i < 3; i++)
         square += (tip[i] - tip_ref[i]) * (tip[i] - tip_ref[i]);
     state->tip_square += MOC_TIP_SHARE * (square - state->tip_square);
@@ -102,6 +111,28 @@ int moc_guard_limit(const double *before, const double *q, const double *v, doub
         touched += tau[i] < asked || tau[i] > asked;
     }
     return touched;
+}
+
+void moc_guard_hold(double force, moc_guard_state *state, double *friction)
+{
+    double weight[MOC_N];
+    int carried = 1;
+
+    moc_gravity(state->q, weight);
+    int known = moc_all_finite(MOC_N, weight);
+    for (int i = 0; i < MOC_N; i++) {
+        weight[i] = known ? fabs(weight[i]) : 0.0;
+        carried &= weight[i] <= moc_tau_max[i];
+    }
+    if (MOC_STOP_YIELD < HUGE_VAL && carried) {
+        /* A mean: in the first moments the tool's inertia force stands beside the trocar's. */
+        state->press = moc_all_finite(1, &force) ? state->press + MOC_PRESS_SHARE * (force - state->press) : 0.0;
+        state->yields = state->press > (state->yields ? 0.5 * MOC_STOP_YIELD : MOC_STOP_YIELD);
+    }
+    for (int i = 0; i < MOC_N; i++) {
+        double beyond = fmax(weight[i] - moc_tau_max[i], 0.0); /* what the drive cannot carry */
+        friction[i] = state->yields ? 0.0 : MOC_STOP_HOLDING * moc_tau_max[i] + 1.5 * beyond;
+    }
 }
 
 void moc_guard_rest(const double *before, const moc_guard_state *state, double *tau)

@@ -16,6 +16,8 @@ void moc_incision_start(moc_incision_state *state)
         state->mean_square[k] = state->largest[k] = 0.0;
         state->first_tick[k] = -1;
     }
+    for (int i = 0; i < 3; i++)
+        state->point[i] = (double)NAN;
     state->ticks = -1;
     state->unread = 0;
 }
@@ -50,6 +52,14 @@ static double trocar_force(const double *pose, const double *point, const double
     return sqrt(force_x * force_x + force_y * force_y);
 }
 
+double moc_incision_force(const double *q, const double *wrench, const moc_incision_state *state)
+{
+    double pose[12];
+
+    moc_tool_pose(q, pose);
+    return trocar_force(pose, state->point, wrench);
+}
+
 int moc_incision_look(const double *q, const double *trocar, const double *wrench, moc_incision_state *state)
 {
     static const int reasons[2] = {MOC_STOP_RCM, MOC_STOP_FORCE};
@@ -58,6 +68,8 @@ int moc_incision_look(const double *q, const double *trocar, const double *wrenc
 
     if (state->ticks < INT_MAX)
         state->ticks++;
+    for (int i = 0; i < 3; i++)
+        state->point[i] = trocar[i];
     moc_tool_pose(q, pose);
     double distance = rcm_error(pose, trocar), force = trocar_force(pose, trocar, wrench);
     state->mean_square[MOC_RCM] += MOC_INCISION_SHARE * (distance * distance - state->mean_square[MOC_RCM]);

@@ -11,6 +11,7 @@ typedef struct {
     double mean_square[2];  /* RCM error [m^2], force of the trocar [N^2] */
     double largest[2];      /* root mean square while above the warning level [m], [N] */
     int first_tick[2];      /* when it first was; -1: never */
+    double point[3];        /* where the trocar was registered last [m] */
     int ticks;              /* since the start; it stays where it cannot count any further */
     int unread;             /* readings of the wrench sensor in a row that were no numbers */
 } moc_incision_state;
@@ -23,5 +24,8 @@ void moc_incision_start(moc_incision_state *state);
  *   wrench: (6,) force [N] and torque [Nm] of the tool on its mount, in the tool's axes.
  */
 int moc_incision_look(const double *q, const double *trocar, const double *wrench, moc_incision_state *state);
+
+/* Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number. */
+double moc_incision_force(const double *q, const double *wrench, const moc_incision_state *state);
 
 #endif

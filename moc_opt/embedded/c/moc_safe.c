@@ -28,12 +28,19 @@ static void clear(moc_safe_state *state, int reason)
     *state = empty;
 }
 
+/* Whether this can be the number of a control period. */
+static int plausible(int64_t number)
+{
+    return number > -INT64_MAX / 2 && number < INT64_MAX / 2;
+}
+
 /* Whether the state can be what a step has left. */
 static int intact(const moc_safe_state *s)
 {
-    int fine = s->seal == MOC_SEAL && s->reason >= MOC_RUNNING && s->reason <= MOC_STOP_TORQUE;
+    int fine = s->seal == MOC_SEAL && s->reason >= MOC_RUNNING && s->reason < MOC_REASONS;
     fine &= s->guard.bad >= 0 && s->incision.unread >= 0 && s->incision.ticks >= -1;
     fine &= moc_all_finite(MOC_N, s->guard.q) && moc_all_finite(MOC_N, s->guard.v);
+    fine &= moc_all_finite(1, &s->guard.press) && (s->guard.yields == 0 || s->guard.yields == 1);
     for (int i = 0; i < MOC_N; i++)
         fine &= s->sent[i] >= -moc_tau_max[i] && s->sent[i] <= moc_tau_max[i];
 #if MOC_SOLVES
@@ -44,20 +51,22 @@ static int intact(const moc_safe_state *s)
     if (s->reason != MOC_RUNNING) /* the law is not asked any more */
         return fine;
     fine &= moc_all_finite(MOC_N, s->law.momentum) && moc_all_finite(MOC_N, s->law.external_torque);
+    fine &= s->guard.motion.weighed >= 0 && plausible(s->guard.motion.now) && plausible(s->guard.motion.newest);
+    fine &= plausible(s->guard.motion.delay) && plausible(s->guard.motion.ticks);
     return fine && moc_all_finite(MOC_N, s->law.torque) && moc_all_finite(1, &s->law.share);
 }
 
-int moc_safe_start(const double q[MOC_N], const double v[MOC_N], const double sent[MOC_N], moc_safe_state *state)
+int moc_safe_start(const double q[MOC_N], const double v[MOC_N], int64_t stamp, const double sent[MOC_N],
+                   moc_safe_state *state)
 {
-    int fine = moc_all_finite(MOC_N, q) && moc_all_finite(MOC_N, v) && moc_all_finite(MOC_N, sent);
+    int fine = plausible(stamp) && moc_all_finite(MOC_N, q) && moc_all_finite(MOC_N, v) && moc_all_finite(MOC_N, sent);
     for (int i = 0; i < MOC_N; i++)
         fine &= sent[i] >= -moc_tau_max[i] && sent[i] <= moc_tau_max[i];
     clear(state, fine ? MOC_RUNNING : MOC_STOP_NOT_STARTED);
     if (!fine)
         return state->reason;
     moc_tick_start(q, v, &state->law);
-    moc_guard_start(q, v, &state->guard);
-    give_up(state, moc_guard_believe(q, v, &state->guard));
+    moc_guard_start(q, v, stamp, &state->guard);
     for (int i = 0; i < MOC_N; i++)
         state->sent[i] = sent[i];
     if (!intact(state)) /* the numbers overflow */
@@ -115,8 +124,9 @@ static void ask(const double *q, const double *v, const double *tip_ref, const d
         tau[0] = (double)NAN;
 }
 
-int moc_safe_step(const double q[MOC_N], const double v[MOC_N], const double tip_ref[9], const double trocar[6],
-                  const double wrench[6], moc_safe_state *state, double tau[MOC_N], moc_tick_report *report)
+int moc_safe_step(const double q[MOC_N], const double v[MOC_N], int64_t stamp, const double tip_ref[9],
+                  const double trocar[6], const double wrench[6], moc_safe_state *state, double tau[MOC_N],
+                  moc_tick_report *report)
 {
     moc_tick_report own, *seen = report ? report : &own;
     moc_guard_state *guard = &state->guard;
@@ -125,12 +135,13 @@ int moc_safe_step(const double q[MOC_N], const double v[MOC_N], const double tip
         clear(state, MOC_STOP_STATE);
     state->limited = 0;
     if (state->reason == MOC_RUNNING) {
-        give_up(state, moc_guard_believe(q, v, guard));
+        give_up(state, moc_guard_believe(q, v, stamp, state->sent, wrench, guard));
         give_up(state, moc_incision_look(guard->q, trocar, wrench, &state->incision));
     }
     if (state->reason == MOC_RUNNING) {
         ask(guard->q, guard->v, tip_ref, trocar, state, seen, tau);
         give_up(state, moc_guard_follow(seen->tip, tip_ref, guard));
+        give_up(state, moc_motion_weigh(seen, guard->v, state->sent, &guard->motion));
         state->limited = moc_guard_limit(state->sent, guard->q, guard->v, tau);
         if (state->limited < 0)
             give_up(state, MOC_STOP_TORQUE);
@@ -147,6 +158,13 @@ int moc_safe_step(const double q[MOC_N], const double v[MOC_N], const double tip
     return state->reason;
 }
 
+void moc_safe_hold(const double wrench[6], moc_safe_state *state, double friction[MOC_N])
+{
+    if (!intact(state))
+        clear(state, MOC_STOP_STATE);
+    moc_guard_hold(moc_incision_force(state->guard.q, wrench, &state->incision), &state->guard, friction);
+}
+
 const char *moc_safe_reason(int reason)
 {
     static const char *const words[] = {
@@ -159,6 +177,11 @@ const char *moc_safe_reason(int reason)
         "the trocar's force has been above its limit",
         "the tip has been off its reference",
         "the controller's torque is not finite",
+        "measurements are too late",
+        "all encoders repeat one reading while the arm is told to move",
+        "the encoders' positions do not follow their velocities",
+        "an encoder repeats one reading while torque acts on its joint",
+        "the torque went into a motion that the encoders do not show",
     };
-    return reason >= MOC_RUNNING && reason <= MOC_STOP_TORQUE ? words[reason] : "unknown";
+    return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }

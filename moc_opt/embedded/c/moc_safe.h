@@ -24,7 +24,13 @@ enum {
     MOC_STOP_RCM,         /* the shaft has been too far from the registered trocar */
     MOC_STOP_FORCE,       /* the trocar has been pressed too hard */
     MOC_STOP_TIP,         /* the tip has been too far off its reference */
-    MOC_STOP_TORQUE       /* the controller's torque is not finite */
+    MOC_STOP_TORQUE,      /* the controller's torque is not finite */
+    MOC_STOP_LATE,        /* measurements are more than MOC_PATIENCE_TICKS late */
+    MOC_STOP_REPEATED,    /* all encoders repeat one reading while the arm is told to move */
+    MOC_STOP_RAN_AWAY,    /* the encoders' positions do not follow their velocities */
+    MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
+    MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
+    MOC_REASONS
 };
 
 typedef struct {
@@ -47,20 +53,25 @@ typedef struct {
 double moc_clock_us(void);
 #endif
 
-/* Reset: begin at q, v (n,), the torque `sent` (n,) [Nm] acting. Returns MOC_RUNNING; MOC_STOP_NOT_STARTED, and a
- * state that stays stopped, where a number is not finite or `sent` is beyond the limits; MOC_STOP_MEASUREMENT where
- * v cannot be true and no bad measurement is borne. */
-int moc_safe_start(const double q[MOC_N], const double v[MOC_N], const double sent[MOC_N], moc_safe_state *state);
+/* Reset: begin at measurement number `stamp` of q, v (n,), the torque `sent` (n,) [Nm] acting. Returns MOC_RUNNING, or
+ * MOC_STOP_NOT_STARTED and a state that stays stopped, where a number is not finite or `sent` is beyond the limits. */
+int moc_safe_start(const double q[MOC_N], const double v[MOC_N], int64_t stamp, const double sent[MOC_N],
+                   moc_safe_state *state);
 
-/* One control period: measured q, v (n,), references and trocar as in moc_tick.h, wrench (6,) of the tool on its
+/* One control period: measured q, v (n,), the number of the period in which that was taken, references and trocar as in moc_tick.h, wrench (6,) of the tool on its
  * mount as in moc_incision.h. tau (n,) is what to send, in any case.
  *
  * Returns MOC_RUNNING, or why the arm is stopped. From then on tau carries the arm's weight in the last pose that was
  * believed, and the drives have to brake with MOC_STOP_DAMPING; there is no way back but moc_safe_start.
  * report: what the tick knew, if not NULL; left alone where the arm was stopped before the tick.
  * Nothing may overlap. */
-int moc_safe_step(const double q[MOC_N], const double v[MOC_N], const double tip_ref[9], const double trocar[6],
-                  const double wrench[6], moc_safe_state *state, double tau[MOC_N], moc_tick_report *report);
+int moc_safe_step(const double q[MOC_N], const double v[MOC_N], int64_t stamp, const double tip_ref[9],
+                  const double trocar[6], const double wrench[6], moc_safe_state *state, double tau[MOC_N],
+                  moc_tick_report *report);
+
+/* Once a period while the arm is stopped: dry friction (n,) [Nm] that the brakes are to have, zero while the trocar
+ * presses the shaft hard; wrench as for moc_safe_step. */
+void moc_safe_hold(const double wrench[6], moc_safe_state *state, double friction[MOC_N]);
 
 /* A reason in words. */
 const char *moc_safe_reason(int reason);

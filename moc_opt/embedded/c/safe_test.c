@@ -7,7 +7,8 @@
 
 enum {
     V = MOC_N,
-    TIP_REF = 2 * MOC_N,
+    STAMP = 2 * MOC_N,
+    TIP_REF = STAMP + 1,
     TROCAR = TIP_REF + 9,
     WRENCH = TROCAR + 6,
     SOLVE_US = WRENCH + 6,
@@ -32,13 +33,14 @@ int main(void)
     double tau[MOC_N], worst = 0.0;
     int limited = 0, stopped_at = -1, reason = MOC_RUNNING;
 
-    moc_safe_start(safe_recording[0], safe_recording[0] + V, safe_sent, &state);
+    moc_safe_start(safe_recording[0], safe_recording[0] + V, (int64_t)safe_recording[0][STAMP], safe_sent, &state);
     for (int k = 0; k < SAFE_TICKS; k++) {
         const double *row = safe_recording[k];
 #if MOC_HAS_BUDGET
         solve_us = row[SOLVE_US];
 #endif
-        reason = moc_safe_step(row, row + V, row + TIP_REF, row + TROCAR, row + WRENCH, &state, tau, NULL);
+        reason = moc_safe_step(row, row + V, (int64_t)row[STAMP], row + TIP_REF, row + TROCAR, row + WRENCH, &state,
+                               tau, NULL);
         limited += state.limited > 0;
         if (reason != MOC_RUNNING && stopped_at < 0)
             stopped_at = k;
