@@ -160,7 +160,8 @@ def test_speed_fraction_narrows_the_box(robot):
         controller, _, tip_ref, trocar = started(robot, state=state, speed_fraction=fraction)
         controller.tick(state, tip_ref, trocar)
         qp = controller.subproblem
-        below, above = robot.q_min + 0.045 - state.q, robot.q_max - 0.045 - state.q
+        margin = ControlSettings().limit_margin_rad
+        below, above = robot.q_min + margin - state.q, robot.q_max - margin - state.q
         np.testing.assert_allclose(qp.upper, np.minimum(fraction * robot.v_max, 2.0 * above))
         np.testing.assert_allclose(qp.lower, np.maximum(-fraction * robot.v_max, 2.0 * below))
 

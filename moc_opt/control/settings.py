@@ -126,7 +126,7 @@ class ControlSettings(Settings):
         default=0.5, description="of v_max in the box on x: limits how fast the elbow travels; the paper has 1"
     )
     limit_margin_rad: NotNegative = Field(
-        default=0.045, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
+        default=0.15, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
