@@ -68,7 +68,18 @@ class Twin:
             assert self.c.fault == self.brain.controller.fault.label
             self.faults[self.c.fault] += 1
         self.limited_ticks += self.c.limited > 0
+        if not self.python.lost:
+            np.testing.assert_allclose(self.c.remembered, self.remembered, rtol=1e-7, atol=1e-8)
         return tau
+
+    @property
+    def remembered(self) -> Array:
+        """What Python remembers, in the order of `GuardedController.remembered`: a level may never be reached."""
+        guard, supervisor = self.guard, self.brain.controller._supervisor
+        assert guard._incision is not None
+        return np.concatenate([
+            [guard._square, *guard._incision._means, guard._press], supervisor._good, guard._motion._memory.ravel(),
+        ])  # fmt: skip
 
     def hold(self, seen: Measurement) -> Array | float:
         friction, found = self.python.hold(seen), self.c.hold(seen.force)

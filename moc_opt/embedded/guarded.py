@@ -121,6 +121,13 @@ class GuardedController:
         self.library.moc_incision_seen(self._state, largest, first)
         return list(zip(first, largest, strict=True))
 
+    @property
+    def remembered(self) -> Array:
+        """(4 + 12 n,) what is remembered from tick to tick, as access.c lists it."""
+        out = np.empty(4 + 12 * self._n)
+        self.library.moc_remembered(self._state, ctypes.c_void_p(out.ctypes.data))
+        return out
+
     def _pointers(
         self, *given: ArrayLike, sizes: tuple[int, ...] | None = None
     ) -> tuple[list[ctypes.c_void_p], list[Array]]:

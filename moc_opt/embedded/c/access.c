@@ -42,3 +42,26 @@ void moc_incision_seen(const moc_safe_state *state, double largest[2], int first
         first_tick[k] = state->incision.first_tick[k];
     }
 }
+
+/* What is remembered: mean squares of tip error, RCM error and force, the press in a stop, the supervisor's good
+ * answer (n,), and of the motion, one row of n after the other: gap, peak, shown, repeats, torque, integral, residual,
+ * mean, at_repeat, unseen, exceeded. */
+void moc_remembered(const moc_safe_state *state, double *out)
+{
+    const moc_motion_state *m = &state->guard.motion;
+    const double *rows[] = {m->gap,  m->peak,      m->shown,  m->repeats, m->torque, m->integral, m->residual,
+                            m->mean, m->at_repeat, m->unseen, m->exceeded};
+    out[0] = state->guard.tip_square;
+    out[1] = state->incision.mean_square[0];
+    out[2] = state->incision.mean_square[1];
+    out[3] = state->guard.press;
+    for (int j = 0; j < MOC_N; j++) {
+#if MOC_SOLVES
+        out[4 + j] = state->supervisor.good[j];
+#else
+        out[4 + j] = 0.0;
+#endif
+        for (int k = 0; k < 11; k++)
+            out[4 + MOC_N * (1 + k) + j] = rows[k][j];
+    }
+}
