@@ -8,8 +8,8 @@ from typing import ClassVar, Self
 
 from benchmarks.output import default_config
 from moc_opt.errors import MocOptError, ScenarioError
-from moc_opt.files import read_toml
-from moc_opt.settings import Settings
+from moc_opt.inputs.files import read_toml
+from moc_opt.inputs.settings import Settings
 
 
 class Configuration(Settings):

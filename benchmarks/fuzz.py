@@ -19,7 +19,7 @@ from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import PAGE, write_page
 from moc_opt.embedded.compiler import CompilerError, find_compiler
 from moc_opt.errors import MocOptError
-from moc_opt.files import to_json
+from moc_opt.inputs.files import to_json
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 

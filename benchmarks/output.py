@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from moc_opt.files import plain, to_json
+from moc_opt.inputs.files import plain, to_json
 
 if TYPE_CHECKING:
     from moc_opt.report.page import Page

@@ -24,7 +24,7 @@ from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.plan import Plan
 from benchmarks.sweeps.table import BLOCK, rows_schema, whole_parquet
 from moc_opt.errors import MocOptError
-from moc_opt.files import to_json
+from moc_opt.inputs.files import to_json
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 

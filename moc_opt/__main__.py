@@ -14,7 +14,7 @@ from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
     from moc_opt.scenario import Scenario
-    from moc_opt.trace import Trace
+    from moc_opt.trace.trace import Trace
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -95,10 +95,10 @@ def run_scenario(
     path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool
 ) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.metrics import summarize
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
+    from moc_opt.trace.metrics import summarize
 
     scenario = Scenario() if path is None else Scenario.load(path)
     if seed is not None:
@@ -156,8 +156,8 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
 
 def export_c(path: Path | None, out: Path) -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
-    from moc_opt.exported import export_scenario
     from moc_opt.scenario import Scenario
+    from moc_opt.scenario.exported import export_scenario
 
     files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
     for file in files:

@@ -80,3 +80,15 @@ def describe(error: BaseException, most: int = 300) -> str:
         said = f"(its text raised {type(worse).__name__})"
     text = f"{type(error).__name__}: {said}" if said else type(error).__name__
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+class ReportError(MocOptError, ValueError):
+    """A table, figure or page cannot be made from these data, or not be written."""
+
+
+class BrowserError(ReportError):
+    """A browser cannot be driven here; the message holds the cure."""
+
+
+class BrowserMissingError(BrowserError):
+    """There is none, or nothing to drive it with; the message holds what to install."""

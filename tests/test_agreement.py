@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from moc_opt.agreement import TOLERANCE, check_engines
 from moc_opt.errors import RobotError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario.agreement import TOLERANCE, check_engines
 from moc_opt.sim.reference import reference_terms
 
 FOLDER = Path(loader.__file__).parent
@@ -53,7 +53,7 @@ def test_every_term_is_compared(robot, monkeypatch, change):
     def shifted(data, q, v):
         return [t._replace(**{change: getattr(t, change) * (1.0 + scale * TOLERANCE)}) for t in true(data, q, v)]
 
-    monkeypatch.setattr("moc_opt.agreement.reference_terms", shifted)
+    monkeypatch.setattr("moc_opt.scenario.agreement.reference_terms", shifted)
     scale = 0.1
     check_engines(robot)
     scale = 30.0
@@ -64,7 +64,7 @@ def test_every_term_is_compared(robot, monkeypatch, change):
 def test_a_run_is_refused_before_anything_moves(monkeypatch):
     arm = load_robot()
     odd = RobotModel(replace(arm.data, urdf=edited(arm.data.urdf, "link_5", "rpy", "")))
-    monkeypatch.setattr("moc_opt.scenario_tables.load_robot", lambda *given, **more: odd)
+    monkeypatch.setattr("moc_opt.scenario.config.load_robot", lambda *given, **more: odd)
     with pytest.raises(RobotError, match="pinocchio and MuJoCo differ"):
         Setup(Scenario())
 

@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings, tick
-from moc_opt.control.manipulability import least_violation, null_space
+from moc_opt.control.null_space import least_violation, null_space
 from moc_opt.errors import ControlError
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status

@@ -14,7 +14,7 @@ from benchmarks.reliability.runs import Waited, detection, jobs, measure, recove
 from benchmarks.reliability.summary import goals, outcome, summarise
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 TINY = """
 trials = 1

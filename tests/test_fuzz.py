@@ -22,11 +22,11 @@ from benchmarks.reliability import fuzz_c, fuzz_checks, fuzz_files, limits
 from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
-from moc_opt.subproblem import NullSpaceQP
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 
@@ -218,7 +218,7 @@ def test_a_parquet_file_runs_no_code(tmp_path):
         schema = pa.schema(
             [field],
             metadata={
-                "moc_opt.trace": "1",
+                "moc_opt.trace.trace": "1",
                 "moc_opt.types": types,
                 "moc_opt.meta": "{}",
                 "pandas": bomb,
@@ -251,7 +251,7 @@ def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
 )
 def test_hostile_types_are_refused(types, tmp_path):
     table = pa.table({"t_s": pa.array(["x", "y"])})
-    keys = {"moc_opt.trace": "1", "moc_opt.types": json.dumps(types), "moc_opt.meta": "{}"}
+    keys = {"moc_opt.trace.trace": "1", "moc_opt.types": json.dumps(types), "moc_opt.meta": "{}"}
     pq.write_table(table.replace_schema_metadata(keys), tmp_path / "t.parquet")
     with pytest.raises(TraceError, match=r"t\.parquet|t_s"):
         Trace.load(tmp_path / "t.parquet")

@@ -17,8 +17,8 @@ from moc_opt.live.history import QUANTITIES, History, thinned
 from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
 from moc_opt.live.orders import DCAC
 from moc_opt.live.run import HISTORY_S
-from moc_opt.model import RobotModel
-from moc_opt.report.swivel import Elbow
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.tasks import Trocar
 

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
-from moc_opt.control import manipulability as level3
+from moc_opt.control import null_space as level3
 from moc_opt.control import tick
 from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.scenario import Scenario, run
-from moc_opt.subproblem import NullSpaceQP, row_length
 
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
 SEEDS = st.integers(0, 2**32 - 1)

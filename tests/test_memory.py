@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from moc_opt import memory
+from moc_opt.inputs import memory
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def test_a_limit_of_the_process_counts():
     code = (
-        "import resource; from moc_opt.memory import available_bytes as a\n"
+        "import resource; from moc_opt.inputs.memory import available_bytes as a\n"
         "x = a(); resource.setrlimit(resource.RLIMIT_{}, (2**30, 2**30)); print(x, a())"
     )
     for limit in ("AS", "DATA"):

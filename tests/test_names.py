@@ -12,15 +12,15 @@ import pytest
 from hypothesis import example, given, settings
 
 from benchmarks.reliability.fuzz_names import code_of, hostile_names
-from moc_opt import names
 from moc_opt.control import ControlSettings
 from moc_opt.embedded.export import c_files
 from moc_opt.errors import RobotError, ScenarioError, SolverError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.inputs import names
+from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.robots import loader
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import plugins
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 
 FOLDER = Path(loader.__file__).parent
 GOOD = [

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import TraceError
-from moc_opt.oscillation import (
+from moc_opt.scenario import Scenario, run
+from moc_opt.trace.oscillation import (
     ABOVE_HZ,
     LIMIT_NM,
     LIMIT_RAD_PER_S,
@@ -15,8 +16,7 @@ from moc_opt.oscillation import (
     judged_for_oscillation,
     shaking,
 )
-from moc_opt.scenario import Scenario, run
-from moc_opt.trace import MissingDataError, Trace
+from moc_opt.trace.trace import MissingDataError, Trace
 
 PERIOD = 0.002
 NAMES = tuple(f"joint_{i}" for i in range(1, 8))

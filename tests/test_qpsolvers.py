@@ -12,8 +12,8 @@ import qpsolvers
 
 from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import Status, create
+from moc_opt.solvers.backends.qpsolvers import ADVICE, QPSolver, factory, reasons
 from moc_opt.solvers.options import ALLOWED
-from moc_opt.solvers.qpsolvers import ADVICE, QPSolver, factory, reasons
 from tests.problems import infeasible_problem, random_problem, smooth_sequence
 
 HERE = sorted(qpsolvers.available_solvers)

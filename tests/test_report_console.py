@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from moc_opt.files import plain
+from moc_opt.inputs.files import plain
 from moc_opt.report.console import console, print_json, progress, track
 from moc_opt.report.tables import Column, Table
 

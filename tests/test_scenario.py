@@ -11,12 +11,12 @@ from moc_opt.errors import (
     TaskError,
     UnknownNameError,
 )
-from moc_opt.metrics import summarize
+from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.selfmotion import self_motion
 from moc_opt.sim import PlantSettings
 from moc_opt.tasks import shaft_distance
-from moc_opt.trace import Trace
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
 
 CLOCK = {"tick_us", "solve_us"}
 BARE = {"judge": False, "bound_samples": 0}

@@ -7,7 +7,7 @@ import pytest
 from pydantic import Field
 
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
-from moc_opt.settings import Settings
+from moc_opt.inputs.settings import Settings
 
 
 class Inner(Settings):

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.answers import MOST_ITERATIONS, answer_residuals, received
-from moc_opt.control.manipulability import null_space
+from moc_opt.control.null_space import null_space
+from moc_opt.control.solution_check import MOST_ITERATIONS, answer_residuals, received
 from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings
 from moc_opt.errors import ControlError
+from moc_opt.qp.problem import NullSpaceQP, fields, judge
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.solvers import available
 from moc_opt.solvers.base import Solution, Status, no_answer
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
-from moc_opt.subproblem import NullSpaceQP, fields, judge
 from tests.problems import random_problem
 from tests.wrong_answers import wrong_corners
 

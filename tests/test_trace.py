@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays, from_dtype
 
 from moc_opt.errors import TraceError
-from moc_opt.trace import MissingDataError, Trace
+from moc_opt.trace.trace import MissingDataError, Trace
 
 N = 50
 
@@ -279,18 +279,18 @@ def test_foreign_files_are_refused(tmp_path: Path) -> None:
     pq.write_table(foreign, path)
     with pytest.raises(TraceError, match=r"a Parquet file, but no trace: give a file written by Trace\.save"):
         Trace.load(path)
-    pq.write_table(foreign.replace_schema_metadata({"moc_opt.trace": "99"}), path)
+    pq.write_table(foreign.replace_schema_metadata({"moc_opt.trace.trace": "99"}), path)
     with pytest.raises(TraceError, match="format '99'"):
         Trace.load(path)
     for extra in ({}, {"moc_opt.types": '{"mu": "<f8"}'}, {"moc_opt.types": "{}"}, {"moc_opt.types": "[1]"}):
-        metadata = {"moc_opt.trace": "1", "moc_opt.meta": "{}", **extra}
+        metadata = {"moc_opt.trace.trace": "1", "moc_opt.meta": "{}", **extra}
         pq.write_table(foreign.replace_schema_metadata(metadata), path)
         with pytest.raises(TraceError, match="that no trace has"):
             Trace.load(path)
 
 
 def test_pyarrow_is_loaded_only_for_files() -> None:
-    code = "import sys, moc_opt.trace as t; t.Trace({'mu': [0.1]}); sys.exit('pyarrow' in sys.modules)"
+    code = "import sys, moc_opt.trace.trace as t; t.Trace({'mu': [0.1]}); sys.exit('pyarrow' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -10,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from moc_opt import rows
 from moc_opt.__main__ import main
 from moc_opt.errors import PlantError, ScenarioError, TraceError
-from moc_opt.metrics import summarize
-from moc_opt.scenario import RunAway, Scenario, Setup, run
+from moc_opt.scenario import RunAway, Scenario, Setup, rows, run
 from moc_opt.sim import Plant
-from moc_opt.trace import Trace
-from moc_opt.trace_file import Stored
-from moc_opt.trace_writer import KILLED, TraceWriter, parts_of
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.parquet import Stored
+from moc_opt.trace.trace import Trace
+from moc_opt.trace.writer import KILLED, TraceWriter, parts_of
 
 ROOT = Path(__file__).resolve().parent.parent
 CLOCK = ("tick_us", "solve_us")
@@ -208,7 +207,7 @@ def test_a_folder_that_is_not_there_is_said_before_the_run(target, tmp_path, cap
 def test_memory_of_a_streamed_run_does_not_grow_with_it(tmp_path):
     """Three times as many rows: a tenth of their bytes at most."""
     code = (
-        "import resource, sys; from moc_opt.scenario import *; from moc_opt.metrics import summarize\n"
+        "import resource, sys; from moc_opt.scenario import *; from moc_opt.trace.metrics import summarize\n"
         "def go(s): summarize(Setup(Scenario(duration_s=s, task={'hold_s': 60.0})).trace(to=sys.argv[1], block=500))\n"
         "go(4.0); a = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "go(24.0); print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - a)"

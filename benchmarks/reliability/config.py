@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from benchmarks.config import Configuration
+from moc_opt.inputs.settings import Name, Settings
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Name, Settings
 
 GROUPS = ("solver", "sensors", "plant", "contact", "camera")
 BASELINE = "dcac"

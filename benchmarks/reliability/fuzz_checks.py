@@ -17,18 +17,18 @@ import numpy as np
 
 from benchmarks.reliability.fuzz_c import exported
 from benchmarks.reliability.fuzz_inputs import good_trace
-from moc_opt.agreement import check_engines
-from moc_opt.control.answers import answer_residuals
-from moc_opt.control.manipulability import null_space
+from moc_opt.control.null_space import null_space
+from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
-from moc_opt.metrics import summarize
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
+from moc_opt.qp.problem import NullSpaceQP, judge
 from moc_opt.scenario import Scenario, run
+from moc_opt.scenario.agreement import check_engines
 from moc_opt.sim.plant import Plant
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
-from moc_opt.subproblem import NullSpaceQP, judge
-from moc_opt.trace import Trace
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
 
 __all__ = [
     "exported", "record_file", "result_file", "robot_file", "scenario", "scenario_file", "subproblem", "warm_up",

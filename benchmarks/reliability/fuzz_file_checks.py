@@ -17,17 +17,17 @@ from benchmarks.mutation import Config as MutationConfig
 from benchmarks.reliability.fuzz_checks import Verdict, Wrong, few_ticks
 from benchmarks.reliability.fuzz_files import SHAPES, Damage, HostileFile
 from benchmarks.reliability.fuzz_inputs import ROBOTS, good_trace
-from benchmarks.study import store as study_store
-from benchmarks.study.config import Config as StudyConfig
+from benchmarks.solver_study import store as study_store
+from benchmarks.solver_study.config import Config as StudyConfig
 from benchmarks.sweeps import store as sweep_store
 from benchmarks.sweeps.config import Config as SweepConfig
 from benchmarks.sweeps.plan import Plan
 from benchmarks.testsets import TestSet
 from moc_opt.errors import MocOptError
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.trace import Trace
-from moc_opt.trace_writer import TraceWriter, parts_of
+from moc_opt.trace.trace import Trace
+from moc_opt.trace.writer import TraceWriter, parts_of
 
 NAMES = {"urdf": "arm.urdf", "testset": "file.npz", "plan": "plan.json", "robot": "arm.toml", "part": "key.npz"}
 

@@ -102,7 +102,7 @@ def _constant_parquet(case: HostileFile) -> bytes:
         encoded = pa.DictionaryArray.from_arrays(pa.array(np.zeros(step, dtype=np.int32)), array)
         columns[name] = encoded if name == "status" else pa.array(np.zeros(step))
     types = {"mu": "<f8", "status": f"<U{case.size}"}
-    meta = {"moc_opt.trace": "1", "moc_opt.meta": "{}", "moc_opt.types": json.dumps(types, allow_nan=False)}
+    meta = {"moc_opt.trace.trace": "1", "moc_opt.meta": "{}", "moc_opt.types": json.dumps(types, allow_nan=False)}
     sink = io.BytesIO()
     table = pa.table(columns).replace_schema_metadata(meta)
     with pq.ParquetWriter(sink, table.schema, compression="zstd") as writer:

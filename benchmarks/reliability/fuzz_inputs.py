@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from benchmarks.reliability import fuzz_c
 from moc_opt.scenario import Scenario
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 ROBOTS = Path(__file__).resolve().parents[2] / "moc_opt" / "robots"
 
@@ -303,7 +303,7 @@ def foreign_tables(draw: st.DrawFn) -> bytes:
     if draw(st.booleans()):
         types = {name: "<f8" for name in names}
     metadata = {
-        b"moc_opt.trace": draw(st.sampled_from([b"1", b"1", b"1", b"2", b"\xff"])),
+        b"moc_opt.trace.trace": draw(st.sampled_from([b"1", b"1", b"1", b"2", b"\xff"])),
         b"moc_opt.types": draw(st.sampled_from([json.dumps(types).encode(), b"[]", b"\xff", b"{}", b"[" * 100_000])),
         b"moc_opt.meta": draw(
             st.one_of(

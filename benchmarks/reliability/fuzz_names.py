@@ -18,19 +18,19 @@ import numpy as np
 
 from benchmarks.reliability.fuzz_checks import Verdict, Wrong
 from benchmarks.reliability.fuzz_inputs import ROBOTS, junk, numbers
-from moc_opt import names as rule
 from moc_opt.control import ControlSettings
 from moc_opt.embedded import source
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import MocOptError, RobotError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.inputs import names as rule
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.solvers import available, create
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 from moc_opt.solvers.options import ALLOWED
-from moc_opt.subproblem import NullSpaceQP
 
 pieces = st.sampled_from([
     "*/", "/*", "//", "*\\\n/", "*??/\n/", "??/", "\\", "\\\n", "\n", "\r", "\x0b", "\x00", '"', "'", "<", ">", "&",

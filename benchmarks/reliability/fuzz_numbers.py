@@ -14,9 +14,9 @@ import numpy as np
 
 from benchmarks.reliability.fuzz_checks import Verdict, Wrong
 from benchmarks.reliability.fuzz_inputs import ROBOTS
-from moc_opt.agreement import check_engines
 from moc_opt.errors import RobotError
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
+from moc_opt.scenario.agreement import check_engines
 from moc_opt.sim.plant import Plant
 
 URDF = (ROBOTS / "lwr4.urdf").read_text(encoding="utf-8")

@@ -111,7 +111,8 @@ PROMISES = (
     (
         "Files from strangers run no code, and nothing in them decides where files go. Names of robots, links, joints, "
         "scenarios and solvers come from an allow-list of characters, checked where they are read "
-        "(`moc_opt/names.py`); a comment of generated C, a page and a file's name hold any text without harm even so. "
+        "(`moc_opt/inputs/names.py`); a comment of generated C, a page and a file's name hold any text without harm "
+        "even so. "
         "Options of a solver's library come from an allow-list for each library (`moc_opt/solvers/options.py`): "
         "tolerances, iterations and modes; what writes, reads, loads or compiles is refused by name, and IPOPT reads "
         "no `ipopt.opt`.",
@@ -176,7 +177,7 @@ LIMITS = """\
   it is not, and all that acts across the shaft counts. An unknown weight on the tool counts as the trocar's too (10 N
   for 1 kg on a level tool), and so does the tool's inertia force (0.3 N for each m/s^2).
 - Oscillation is found after the run, above 8 Hz, in what a joint keeps up for a second: 0.2 rad/s or 10 Nm
-  (`moc_opt/oscillation.py` has the figures on both sides). With the paper's rho = 0 the answer jumps between
+  (`moc_opt/trace/oscillation.py` has the figures on both sides). With the paper's rho = 0 the answer jumps between
   vertices; where that shakes the arm it is reported as what it is. While the arm runs, only the limits above act.
 - A solver runs in the control process: it gets copies and its answers are copied, but nothing keeps foreign code from
   looking through the interpreter's memory. Code that means harm belongs into a process of its own.

@@ -7,13 +7,13 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from benchmarks.config import Configuration
-from benchmarks.study.closed_loop import BASELINE
+from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.sweeps.errors import SweepError
 from moc_opt.errors import SolverError, UnknownNameError, shown
-from moc_opt.files import LARGEST_INTEGER
+from moc_opt.inputs.files import LARGEST_INTEGER
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.scenario_tables import MOST_S, SolverTable
-from moc_opt.settings import Settings
+from moc_opt.scenario.config import MOST_S, SolverTable
 from moc_opt.solvers import available
 
 MOST_LISTED = 1_000_000

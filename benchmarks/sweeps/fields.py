@@ -12,8 +12,8 @@ from pydantic import BaseModel, Field
 
 from benchmarks.sweeps.errors import SweepError
 from moc_opt.errors import MocOptError, UnknownNameError, shown
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Settings
 
 ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
 

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.study.closed_loop import BASELINE, variant
+from benchmarks.solver_study.closed_loop import BASELINE, variant
 from benchmarks.sweeps.config import Config, chosen_seeds, chosen_solvers
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes, random_draws, with_value
 from benchmarks.sweeps.version import code_version
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.metrics import METRICS
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario_tables import SolverTable
+from moc_opt.scenario.config import SolverTable
+from moc_opt.trace.metrics import METRICS
 
 FORMAT = 1
 """Of what a sweep's folder holds; part of every id."""

@@ -39,7 +39,7 @@ from benchmarks.sweeps.table import (
     shard_plan,
     write_final,
 )  # fmt: skip
-from moc_opt.files import file_in, parse_json, read_json, to_json
+from moc_opt.inputs.files import file_in, parse_json, read_json, to_json
 
 SHARD = 1000
 """Finished runs that are files of their own before they become one."""

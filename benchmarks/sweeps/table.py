@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, canonical
-from moc_opt.files import plain, read_bytes
+from moc_opt.inputs.files import plain, read_bytes
 
 BLOCK = 20_000
 """Rows of a row group of the final tables, whatever the pieces were: the bytes depend on it."""

@@ -11,8 +11,8 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
-from moc_opt.files import LARGEST
-from moc_opt.settings import Settings
+from moc_opt.inputs.files import LARGEST
+from moc_opt.inputs.settings import Settings
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]

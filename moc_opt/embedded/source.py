@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from moc_opt.embedded import templates
 from moc_opt.embedded.layout import OBSERVED, Field
 from moc_opt.embedded.symbolic import Tick
-from moc_opt.names import in_comment
+from moc_opt.inputs.names import in_comment
 
 Array = NDArray[np.float64]
 

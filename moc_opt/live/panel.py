@@ -10,10 +10,10 @@ import numpy as np
 
 from moc_opt import solvers
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.names import in_markdown
 from moc_opt.live.history import QUANTITIES
 from moc_opt.live.orders import DCAC, LiveError, Moment
 from moc_opt.live.run import LiveRun
-from moc_opt.names import in_markdown
 
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"

@@ -11,7 +11,7 @@ from typing import IO, Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from moc_opt.files import to_json
+from moc_opt.inputs.files import to_json
 from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0

@@ -13,9 +13,8 @@ from urllib.parse import unquote
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from moc_opt.errors import UnknownNameError
-from moc_opt.names import file_stem
-from moc_opt.report.errors import BrowserError, BrowserMissingError, ReportError
+from moc_opt.errors import BrowserError, BrowserMissingError, ReportError, UnknownNameError
+from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

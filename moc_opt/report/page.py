@@ -16,7 +16,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from moc_opt.files import to_json
+from moc_opt.inputs.files import to_json
 from moc_opt.report.document import asset, beside, document, save_document, script_data
 from moc_opt.report.figures.style import DARK
 from moc_opt.report.notation import DASH

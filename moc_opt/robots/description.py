@@ -9,8 +9,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from moc_opt.errors import RobotError, shown
-from moc_opt.files import read_toml, wrong_size
-from moc_opt.settings import Name
+from moc_opt.inputs.files import read_toml, wrong_size
+from moc_opt.inputs.settings import Name
 
 # Strict: a number of TOML, no text or flag that could be read as one.
 Number = Annotated[float, Field(strict=True, ge=-1e9, le=1e9)]

@@ -9,8 +9,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from moc_opt import names
 from moc_opt.errors import RobotError
+from moc_opt.inputs import names
 from moc_opt.robots.numbers import as_text, number, triple
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})

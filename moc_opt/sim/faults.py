@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.settings import Name
+from moc_opt.inputs.settings import Name
 from moc_opt.sim.mjcf import TOOL_BODY
 from moc_opt.sim.packets import Packets, PacketSettings
 from moc_opt.sim.plant import Plant

@@ -17,7 +17,7 @@ from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Course, Courses, Log, Sink, Touched
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.safe import Brain, Safe, Watchdog
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 BLOCK = 5000
 """Ticks that are kept in memory where a sink takes them."""

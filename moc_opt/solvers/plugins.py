@@ -9,8 +9,8 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from moc_opt import names
 from moc_opt.errors import SolverError, describe
+from moc_opt.inputs import names
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
