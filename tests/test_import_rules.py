@@ -19,7 +19,7 @@ FILES = {
     "moc_opt.__main__": "command line", "moc_opt.errors": "errors",
 }  # fmt: skip
 
-# From the ground up: a room, and what it may import from: rooms above it in this list. "solvers.base" is a module of one.
+# From the ground up: a room, and what it may import from: rooms above it. "solvers.base" is a module of one.
 ALLOWED = {
     "errors": set(),
     "inputs": {"errors"},
