@@ -104,3 +104,23 @@ def test_an_impossible_incision_is_refused_before_anything_moves(robot, point, m
 def test_settings_out_of_range_name_the_field():
     with pytest.raises(TaskError, match=r"\[hands_on\] registration_error_m = 0\.01"):
         HandsOnSettings(registration_error_m=0.01)
+
+
+def test_a_reason_of_the_safety_filter_stops_the_guiding(robot, monkeypatch):
+    """A joint whose encoder fails: the brakes close, nothing is registered, and the trace says why."""
+    plant = Plant(robot.data, PlantSettings.realistic(), seed=4)
+    measure, calls = plant.measure, []
+
+    def broken():
+        calls.append(0)
+        seen = measure()
+        return seen._replace(q=seen.q + np.nan) if len(calls) > 300 else seen
+
+    monkeypatch.setattr(plant, "measure", broken)
+    found = guide_to(incision(robot, 4), plant, robot, HandsOnSettings(), seed=4)
+    assert found.status is HandsOnStatus.STOPPED
+    assert found.registered is None
+    assert found.trace.meta["ended"] == "stopped: measurements not believed"
+    assert len(found.trace) < 300 + 0.6 / 0.002  # half a second of stop after it
+    assert np.isfinite(found.trace.tau_Nm).all()
+    assert np.abs(found.trace.v_rad_per_s[-1]).max() < 0.05

@@ -12,16 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
+from moc_opt.control.safety_filter import Guard, GuardSettings
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip
 from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.sim.hand import Hand, HandSettings
 from moc_opt.sim.plant import Plant
+from moc_opt.sim.safe import Safe
 from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 
+_NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
 _SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
 
 
@@ -50,6 +53,7 @@ class HandsOnSettings(Settings):
         0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake"
     )
     hand: HandSettings = HandSettings()
+    guard: GuardSettings = GuardSettings()
 
 
 class HandsOnStatus(Enum):
@@ -61,6 +65,7 @@ class HandsOnStatus(Enum):
         "the tip reached the incision and did not rest there: raise joint_damping_Nm_s_per_rad, "
         "rest_speed_m_per_s or time_limit_s"
     )
+    STOPPED = "the safety filter stopped the arm: the trace's meta[\"ended\"] says why"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,7 +123,7 @@ def guide_to(
             f"distance_max_m = {settings.distance_max_m:g} m, or start the arm nearer to it"
         )
     pose_with_tip(robot, plant.measure().q, goal)
-    columns, tips, status, q = _guide(goal, plant, robot, settings)
+    columns, tips, status, q, reason = _guide(goal, plant, robot, settings)
     registered = None
     if status is HandsOnStatus.REGISTERED:
         direction = np.random.default_rng(seed).standard_normal(3)
@@ -129,43 +134,82 @@ def guide_to(
     columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (ticks, 1))
     columns["trocar_registered_m"] = np.tile(believed, (ticks, 1))
     columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
-    meta = {"hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed}
+    meta = {
+        "hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed,
+        "ended": f"stopped: {reason}" if reason else "completed",
+    }  # fmt: skip
     return HandsOn(status, goal, registered, q, Trace(columns, {**meta, "period_s": plant.settings.period_s}))
+
+
+class _Guiding:
+    """Hand guiding as a loop with a safety filter asks for it; it has no reference.
+
+    ``seen`` is the state at the last measurement that was believed. The filter is not shown it: it would take the
+    hand's force for a motion that no torque explains.
+    """
+
+    seen: RobotState
+
+    def __init__(self, law: HandGuiding, robot: RobotModel) -> None:
+        self._law, self._robot = law, robot
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Take the first state; the law itself has no memory."""
+        self.seen = self._robot.state(q, v)
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """Torque (n,) [Nm] that carries the arm's weight and damps its joints."""
+        self.seen = self._robot.state(q, v)
+        return self._law.tick(self.seen)
+
+    def sent(self, tau: Array) -> None:
+        """Nothing: the law has no memory."""
 
 
 def _guide(
     goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings
-) -> tuple[dict[str, Array], Array, HandsOnStatus, Array]:
-    """The loop; returns the columns, the measured tips of the rest (k, 3), how it ended, and the last pose."""
+) -> tuple[dict[str, Array], Array, HandsOnStatus, Array, str]:
+    """The loop; returns the columns, the measured tips of the rest (k, 3), how it ended, the last pose, and the reason
+    of a stop."""
     period = plant.settings.period_s
-    law = HandGuiding(robot, settings.joint_damping_Nm_s_per_rad)
+    law = _Guiding(HandGuiding(robot, settings.joint_damping_Nm_s_per_rad), robot)
+    # Not yet in an incision: there is no trocar to keep to.
+    safe = Safe(law, Guard(robot.data, settings.guard, period, robot.gravity), np.array(plant.applied_torque))
     hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     needed = max(1, round(settings.rest_s / period))
     slow, reached = np.zeros(3), False
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []
-    seen = robot.state(*plant.measure()[:2])
-    while len(resting) < needed and len(rows) < settings.time_limit_s / period:
+    ticks = math.ceil(settings.time_limit_s / period)
+    measured = plant.measure()
+    safe.start(measured, _NO_REFERENCE, _NO_TROCAR)
+    while len(resting) < needed and len(rows) < ticks:
         force = hand.pull(plant.tip, _tip_velocity(plant, robot), goal)
         plant.push("tool", force, point)
-        tau = law.tick(seen)
+        tau = safe.tick(measured, _NO_REFERENCE, _NO_TROCAR)
+        if safe.lost:
+            plant.brake(settings.guard.stop_damping_Nm_s_per_rad, safe.hold(measured))
+            ticks = min(ticks, len(rows) + round(settings.guard.stop_s / period))
         rows.append(_row(plant, tau, force))
-        plant.step(tau)
-        seen = robot.state(*plant.measure()[:2])
+        seen = law.seen
         slow += gain * (seen.J_tip @ seen.v - slow)
         there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
         reached = reached or there
-        if there and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
+        if there and not safe.lost and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
             resting.append(seen.tip)
         else:
             resting.clear()
+        plant.step(tau)
+        measured = plant.measure()
     plant.clear_pushes("tool")
     status = HandsOnStatus.REGISTERED
-    if len(resting) < needed:
+    if safe.lost:
+        status = HandsOnStatus.STOPPED
+    elif len(resting) < needed:
         status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return columns, np.array(resting), status, np.array(seen.q)
+    return columns, np.array(resting), status, np.array(law.seen.q), safe.lost
 
 
 def _row(plant: Plant, tau: Array, force: Array) -> dict[str, Array | float]:
