@@ -30,7 +30,7 @@ enum {
     MOC_STOP_TIP,         /* the tip has been too far off its reference */
     MOC_STOP_TORQUE,      /* the controller's torque is not finite */
     MOC_STOP_LATE,        /* measurements are more than MOC_PATIENCE_TICKS late */
-    MOC_STOP_REPEATED,    /* all encoders repeat one reading while the arm is told to move */
+    MOC_STOP_REPEATED,    /* all encoders repeat one reading, as no arm that moves or has noise does */
     MOC_STOP_RAN_AWAY,    /* the encoders' positions do not follow their velocities */
     MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
     MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
