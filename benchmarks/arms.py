@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
 TOOL = 0.38  # wrist to tip [m]

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import tomllib
 from argparse import Namespace
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from benchmarks.output import default_config
-from moc_opt.errors import ScenarioError
-from moc_opt.settings import Settings
+from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.inputs.files import read_toml
+from moc_opt.inputs.settings import Settings
 
 
 class Configuration(Settings):
     """Base of the configurations in benchmarks/configs/."""
+
+    MOST: ClassVar[int] = 1_000_000
 
     @classmethod
     def chosen(cls, given: Namespace, name: str) -> Self:
@@ -28,7 +30,9 @@ class Configuration(Settings):
     @classmethod
     def load(cls, path: Path) -> Self:
         """Read a TOML file; errors name file and field."""
+        table = read_toml(path, "configuration", ScenarioError)
         try:
-            return cls(**tomllib.loads(path.read_text(encoding="utf-8")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ScenarioError(f"{path}: cannot be used as a configuration: {error}") from error
+            return cls(**table)
+        except MocOptError as error:
+            error.args = (f"{path}: {error}",)
+            raise

@@ -31,7 +31,7 @@ from benchmarks.errata_numbers import (
     true_lambdas,
 )
 from benchmarks.output import write_atomically
-from moc_opt.control.manipulability import null_space
+from moc_opt.control.null_space import null_space
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "errata.md"
 

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
-from moc_opt.control.compliance import task_inertia
-from moc_opt.control.dense import cholesky
-from moc_opt.control.manipulability import (
+from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     null_space,
     self_motion_torque,
     velocity_damper,
 )
 from moc_opt.control.settings import ControlSettings
-from moc_opt.model import RobotModel, RobotState, load_robot
+from moc_opt.control.tip_impedance import task_inertia
+from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
+from moc_opt.numerics.dense import cholesky
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
-from moc_opt.subproblem import NullSpaceQP
-from moc_opt.tasks.board import BOARD_TASKS
 from moc_opt.tasks.trocar import shaft_distance
+from moc_opt.vision.board import BOARD_TASKS
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.output import write_atomically
 from benchmarks.testsets import RECIPES, TestSet
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 
 NAME = "null_space"
 SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")

@@ -6,27 +6,36 @@ python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks import output
+from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import PAGE, write_page
 from moc_opt.embedded.compiler import CompilerError, find_compiler
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import to_json
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 
+if TYPE_CHECKING:
+    from hypothesis.strategies import SearchStrategy
+
+    from benchmarks.reliability import fuzz_checks
+
 KINDS = {
     "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.15, "result_file": 0.2,
-    "record_file": 0.05, "exported": 0.05,
+    "record_file": 0.05, "exported": 0.05, "name": 0.1, "option": 0.05, "urdf_number": 0.1, "hostile_file": 0.2,
+    "extreme_number": 0.2, "sweep_folder": 0.05, "study_folder": 0.05, "trace_folder": 0.05,
 }  # fmt: skip
 """Kind of input -> its share of the cases."""
+CASE_S = 20
+"""Seconds that a case may take."""
 
 
 def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[Counter[str], list[str]]:
@@ -41,13 +50,13 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks.reliability import fuzz_c, fuzz_checks, fuzz_inputs
+    from benchmarks.reliability import fuzz_c, fuzz_checks
 
-    check: fuzz_checks.Check = getattr(fuzz_checks, kind)
-    strategy = fuzz_inputs.STRATEGIES[kind]
+    check, strategy = lookup(kind)
     fuzz_checks.warm_up()
     if kind == "exported":
         fuzz_c.warm_up()
+    done()
     verdicts: Counter[str] = Counter()
     failures: list[str] = []
 
@@ -55,9 +64,11 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
 
     def one(case: Any) -> None:
         last[0] = case
-        with fuzz_checks.time_limit():
-            verdicts[check(case)] += 1
-        done()
+        try:
+            with fuzz_checks.time_limit():
+                verdicts[check(case)] += 1
+        finally:
+            done()
 
     quiet = hypothesis.settings(
         max_examples=max(1, min(cases, 500)), database=None, deadline=None, print_blob=False,
@@ -80,6 +91,25 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     return verdicts, failures
 
 
+def lookup(kind: str) -> tuple[fuzz_checks.Check, SearchStrategy[Any]]:
+    """The check of one kind of input, and where its cases come from."""
+    from benchmarks.reliability import (
+        fuzz_checks,
+        fuzz_file_checks,
+        fuzz_files,
+        fuzz_inputs,
+        fuzz_names,
+        fuzz_numbers,
+    )
+
+    if kind in fuzz_files.STRATEGIES:
+        return fuzz_file_checks.CHECKS[kind], fuzz_files.STRATEGIES[kind]
+    for module in (fuzz_names, fuzz_numbers):
+        if kind in module.STRATEGIES:
+            return getattr(module, kind), module.STRATEGIES[kind]
+    return getattr(fuzz_checks, kind), fuzz_inputs.STRATEGIES[kind]
+
+
 def has_compiler() -> bool:
     """Whether the kind "exported" can be checked here."""
     try:
@@ -92,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run; 0 when every case ended well, 1 when one did not, 2 where the command is wrong."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description="Send bad input.")
     options.add_argument("--cases", type=int, default=10_000, help="in all")
-    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--seed", type=output.seed_number, default=0)
     options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
     options.add_argument("--out", type=Path, default=Path("results") / "fuzz", help="folder for the results")
     options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
@@ -110,7 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with progress("cases", sum(shares.values())) as bar:
             for kind, cases in shares.items():
-                verdicts, failures = explore(kind, cases, given.seed, lambda: bar.advance(1.0))
+                done: Callable[[], Any] = lambda: bar.advance(1.0)  # noqa: E731
+                verdicts, failures = limited(explore, kind, cases, given.seed, done, CASE_S)
                 summary[kind] = {
                     "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
                     "refused": verdicts["refused"], "failed": len(failures), "failures": failures,
@@ -126,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
     if given.json:
-        print(json.dumps(summary, indent=2))
+        print(to_json(summary))
     else:
         columns = [
             Column("kind", "input"),

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from moc_opt.errors import MocOptError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.manipulability_map import FEASIBLE, SwivelMap, manipulability_map
 from moc_opt.report.figures.style import Styles
-from moc_opt.report.map import FEASIBLE, SwivelMap, manipulability_map
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 COLUMNS_PER_S, COLUMNS, ROWS = 12.0, (10, 96), 120
 """Of a map: a column takes 20 ms, and a run of 1 s shows no more in a hundred of them than in a dozen."""

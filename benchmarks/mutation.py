@@ -23,8 +23,8 @@ from benchmarks.config import Configuration
 from benchmarks.mutants import trial
 from benchmarks.mutants.make import Mutant, MutationError, places, sample
 from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.inputs.settings import Settings
 from moc_opt.report.console import console, progress
-from moc_opt.settings import Settings
 
 ROOT = Path(__file__).resolve().parent.parent
 BASELINE_S = 900.0

@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import importlib.metadata
-import json
-import math
 import os
 import platform
 import re
@@ -15,6 +13,8 @@ import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from moc_opt.inputs.files import plain, to_json
 
 if TYPE_CHECKING:
     from moc_opt.report.page import Page
@@ -34,11 +34,22 @@ def parser(name: str, about: str) -> argparse.ArgumentParser:
         "config", nargs="?", type=Path, help=f"TOML; default: benchmarks/configs/{name}.toml"
     )
     options.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    options.add_argument("--seed", type=int, help="replaces the configuration's seed")
+    options.add_argument("--seed", type=seed_number, help="replaces the configuration's seed")
     options.add_argument("--quick", action="store_true", help="the same on less data")
     options.add_argument("--json", action="store_true", help="print summary.json instead of tables")
     options.add_argument("--figures", action=_WantFigures, nargs=0, help="every figure also as SVG and PDF")
     return options
+
+
+def seed_number(text: str) -> int:
+    """The number of ``--seed``, which stands for a configuration's and is checked like it."""
+    try:
+        seed = int(text)
+    except ValueError:
+        seed = -1
+    if not 0 <= seed <= 2**62:
+        raise argparse.ArgumentTypeError(f"{text:.40}: give a whole number from 0 to 2^62")
+    return seed
 
 
 class _WantFigures(argparse.Action):
@@ -91,22 +102,9 @@ def write_atomically(path: Path, data: bytes) -> None:
         raise
 
 
-def plain(value: Any) -> Any:
-    """JSON without NaN: figures that are not finite become null."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def write_json(path: Path, value: Any) -> None:
     """Sorted, so that two runs can be compared by eye."""
-    write_atomically(path, (json.dumps(plain(value), indent=2, sort_keys=True) + "\n").encode())
+    write_atomically(path, (to_json(value, sort_keys=True) + "\n").encode())
 
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:

@@ -17,16 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.experiment import ablation, figures, look, report, verdict
-from benchmarks.experiment import procedure as paper_procedure
-from benchmarks.experiment import swivel as paper_swivel
-from benchmarks.experiment.config import STREAM, Config
-from benchmarks.experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
+from benchmarks.paper_experiment import ablation, figures, look, report, verdict
+from benchmarks.paper_experiment import procedure as paper_procedure
+from benchmarks.paper_experiment import swivel as paper_swivel
+from benchmarks.paper_experiment.config import STREAM, Config
+from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.parallel import run_parallel
-from moc_opt.ending import Ending
-from moc_opt.errors import MocOptError
+from moc_opt.errors import BrowserError, MocOptError
 from moc_opt.report.console import console, progress
-from moc_opt.report.errors import BrowserError
+from moc_opt.trace.ending import Ending
 
 
 def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:

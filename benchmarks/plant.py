@@ -20,19 +20,19 @@ from pydantic import Field
 
 from benchmarks import output
 from benchmarks.config import Configuration
-from benchmarks.experiment.config import STREAM
-from benchmarks.experiment.trials import MATCHED, seeds, trials, variant
+from benchmarks.paper_experiment.config import STREAM
+from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
 from benchmarks.parallel import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
-from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, ScenarioError
-from moc_opt.metrics import summarize
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings
-from moc_opt.trace import Trace
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "plant.md"
 

@@ -14,12 +14,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.experiment import ablation
+from benchmarks.latency.goals import GOALS
 from benchmarks.output import fill_section, write_atomically
-from benchmarks.speeds.goals import GOALS
+from benchmarks.paper_experiment import ablation
+from benchmarks.solver_study.closed_loop import BASELINE
+from benchmarks.solver_study.tables import SETTLED
 from benchmarks.statistics import spread
-from benchmarks.study.closed_loop import BASELINE
-from benchmarks.study.tables import SETTLED
 from moc_opt.errors import MocOptError
 
 Summary = Mapping[str, Any]

@@ -15,16 +15,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks import export, output
-from benchmarks.study.config import PARTS, Config
-from benchmarks.study.look import look
-from benchmarks.study.parts import Study
-from benchmarks.study.report import print_tables, write_report
+from benchmarks.solver_study.config import PARTS, Config
+from benchmarks.solver_study.look import look
+from benchmarks.solver_study.parts import Study
+from benchmarks.solver_study.report import print_tables, write_report
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.qp.equalities import expand
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console, progress
 from moc_opt.solvers import available
-from moc_opt.solvers.rows import expand
-from moc_opt.subproblem import NullSpaceQP
 
 
 def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str]]:

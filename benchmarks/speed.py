@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import output
-from benchmarks.speeds.config import Config
-from benchmarks.speeds.report import print_tables, write_report
-from benchmarks.speeds.run import Run
+from benchmarks.latency.config import Config
+from benchmarks.latency.report import print_tables, write_report
+from benchmarks.latency.run import Run
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 

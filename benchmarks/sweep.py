@@ -81,12 +81,12 @@ def sweep(config: Config, out: Path, pool: Pool, work: Work = execute) -> dict[i
     with Store(out, plan) as store:
         said = console(stderr=True)
         for path in store.dropped:
-            said.print(f"damaged, its runs are done again: {path}")
-        todo = np.flatnonzero(~store.done).tolist()
-        if 0 < len(todo) < len(plan):
-            said.print(f"going on: {len(plan) - len(todo)} of {len(plan)} runs are finished")
+            said.print(f"damaged, set aside, its runs are done again: {path}")
+        finished = int(store.done.sum())
+        if 0 < finished < len(plan):
+            said.print(f"going on: {finished} of {len(plan)} runs are finished")
         lost: dict[int, str] = {}
-        if todo:
+        while todo := [i for i in np.flatnonzero(~store.done).tolist() if i not in lost]:
             with pool, progress("sweep", len(todo)) as bar:
 
                 def keep(index: int, result: dict[str, Any]) -> None:
@@ -95,9 +95,11 @@ def sweep(config: Config, out: Path, pool: Pool, work: Work = execute) -> dict[i
                     bar.at(plan.point(index).solver)
 
                 limit = config.run_limit_s
-                lost = run_all(
+                lost |= run_all(
                     pool, todo, lambda i: plan.scenario(i).model_dump(mode="json"), keep, limit, work
                 )
+            if again := store.verify():  # a disk may spoil what it has taken
+                said.print(f"damaged, set aside: {again} runs are done again")
         for index, why in lost.items():
             said.print(f"run {index} ({plan.run_id(index)}): {why}")
         store.finish(lost)

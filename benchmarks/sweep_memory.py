@@ -24,6 +24,7 @@ from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.plan import Plan
 from benchmarks.sweeps.table import BLOCK, rows_schema, whole_parquet
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import to_json
 from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 
@@ -111,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--one", type=Path, help=argparse.SUPPRESS)
     given = options.parse_args(arguments)
     if given.one is not None:
-        print(json.dumps(measure(given.one)))
+        print(to_json(measure(given.one), indent=None))
         return 0
     found: list[dict[str, Any]] = []
     try:

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from benchmarks.output import write_atomically
-from moc_opt.control.manipulability import consistent_wrist_velocity, velocity_damper
+from moc_opt.control.null_space import consistent_wrist_velocity, velocity_damper
 from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import MocOptError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.inputs.files import read_arrays
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.qp.problem import NullSpaceQP, judge
 from moc_opt.scenario import Scenario, run
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP, judge
+from moc_opt.solvers.exact.solver import Exact
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -83,8 +84,11 @@ class TestSet:
             raise CertificateError(
                 f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets"
             )
-        with np.load(path, allow_pickle=False) as file:
-            return cls(name, file["rows"], file["x"], file["feasible"])
+        arrays = read_arrays(path, f"test set {name!r}:", CertificateError)
+        try:
+            return cls(name, arrays["rows"], arrays["x"], arrays["feasible"])
+        except KeyError as error:
+            raise CertificateError(f"test set {name!r}: {path} has no array {error}; make it again") from error
 
 
 def at_pose(

@@ -30,14 +30,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks import output
-from benchmarks.experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.experiment.verdict import effect
+from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
+from benchmarks.paper_experiment.verdict import effect
 from benchmarks.parallel import run_parallel
 from benchmarks.tune_space import Candidate, Config, Range, Values, draw
-from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
+from moc_opt.trace.ending import Ending
 
 SOLVER = "exact"
 ERRORS = ("tip_error_model_mean_mm", "rcm_error_model_mean_mm")
@@ -175,7 +175,7 @@ def row(part: str, entry: Score) -> dict[str, Any]:
 
 def preset(winner: Score) -> str:
     """The winner as it stands in a scenario."""
-    lines = [f"{name} = {json.dumps(value)}" for name, value in winner.candidate.control.items()]
+    lines = [f"{name} = {json.dumps(value, allow_nan=False)}" for name, value in winner.candidate.control.items()]
     return "\n".join(["[control]", *lines])
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from benchmarks.config import Configuration
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Settings
 
 NEAR = 0.1  # spread of local candidates, in parts of a range
 Values = Mapping[str, float]

@@ -12,17 +12,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from moc_opt import solvers
     from moc_opt.errors import MocOptError
-    from moc_opt.metrics import summarize
-    from moc_opt.model import RobotModel, RobotState, load_robot
+    from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
+    from moc_opt.qp.problem import NullSpaceQP
     from moc_opt.scenario import Scenario, run
-    from moc_opt.subproblem import NullSpaceQP
-    from moc_opt.trace import Trace
+    from moc_opt.trace.metrics import summarize
+    from moc_opt.trace.trace import Trace
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "MocOptError": "errors", "NullSpaceQP": "subproblem", "RobotModel": "model", "RobotState": "model",
-    "Scenario": "scenario", "Trace": "trace", "load_robot": "model", "run": "scenario", "summarize": "metrics",
+    "MocOptError": "errors", "NullSpaceQP": "qp.problem", "RobotModel": "model.robot_model",
+    "RobotState": "model.robot_model", "Scenario": "scenario", "Trace": "trace.trace",
+    "load_robot": "model.robot_model", "run": "scenario", "summarize": "trace.metrics",
 }  # fmt: skip
 
 __all__ = [

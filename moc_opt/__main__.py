@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from moc_opt.errors import MocOptError
+from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
     from moc_opt.scenario import Scenario
-    from moc_opt.trace import Trace
+    from moc_opt.trace.trace import Trace
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -22,12 +24,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
         epilog="Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, "
-        "and what is printed says so first.",
+        "and what is printed says so first; 130 interrupted, 1 a defect: with --trace the rows so far are there.",
     )  # fmt: skip
     one.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario runs")
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
-    one.add_argument("--trace", type=Path, help="save the trace here (Parquet)")
+    one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
@@ -66,19 +68,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
             return serve(scenario, host=given.host, port=given.port, public=given.public)
         return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json)
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
+    except (MocOptError, MemoryError) as error:
+        print(_one_line(error), file=sys.stderr)
         return 2
+    except KeyboardInterrupt as error:
+        print(_one_line(error), file=sys.stderr)
+        return 130
+    except Exception as error:
+        if not hasattr(error, "__notes__"):
+            raise
+        print(_one_line(error), file=sys.stderr)  # a defect, in a run whose rows are safe
+        return 1
+
+
+def _one_line(error: BaseException) -> str:
+    """What went wrong, and where what there is of the run is to be found."""
+    said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
+    where = ""
+    if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):
+        at = traceback.extract_tb(error.__traceback__)[-1]
+        said, where = describe(error), f" ({Path(at.filename).name}:{at.lineno})"
+    return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
 def run_scenario(
     path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool
 ) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.metrics import summarize
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
+    from moc_opt.trace.metrics import summarize
 
     scenario = Scenario() if path is None else Scenario.load(path)
     if seed is not None:
@@ -89,16 +109,18 @@ def run_scenario(
     ticks = len(setup.times())
     with progress(scenario.name, ticks) as bar:
         try:
-            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None)
+            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
         except RunAway as error:
             trace = error.trace
-    if trace_to is not None:
-        trace.save(trace_to)
     ended = str(trace.meta["ended"])
+    if "earlier_run" in trace.meta:
+        print(f"{scenario.name}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{scenario.name}: {line}", file=sys.stderr)
-    baseline = _matched_dcac(scenario, len(trace)) if scenario.control.law == "moc" else None
-    metrics = summarize(trace, baseline)
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
+        beside = None if trace_to is None else Path(folder, "dcac.parquet")
+        baseline = _matched_dcac(scenario, len(trace), beside) if scenario.control.law == "moc" else None
+        metrics = summarize(trace, baseline)
     if as_json:
         print_json(run_json(trace, metrics))
     else:
@@ -106,20 +128,18 @@ def run_scenario(
     return 0 if ended == "completed" else 3
 
 
-def _matched_dcac(scenario: Scenario, ticks: int) -> Trace | None:
+def _matched_dcac(scenario: Scenario, ticks: int, to: Path | None) -> Trace | None:
     """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    import numpy as np
-
     from moc_opt.scenario import RunAway, run
 
     try:
-        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0))
+        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0), to=to)
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:
         print(f"{scenario.name}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
         return None
-    return trace.select(np.arange(len(trace)) < ticks)
+    return trace.head(ticks)
 
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
@@ -136,8 +156,8 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
 
 def export_c(path: Path | None, out: Path) -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
-    from moc_opt.exported import export_scenario
     from moc_opt.scenario import Scenario
+    from moc_opt.scenario.exported import export_scenario
 
     files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
     for file in files:

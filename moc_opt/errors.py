@@ -54,10 +54,22 @@ class UnknownNameError(MocOptError, LookupError):
             valid: every name that would have worked.
         """
         names = sorted(valid)
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(name[:100], names, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {name!r}: {hint}valid names: {', '.join(names)}")
+        super().__init__(f"unknown {kind} {shown(name)}: {hint}valid names: {', '.join(names)}")
         self.kind, self.name, self.valid = kind, name, names
+
+
+def shown(value: object, most: int = 200) -> str:
+    """The value as a message shows it, in at most ``most`` characters, whatever its size.
+
+    An integer of thousands of digits has no text, and neither has a list nested a thousand deep.
+    """
+    try:
+        text = repr(value)
+    except Exception as reason:  # noqa: BLE001 - a value's text is foreign code, too
+        text = f"({type(value).__name__} that cannot be written: {type(reason).__name__})"
+    return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def describe(error: BaseException, most: int = 300) -> str:
@@ -68,3 +80,15 @@ def describe(error: BaseException, most: int = 300) -> str:
         said = f"(its text raised {type(worse).__name__})"
     text = f"{type(error).__name__}: {said}" if said else type(error).__name__
     return text if len(text) <= most else text[: most - 3] + "..."
+
+
+class ReportError(MocOptError, ValueError):
+    """A table, figure or page cannot be made from these data, or not be written."""
+
+
+class BrowserError(ReportError):
+    """A browser cannot be driven here; the message holds the cure."""
+
+
+class BrowserMissingError(BrowserError):
+    """There is none, or nothing to drive it with; the message holds what to install."""

@@ -13,7 +13,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 import moc_opt
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model.robot_model import RobotModel, load_robot
 
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
@@ -52,8 +52,8 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture(scope="module")
 def chromium() -> Iterator[Any]:
     """A headless browser for the module."""
+    from moc_opt.errors import BrowserMissingError
     from moc_opt.report import export  # late: few tests draw
-    from moc_opt.report.errors import BrowserMissingError
 
     try:
         with export.browser() as running:

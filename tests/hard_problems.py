@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 from tests.problems import Arm, random_problem
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.arms import Arm, problem_of, random_arm, random_box, rotation, smooth_sequence, unit
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
 __all__ = [

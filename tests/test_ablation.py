@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from benchmarks.experiment import ablation
-from benchmarks.experiment.ablation import ALL, Ablation, Case
-from benchmarks.experiment.config import Config
-from benchmarks.experiment.report import ablation_table
-from benchmarks.experiment.trials import DAMPED, MATCHED, Measurement, variant
-from benchmarks.experiment.verdict import CLAIMS
 from benchmarks.output import default_config
+from benchmarks.paper_experiment import ablation
+from benchmarks.paper_experiment.ablation import ALL, Ablation, Case
+from benchmarks.paper_experiment.config import Config
+from benchmarks.paper_experiment.report import ablation_table
+from benchmarks.paper_experiment.trials import DAMPED, MATCHED, Measurement, variant
+from benchmarks.paper_experiment.verdict import CLAIMS
 from moc_opt import scenario
 from moc_opt.control import ControlSettings
 from moc_opt.errors import PlantError, UnknownNameError
-from moc_opt.metrics import summarize
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
+from moc_opt.trace.metrics import summarize
 
 SHORT = Scenario(judge=False, duration_s=0.3, control={"preset": "paper"})
 

@@ -4,18 +4,18 @@ import cv2
 import numpy as np
 import pytest
 
-from moc_opt.augmented import Augmented
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.driver import Driver
 from moc_opt.errors import TaskError
-from moc_opt.placing import pose_through
+from moc_opt.model.inverse_kinematics import pose_through
+from moc_opt.scenario.driver import Driver
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import simulate
-from moc_opt.sim.view import BoardSettings, CameraSettings
 from moc_opt.tasks import Reference
-from moc_opt.tasks.board import BOARD_TASKS, board_below
-from moc_opt.tasks.pose import Pose
 from moc_opt.tasks.waiting import WaitingReference, flags_at
+from moc_opt.vision.augmented_reality import Augmented
+from moc_opt.vision.board import BOARD_TASKS, board_below
+from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import BoardSettings, CameraSettings
 
 DRAWN = CameraSettings(source="drawn", rate_Hz=20.0, calibration_error_m=0.0, calibration_error_deg=0.0)
 CIRCLE = BOARD_TASKS["circle"]

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError, UnknownNameError
-from moc_opt.tasks.board import BOARD_TASKS, Board, BoardTask, board_below, board_task
-from moc_opt.tasks.pose import Pose, rotation_from
+from moc_opt.vision.board import BOARD_TASKS, Board, BoardTask, board_below, board_task
+from moc_opt.vision.pose import Pose, rotation_from
 
 BOARD = Board()
 SMALL = st.floats(-1.0, 1.0)

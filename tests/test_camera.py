@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError, UnknownNameError
-from moc_opt.sim.camera import Camera, Sensor, hide
-from moc_opt.sim.view import BoardSettings, CameraSettings, TrackerSettings
-from moc_opt.tasks.board import Board
-from moc_opt.tasks.pose import Pose, rotation_from
+from moc_opt.vision.board import Board
+from moc_opt.vision.camera import Camera, Sensor, hide
+from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.settings import BoardSettings, CameraSettings, TrackerSettings
 
 PHANTOM = Pose(rotation_from((0.1, 0.2, 0.3)), (0.6, 0.1, 0.05))
 CAMERA = Camera.above(CameraSettings(), PHANTOM)

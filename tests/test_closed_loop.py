@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.study import closed_loop
-from benchmarks.study.closed_loop import (
+from benchmarks.solver_study import closed_loop
+from benchmarks.solver_study.closed_loop import (
     BASELINE,
     Run,
     combined,
@@ -16,10 +16,10 @@ from benchmarks.study.closed_loop import (
     trials,
     variant,
 )
-from benchmarks.study.store import Store
-from benchmarks.study.worker import Worker
-from moc_opt.metrics import summarize
+from benchmarks.solver_study.store import Store
+from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario, run
+from moc_opt.trace.metrics import summarize
 from tests import broken_solvers
 
 SHORT = Scenario(duration_s=0.1, bound_samples=2)

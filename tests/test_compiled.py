@@ -7,7 +7,7 @@ import pytest
 from numba import float64, njit
 from numba.core.errors import TypingError
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry, borrowed
 
 
 def scaled_sums():

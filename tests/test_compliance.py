@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from moc_opt.control import tick
-from moc_opt.control.compliance import compliance_force, task_inertia
-from moc_opt.control.dense import cholesky
+from moc_opt.control.tip_impedance import compliance_force, task_inertia
+from moc_opt.numerics.dense import cholesky
 
 GAINS = np.array([3000.0, 80.0, 0.0, 0.0, 80.0, 1.0])  # no level 2
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])

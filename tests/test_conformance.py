@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Solver, Status, create
 from moc_opt.solvers.base import TruncatingSession, UpdatingSession
 from moc_opt.solvers.registry import available
-from moc_opt.subproblem import NullSpaceQP
 from tests.hard_problems import hard_problems
 from tests.problems import infeasible_problem, random_arm, random_problem, smooth_sequence
 
@@ -50,7 +50,7 @@ class Expect:
 
 
 NLP = Expect(
-    # Another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp).
+    # Another problem: curvature within one period moves the optimum (docstring of moc_opt.solvers.nlp.nlp).
     # The relative residual counts the reduced gradient, a fraction of the whole one where mu is nearly largest.
     primal=1e-2, relative=3e-2, loss=0.02, natural=1e-4, x=0.6, gap=0.1, arm=True,
 )
@@ -78,7 +78,7 @@ EXPECT = {
     # Our limit of 0.1 s is for a control loop; here a busy machine must not decide.
     "qpsolvers:highs": Expect({"options": {"time_limit": 30.0}}, certified=0.0),
     "qpsolvers:piqp": Expect(certified=0.85),  # the others end as MAX_ITER
-    "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.qpsolvers.ADVICE
+    "qpsolvers:proxqp": Expect(solved=0.85, undamped=0.7),  # see moc_opt.solvers.backends.qpsolvers.ADVICE
     "qpsolvers:quadprog": Expect(undamped=None),  # needs P > 0
 }
 

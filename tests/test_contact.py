@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError, UnknownNameError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.contact import Pushes, add_force, load_bodies, shaft_force

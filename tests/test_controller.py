@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings, tick
-from moc_opt.control.manipulability import least_violation, null_space
+from moc_opt.control.null_space import least_violation, null_space
 from moc_opt.errors import ControlError
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
@@ -160,7 +160,8 @@ def test_speed_fraction_narrows_the_box(robot):
         controller, _, tip_ref, trocar = started(robot, state=state, speed_fraction=fraction)
         controller.tick(state, tip_ref, trocar)
         qp = controller.subproblem
-        below, above = robot.q_min + 0.045 - state.q, robot.q_max - 0.045 - state.q
+        margin = ControlSettings().limit_margin_rad
+        below, above = robot.q_min + margin - state.q, robot.q_max - margin - state.q
         np.testing.assert_allclose(qp.upper, np.minimum(fraction * robot.v_max, 2.0 * above))
         np.testing.assert_allclose(qp.lower, np.maximum(-fraction * robot.v_max, 2.0 * below))
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.report.courses import CLOSE_RAD, NEAR, End, Reading, alike, read_course
-from moc_opt.report.map import FEASIBLE, UNREACHABLE, Course, SwivelMap
+from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, Course, SwivelMap
+from moc_opt.redundancy.map_analysis import CLOSE_RAD, NEAR, End, Reading, alike, read_course
 
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)

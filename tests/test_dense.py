@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control import dense
+from moc_opt.numerics import dense
 
 SEEDS = st.integers(0, 2**32 - 1)
 SIZES = st.integers(1, 9)

@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.guard import GuardSettings
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.control.settings import PAPER
 from moc_opt.control.supervisor import SupervisorSettings
-from moc_opt.driver import Driver
 from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
@@ -31,14 +30,15 @@ from moc_opt.embedded.layout import layout
 from moc_opt.embedded.support import GUARDED, OBEYED, SUPERVISED, check_guard
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.errors import ControlError, RobotError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.qp.problem import judge
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario.driver import Driver
 from moc_opt.sim.loop import Brain, simulate
 from moc_opt.solvers.base import Solver, Status
-from moc_opt.solvers.elimination import EMPTY, OK, STUCK
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import judge
-from moc_opt.trace import Trace
+from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
+from moc_opt.solvers.exact.solver import Exact
+from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]

@@ -17,8 +17,8 @@ from moc_opt.control import ControlSettings
 from moc_opt.embedded import guarded, operations
 from moc_opt.embedded.guarded import GuardedController
 from moc_opt.embedded.symbolic import build_tick
-from moc_opt.model import RobotModel
-from moc_opt.solvers.exact import Exact
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.solvers.exact.solver import Exact
 
 Array = NDArray[np.float64]
 COUNTED = Path(__file__).with_name("counted.h")

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.answers import answer_residuals
-from moc_opt.control.manipulability import into_the_box, null_space
+from moc_opt.control.null_space import into_the_box, null_space
+from moc_opt.control.solution_check import answer_residuals
 from moc_opt.embedded.guarded import GuardedController
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.solvers.exact.solver import Exact
 
 Array = NDArray[np.float64]
 Library = ctypes.CDLL

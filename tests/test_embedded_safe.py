@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 import moc_opt.sim.loop
-from moc_opt.control.guard import Guard
-from moc_opt.driver import Driver
+from moc_opt.control.safety_filter import Guard
 from moc_opt.embedded.guarded import FAULTS, GuardedController
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import Scenario, Setup, make_guard
+from moc_opt.scenario.driver import Driver
 from moc_opt.sim.safe import Safe
 from moc_opt.sim.sensors import Measurement
 

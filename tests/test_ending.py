@@ -2,7 +2,7 @@
 
 import pytest
 
-from moc_opt.ending import Ending
+from moc_opt.trace.ending import Ending
 
 
 @pytest.mark.parametrize(

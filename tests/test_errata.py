@@ -8,18 +8,18 @@ import pytest
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
-from moc_opt.control.compliance import task_inertia
-from moc_opt.control.dense import cholesky
-from moc_opt.control.manipulability import (
+from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     null_space,
     self_motion_torque,
     velocity_damper,
 )
 from moc_opt.control.settings import ControlSettings
+from moc_opt.control.tip_impedance import task_inertia
+from moc_opt.numerics.dense import cholesky
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
-from moc_opt.subproblem import NullSpaceQP
-from moc_opt.tasks.board import BOARD_TASKS
+from moc_opt.vision.board import BOARD_TASKS
 
 PAPER = ControlSettings.paper()  # c0 = c1 = 0.01, c2 = 0.001, rho = 0, k0 = 0.1
 K = 0.1  # the paper's gain of the network

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import errata, errata_numbers
-from moc_opt.tasks.board import BOARD_TASKS
+from moc_opt.vision.board import BOARD_TASKS
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import linprog
 
-from benchmarks.speeds.solve import random_problems
+from benchmarks.latency.solve import random_problems
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP, judge
 from moc_opt.solvers import Status, create
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP, judge
+from moc_opt.solvers.exact.solver import Exact
 from tests.hard_problems import nearly_singular, rounded
 from tests.problems import infeasible_problem, random_problem
 

@@ -13,8 +13,8 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.embedded.compiler import FLAGS, find_compiler
 from moc_opt.errors import ControlError, ScenarioError
-from moc_opt.exported import Exported, export_scenario
 from moc_opt.scenario import Scenario
+from moc_opt.scenario.exported import Exported, export_scenario
 
 STATES = 50_000
 STRICT = f"CFLAGS={' '.join(FLAGS)} -Werror"

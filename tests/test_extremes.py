@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog, nnls
 
-from moc_opt import extremes as module
-from moc_opt.extremes import extremes, nearest, nonnegative_least_squares
+from moc_opt.qp import extremes as module
+from moc_opt.qp.extremes import extremes, nearest, nonnegative_least_squares
 
 SHAPES = st.sampled_from([(2, 1), (5, 2), (7, 2), (8, 3), (9, 4), (10, 5), (16, 11)])
 

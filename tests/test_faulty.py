@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP, judge
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty, InjectedFault, draw
-from moc_opt.subproblem import NullSpaceQP, judge
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,11 @@
 import contextlib
 import io
 import json
+import os
 import pickle
 import signal
+import time
+from collections import Counter
 
 import numpy as np
 import pyarrow as pa
@@ -15,15 +18,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.reliability import fuzz_c, fuzz_checks
+from benchmarks.reliability import fuzz_c, fuzz_checks, fuzz_files, limits
 from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
-from moc_opt.subproblem import NullSpaceQP
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 
@@ -31,7 +34,8 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40), ("exported", 60)],
+     ("record_file", 40), ("exported", 60), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
+     ("extreme_number", 80), ("sweep_folder", 40), ("study_folder", 40), ("trace_folder", 40)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
     if kind == "exported" and not fuzz.has_compiler():
@@ -39,9 +43,40 @@ def test_bad_input_ends_well(kind, cases):
     verdicts, failures = fuzz.explore(kind, cases, 7, lambda: None)
     assert failures == []
     assert verdicts.total() >= cases
-    assert verdicts["refused"] > 0
+    assert verdicts["refused"] > 0 or kind == "sweep_folder"  # which always goes on to the whole
     if kind != "record_file":
         assert verdicts["accepted"] > 0  # or nothing behind the first check was looked at
+
+
+def stubborn(kind, cases, seed, done):
+    """What the limited process does with cases of its own; see the test below."""
+    if kind == "dies":
+        os._exit(9)
+    if kind == "hangs":
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
+        done()
+        time.sleep(600.0)
+    if kind == "memory":
+        with contextlib.suppress(MemoryError):
+            return Counter(accepted=len(bytearray(3 * 2**30))), []
+        return Counter(refused=cases), []
+    done()
+    return Counter(accepted=cases), ["one"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "verdicts", "failures"),
+    [
+        ("ends", {"accepted": 5}, ["one"]), ("memory", {"refused": 5}, []),
+        ("dies", {}, ["status 9"] * limits.MOST_DEATHS), ("hangs", {"accepted": 3}, ["hung"] * limits.MOST_DEATHS),
+    ],
+)  # fmt: skip
+def test_a_case_that_kills_or_stops_the_process_is_a_failure(kind, verdicts, failures, monkeypatch):
+    monkeypatch.setattr(limits, "GRACE_S", 1.0)
+    found, said = limits.limited(stubborn, kind, 5, 0, lambda: None, 1.0)
+    assert +found == Counter(verdicts)
+    assert len(said) == len(failures)
+    assert all(wanted in text for wanted, text in zip(failures, said, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -87,7 +122,9 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         == 0
     )
     assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
-    assert set(fuzz.KINDS) == set(STRATEGIES)
+    assert set(fuzz.KINDS) >= {*STRATEGIES, *fuzz_files.STRATEGIES}
+    assert all(callable(fuzz.lookup(kind)[0]) for kind in fuzz.KINDS)
+    monkeypatch.setattr(fuzz, "limited", lambda explore, *of: explore(*of[:-1]))  # here, where it can be changed
     monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
     assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
@@ -120,7 +157,7 @@ def test_absurd_sizes_are_refused_by_name(table):
 
 
 def test_absurd_gains_end_in_a_stop():
-    trace = run(Scenario(control={"K_X": 1e300}, **{**SHORT, "duration_s": 0.2}))
+    trace = run(Scenario(control={"K_X": 1e30}, **{**SHORT, "duration_s": 0.2}))
     assert trace.meta["ended"].startswith("stopped")
 
 
@@ -134,16 +171,19 @@ def test_an_arm_that_runs_away_leaves_no_log(robot, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "\x00", "con"])
-def test_a_name_is_no_place_to_write(name, tmp_path, monkeypatch, capsys):
-    """A run writes the file that was asked for, and no other, whatever its scenario is called."""
+@pytest.mark.parametrize(
+    ("name", "code"), [("../../x", 2), ("/tmp/x", 2), ("..", 2), ("\x00", 2), ("con", 0), ("a/b/c", 0)]
+)
+def test_a_name_is_no_place_to_write(name, code, tmp_path, monkeypatch, capsys):
+    """A run writes the file that was asked for, and no other, whatever its scenario is called; no name, no run."""
     inside = tmp_path / "a" / "b"
     inside.mkdir(parents=True)
     monkeypatch.chdir(inside)
     file = tmp_path / "scenario.toml"
     file.write_text(f"name = {json.dumps(name)}\nduration_s = 0.004\nbound_samples = 0\njudge = false\n")
-    assert main(["run", str(file), "--trace", "out.parquet"]) == 0, capsys.readouterr().err
-    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file, inside / "out.parquet"}
+    assert main(["run", str(file), "--trace", "out.parquet"]) == code, capsys.readouterr().err
+    written = {inside / "out.parquet"} if code == 0 else set()
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == {file} | written
 
 
 @pytest.mark.parametrize(
@@ -178,7 +218,7 @@ def test_a_parquet_file_runs_no_code(tmp_path):
         schema = pa.schema(
             [field],
             metadata={
-                "moc_opt.trace": "1",
+                "moc_opt.trace.trace": "1",
                 "moc_opt.types": types,
                 "moc_opt.meta": "{}",
                 "pandas": bomb,
@@ -211,7 +251,7 @@ def test_a_parquet_file_of_many_rows_is_not_unpacked(tmp_path):
 )
 def test_hostile_types_are_refused(types, tmp_path):
     table = pa.table({"t_s": pa.array(["x", "y"])})
-    keys = {"moc_opt.trace": "1", "moc_opt.types": json.dumps(types), "moc_opt.meta": "{}"}
+    keys = {"moc_opt.trace.trace": "1", "moc_opt.types": json.dumps(types), "moc_opt.meta": "{}"}
     pq.write_table(table.replace_schema_metadata(keys), tmp_path / "t.parquet")
     with pytest.raises(TraceError, match=r"t\.parquet|t_s"):
         Trace.load(tmp_path / "t.parquet")
@@ -240,7 +280,8 @@ def test_toml_is_data(tmp_path):
     """No references, tags or templates: a text stays one, in an error too."""
     file = tmp_path / "s.toml"
     file.write_text('name = "${HOME} {0.__class__} !!python/object"\n')
-    assert Scenario.load(file).name == "${HOME} {0.__class__} !!python/object"
+    with pytest.raises(ScenarioError, match=r"name = '\$\{HOME\} \{0\.__class__\} !!python/object'.* is no name"):
+        Scenario.load(file)
     file.write_text('[control]\npreset = "{0.__class__} %s"\n')
     with pytest.raises(MocOptError, match=r"s\.toml.*__class__} %s"):
         Scenario.load(file)

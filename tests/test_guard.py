@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.control.guard import Guard, GuardSettings, limit_torque
+from moc_opt.control.safety_filter import Guard, GuardSettings, limit_torque
 from moc_opt.errors import ControlError
 
 PERIOD = 0.002

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.guard import Guard, GuardSettings
-from moc_opt.control.guard_kernels import believable, limit_torque, squared_error
+from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_kernels import believable, limit_torque, squared_error
 from moc_opt.errors import ControlError
 
 PERIOD = 0.002

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.control.guard import Guard, GuardSettings
-from moc_opt.driver import Driver
+from moc_opt.control.safety_filter import Guard, GuardSettings
 from moc_opt.errors import ControlError, PlantError
 from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.scenario.driver import Driver
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import RunAway, Stop, simulate
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 PERIOD = 0.002
 N = 7

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt.control.handguiding import HandGuiding
+from moc_opt.control.hand_guiding import HandGuiding
 from moc_opt.errors import ControlError
 from moc_opt.sim import Plant, PlantSettings
 

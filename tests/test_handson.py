@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import TaskError
-from moc_opt.handson import HandsOnSettings, HandsOnStatus, guide_to
+from moc_opt.procedure.hands_on import HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.hand import HandSettings
 

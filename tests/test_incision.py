@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.guard import Guard, GuardSettings
 from moc_opt.control.incision import SHORTEST_DEPTH_M, rcm_error, trocar_force
+from moc_opt.control.safety_filter import Guard, GuardSettings
 from moc_opt.errors import ControlError
 from moc_opt.tasks import shaft_distance
 

@@ -4,8 +4,8 @@
 import numpy as np
 import pytest
 
-from moc_opt.control.guard import GuardSettings
 from moc_opt.control.incision import trocar_force
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, run
 

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from numba import njit
 from numba.core.errors import TypingError
 
-from moc_opt import lanes
+from moc_opt.numerics import simd as lanes
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([0.0, np.inf, -np.inf, np.nan])
 EIGHT = arrays(float, 8, elements=NUMBERS)

@@ -17,8 +17,8 @@ from moc_opt.live.history import QUANTITIES, History, thinned
 from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
 from moc_opt.live.orders import DCAC
 from moc_opt.live.run import HISTORY_S
-from moc_opt.model import RobotModel
-from moc_opt.report.swivel import Elbow
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.tasks import Trocar
 
@@ -307,7 +307,7 @@ def test_this_machine_is_allowed(host: str) -> None:
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.0.2.7", "0", "::ffff:0.0.0.0", "10.0.0.1"])
 def test_all_others_need_consent(host: str) -> None:
-    with pytest.raises(LiveError, match=f"password.*{CONSENT}"):
+    with pytest.raises(LiveError, match=f"not encrypted.*{CONSENT}"):
         checked_address(host)
 
 

@@ -157,7 +157,7 @@ def page(chromium: Any, live: LivePage) -> Iterator[Any]:
     opened.close()
     assert trouble == []
     assert [
-        url for url in requests if not url.removeprefix("blob:").startswith(live.url) and url[:5] != "data:"
+        url for url in requests if not url.removeprefix("blob:").startswith(live.address) and url[:5] != "data:"
     ] == []
 
 

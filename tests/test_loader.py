@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.solvers.loader import Loader, lift_duals
-from moc_opt.solvers.rows import equalities
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.equalities import equalities
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.backends.buffers import Loader, lift_duals
 from tests.problems import random_problem
 
 

@@ -12,17 +12,17 @@ import pytest
 
 import moc_opt as mo
 from benchmarks import look
-from benchmarks.experiment import look as paper_look
-from benchmarks.experiment.trials import BASELINES, MATCHED, Measurement, Outcome
-from benchmarks.study import look as solvers_look
-from benchmarks.study.closed_loop import BASELINE, POSES_EVERY, Run, finish
+from benchmarks.paper_experiment import look as paper_look
+from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Measurement, Outcome
+from benchmarks.solver_study import look as solvers_look
+from benchmarks.solver_study.closed_loop import BASELINE, POSES_EVERY, Run, finish
+from moc_opt.errors import BrowserMissingError
+from moc_opt.redundancy.map_analysis import End
 from moc_opt.report import export
-from moc_opt.report.courses import End
-from moc_opt.report.errors import BrowserMissingError
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 from tests.test_replay import Visit
 
 TRIAL = Scenario(duration_s=1.0, judge=False, bound_samples=0, start={"swivel": 0.2}, name="circle/0")

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.errors import RobotError
-from moc_opt.model import RobotModel
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError, RobotError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
+from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.report.figures.style import BAD
-from moc_opt.report.map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
 from moc_opt.report.map_figure import map_figure
-from moc_opt.report.swivel import Elbow
 from moc_opt.scenario import Scenario
-from moc_opt.selfmotion import self_motion
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from moc_opt import __main__ as command
-from moc_opt.report.courses import End, Reading
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
+from moc_opt.redundancy.map_analysis import End, Reading
 from moc_opt.report.map_page import MOST_LINES, add_map, course_table, end_in_words, in_words, lines, load_map
 from moc_opt.report.page import Page
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 from tests.test_courses import hill, made, ramp
 
 NAN = float("nan")

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from moc_opt.sim.camera import Camera, Scene
-from moc_opt.sim.markers import BoardFinder, board_picture, texture_matrix
-from moc_opt.sim.pinhole import DrawnView
-from moc_opt.sim.view import CameraSettings
-from moc_opt.tasks.board import Board
-from moc_opt.tasks.pose import Pose, rotation_from
+from moc_opt.vision.board import Board
+from moc_opt.vision.camera import Camera, Scene
+from moc_opt.vision.markers import BoardFinder, board_picture, texture_matrix
+from moc_opt.vision.pinhole import DrawnView
+from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.settings import CameraSettings
 
 BOARD = Board()
 CLEAN = CameraSettings(source="drawn", noise=0.0, blur_px=0.0)

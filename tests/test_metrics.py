@@ -12,10 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt import metrics
 from moc_opt.errors import TraceError, UnknownNameError
-from moc_opt.metrics import METRICS, metric, summarize
-from moc_opt.trace import MissingDataError, Trace
+from moc_opt.trace import metrics
+from moc_opt.trace.metrics import METRICS, metric, summarize
+from moc_opt.trace.trace import MissingDataError, Trace
 
 NAN = math.nan
 

@@ -13,9 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from moc_opt import model_kernels as kernels
 from moc_opt.errors import RobotError
-from moc_opt.model import RobotModel, RobotState, load_robot
+from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
 from tests.conftest import Draw
 
 Array = NDArray[np.float64]

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control import motion_kernels as kernels
-from moc_opt.control.guard import Guard, GuardSettings
 from moc_opt.control.motion import MotionSettings, MotionWatch
 from moc_opt.control.motion_kernels import FRESH, OLD, REPEAT
+from moc_opt.control.safety_filter import Guard, GuardSettings
 
 PERIOD, PATIENCE, N = 0.002, 3, 7
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status, create
-from moc_opt.solvers.nlp import SQP, Fatrop, Ipopt, program
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.solvers.nlp.nlp import SQP, Fatrop, Ipopt, program
 from tests.problems import infeasible_problem, problem_of, random_arm, random_problem
 
 ARM = random_arm(np.random.default_rng(3))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks.study.config import Config, OpenLoop
-from benchmarks.study.open_loop import expand, record
-from benchmarks.study.parts import Study
+from benchmarks.solver_study.config import Config, OpenLoop
+from benchmarks.solver_study.open_loop import expand, record
+from benchmarks.solver_study.parts import Study
 from moc_opt.scenario import Scenario, run
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from moc_opt import optimality
-from moc_opt.optimality import Residuals
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP, judge
+from moc_opt.qp import residuals as optimality
+from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.residuals import Residuals
+from moc_opt.solvers.exact.solver import Exact
 from tests.hard_problems import rounded
 from tests.problems import random_problem
 from tests.wrong_answers import corners, cost, kernel, wrong_corners

@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt.errors import SolverError
 from moc_opt.solvers import Status
-from moc_opt.solvers.osqp import OSQP
+from moc_opt.solvers.backends.osqp import OSQP
 from tests.problems import random_problem, smooth_sequence
 
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import PlantError
-from moc_opt.sim.camera import Camera
-from moc_opt.sim.overlay import DONE, TASK, TIP, TROCAR, Overlay, save_picture, save_video
-from moc_opt.sim.view import CameraSettings
-from moc_opt.tasks.pose import Pose
+from moc_opt.vision.camera import Camera
+from moc_opt.vision.overlay import DONE, TASK, TIP, TROCAR, Overlay, save_picture, save_video
+from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import CameraSettings
 
 PHANTOM = Pose(np.eye(3), (0.6, 0.0, 0.05))
 CAMERA = Camera.above(CameraSettings(), PHANTOM)

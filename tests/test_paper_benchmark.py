@@ -7,12 +7,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import paper
-from benchmarks.experiment import figures, report, swivel, verdict
-from benchmarks.experiment import procedure as paper_procedure
-from benchmarks.experiment import trials as paper_trials
-from benchmarks.experiment.config import Config
-from benchmarks.experiment.procedure import ProcedureJob, ProcedureSettings
-from benchmarks.experiment.trials import (
+from benchmarks.output import default_config
+from benchmarks.paper_experiment import figures, report, swivel, verdict
+from benchmarks.paper_experiment import procedure as paper_procedure
+from benchmarks.paper_experiment import trials as paper_trials
+from benchmarks.paper_experiment.config import Config
+from benchmarks.paper_experiment.procedure import ProcedureJob, ProcedureSettings
+from benchmarks.paper_experiment.trials import (
     BASELINES,
     DAMPED,
     MATCHED,
@@ -24,20 +25,18 @@ from benchmarks.experiment.trials import (
     trials,
     variant,
 )
-from benchmarks.experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
-from benchmarks.output import default_config
+from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
 from benchmarks.statistics import Interval
 from moc_opt import scenario
-from moc_opt.errors import PlantError, ScenarioError, UnknownNameError
-from moc_opt.handson import HandsOnSettings
-from moc_opt.report.errors import BrowserError
+from moc_opt.errors import BrowserError, PlantError, ScenarioError, UnknownNameError
+from moc_opt.procedure.hands_on import HandsOnSettings
 from moc_opt.report.export import browser
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.sim.view import BoardSettings, CameraSettings
 from moc_opt.tasks import make_path
-from moc_opt.tasks.board import BOARD_TASKS
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
+from moc_opt.vision.board import BOARD_TASKS
+from moc_opt.vision.settings import BoardSettings, CameraSettings
 
 TINY = """
 tasks = ["circle"]

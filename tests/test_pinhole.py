@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from moc_opt.sim.camera import Camera, Scene
-from moc_opt.sim.markers import BoardFinder
-from moc_opt.sim.pinhole import COVER, STEEL, TISSUE, DrawnView
-from moc_opt.sim.view import CameraSettings
-from moc_opt.tasks.board import Board
-from moc_opt.tasks.pose import Pose
+from moc_opt.vision.board import Board
+from moc_opt.vision.camera import Camera, Scene
+from moc_opt.vision.markers import BoardFinder
+from moc_opt.vision.pinhole import COVER, STEEL, TISSUE, DrawnView
+from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import CameraSettings
 
 BOARD = Board()
 PHANTOM = Pose((np.eye(3)), (0.6, 0.0, 0.05))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import TaskError
-from moc_opt.placing import pose_through, pose_with_tip, solve_pose, wrist_through
+from moc_opt.model.inverse_kinematics import pose_through, pose_with_tip, solve_pose, wrist_through
 from moc_opt.tasks import shaft_distance
 
 

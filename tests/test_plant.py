@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from moc_opt.errors import PlantError, UnknownNameError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.mjcf import build_spec, compile_model
-from moc_opt.tasks.pose import rotation_from
+from moc_opt.vision.pose import rotation_from
 
 DATA = load_data("lwr4")
 MODEL = RobotModel(DATA)

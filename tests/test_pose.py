@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
-from moc_opt.tasks.pose import Pose, looking_at, rotation_from, rotation_vector
+from moc_opt.vision.pose import Pose, looking_at, rotation_from, rotation_vector
 
 COORDINATE = st.floats(-2.0, 2.0)
 VECTOR = st.tuples(COORDINATE, COORDINATE, COORDINATE).map(np.array)

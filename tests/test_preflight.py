@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt import preflight
 from moc_opt.errors import RobotError, ScenarioError, TaskError
-from moc_opt.preflight import check_start, random_start
-from moc_opt.reach import UnreachableError
+from moc_opt.procedure import preflight
+from moc_opt.procedure.preflight import check_start, random_start
+from moc_opt.procedure.reachability import UnreachableError
 from moc_opt.scenario import Scenario, Setup, run
 
 PATHS = ("circle", "sinusoid", "spiral")

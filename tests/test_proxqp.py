@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt.errors import SolverError
 from moc_opt.solvers import Status
-from moc_opt.solvers.proxqp import ProxQP
+from moc_opt.solvers.backends.proxqp import ProxQP
 from tests.problems import infeasible_problem, random_problem, smooth_sequence
 
 COUNT = 100

@@ -11,7 +11,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import MocOptError
-from moc_opt.metrics import METRICS
+from moc_opt.trace.metrics import METRICS
 
 ROOT = Path(__file__).resolve().parent.parent
 NAMES = {

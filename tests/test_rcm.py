@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control import rcm, tick
-from moc_opt.control.compliance import task_inertia
-from moc_opt.control.dense import cholesky
+from moc_opt.control.tip_impedance import task_inertia
+from moc_opt.numerics.dense import cholesky
 from moc_opt.tasks import Trocar, shaft_distance
 
 NO_TIP = np.array([0.0, 0.0, 800.0, 60.0])  # K_X, D_X, K_N, D_N

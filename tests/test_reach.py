@@ -7,15 +7,15 @@ import time
 import numpy as np
 import pytest
 
-from moc_opt import reach
 from moc_opt.errors import TaskError
-from moc_opt.model import RobotModel
-from moc_opt.placing import pose_through
-from moc_opt.reach import UnreachableError, check_reachable
-from moc_opt.selfmotion import self_motion
+from moc_opt.model.inverse_kinematics import pose_through
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.procedure import reachability as reach
+from moc_opt.procedure.reachability import UnreachableError, check_reachable
+from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.tasks import Reference, Trocar, line, make_path, shaft_distance
-from moc_opt.tasks.board import BOARD_TASKS, Board, board_below
 from moc_opt.tasks.sequence import ReferenceSequence
+from moc_opt.vision.board import BOARD_TASKS, Board, board_below
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import PlantError
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
 from moc_opt.robots import load_data
-from moc_opt.sim.camera import Camera, Scene
-from moc_opt.sim.markers import BoardFinder
-from moc_opt.sim.pinhole import DrawnView
-from moc_opt.sim.render import RenderedView, gl_platform
-from moc_opt.sim.view import CameraSettings
-from moc_opt.tasks.board import Board, board_below
+from moc_opt.vision.board import Board, board_below
+from moc_opt.vision.camera import Camera, Scene
+from moc_opt.vision.markers import BoardFinder
+from moc_opt.vision.pinhole import DrawnView
+from moc_opt.vision.render import RenderedView, gl_platform
+from moc_opt.vision.settings import CameraSettings
 
 DATA = load_data("lwr4")
 ROBOT = load_robot("lwr4")

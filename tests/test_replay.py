@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.errors import TraceError
-from moc_opt.model import RobotModel
+from moc_opt.errors import ReportError, TraceError
+from moc_opt.model.frames import link_frames
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.report.document import MAX_BYTES
-from moc_opt.report.errors import ReportError
 from moc_opt.report.replay import Replay, robot_of
-from moc_opt.report.replay.arm import BASE, arm_parts, link_frames
+from moc_opt.report.replay.arm import BASE, arm_parts
 from moc_opt.report.replay.tracks import FRAMES_IN_ALL, FRAMES_PER_S, velocity_ellipsoids
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 
 def wave(robot: RobotModel, ticks: int, *, phase: float = 0.0, start_s: float = 0.0, **columns: Any) -> Trace:

@@ -17,7 +17,7 @@ from moc_opt.report.export import save_figures
 from moc_opt.report.figures.style import DARK, INK
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Missing, Table
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from moc_opt.report.console import console, plain, print_json, progress, track
+from moc_opt.inputs.files import plain
+from moc_opt.report.console import console, print_json, progress, track
 from moc_opt.report.tables import Column, Table
 
 

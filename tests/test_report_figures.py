@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from moc_opt.errors import ReportError
 from moc_opt.report import figures
-from moc_opt.report.errors import ReportError
 from moc_opt.report.figures import labels
 from moc_opt.report.figures.style import DARK, INK
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 Rng = np.random.Generator
 

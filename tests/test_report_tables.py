@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import MocOptError
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import MocOptError, ReportError
 from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit, typeset
 from moc_opt.report.tables import Column, Table
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.base import ObservingSession
-from moc_opt.solvers.rnn import RNN, RNNPrinted, unstable
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.solvers.neural.projection import RNN, RNNPrinted, unstable
 from tests.problems import infeasible_problem, random_problem, smooth_sequence
 
 SEEDS = st.integers(0, 100_000)

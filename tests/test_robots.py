@@ -11,6 +11,7 @@ import pytest
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.robots import available_robots, load_data, loader
+from moc_opt.robots.rebuild import MOST_LINKS
 
 FOLDER = Path(loader.__file__).parent
 URDF = (FOLDER / "lwr4.urdf").read_text(encoding="utf-8")
@@ -133,18 +134,18 @@ def test_unknown_robot_names_the_nearest() -> None:
 
 
 def test_missing_files(tmp_path: Path) -> None:
-    with pytest.raises(RobotError, match="cannot be read"):
+    with pytest.raises(RobotError, match=r"none\.toml.*no such file"):
         load_data(tmp_path / "none.toml")
     with pytest.raises(RobotError, match=r"none\.toml.*does not exist"):
         load_data(tmp_path / "none.urdf")
     with pytest.raises(RobotError, match="neither"):
         load_data(tmp_path / "none.xml")
-    with pytest.raises(RobotError, match=r"urdf .* cannot be read"):
+    with pytest.raises(RobotError, match=r"urdf .*gone\.urdf.*no such file"):
         load_data(write(tmp_path, changed(TOML, '"lwr4.urdf"', '"gone.urdf"')))
 
 
 BAD_TOML = {
-    "not TOML": ('name = "lwr4"', "name = ", "not valid TOML"),
+    "not TOML": ('name = "lwr4"', "name = ", "is not TOML"),
     "unknown table": ("[frames]", "[framse]\nx = 1\n[frames]", "unknown key 'framse': did you mean 'frames'"),
     "unknown key": (
         "last_link",
@@ -158,6 +159,15 @@ BAD_TOML = {
     "no length": ("length_m = 0.30", "length_m = 0.0", r"tool\.length_m = 0\.0"),
     "negative mass": ("mass_kg = 0.3", "mass_kg = -0.3", r"tool\.mass_kg = -0\.3"),
     "nan": ("length_m = 0.30", "length_m = nan", r"tool\.length_m"),
+    "a text for a number": ("length_m = 0.30", 'length_m = "0.30"', r"tool\.length_m = '0\.30'"),
+    "a flag for a number": ("mass_kg = 0.3", "mass_kg = true", r"tool\.mass_kg = True"),
+    "a text in a vector": ("[0.0, 0.0, -0.078]", '[0.0, "0x0", -0.078]', r"frames\.wrist_xyz_m\.1 = '0x0'"),
+    "no such place": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, -1e300]", r"frames\.wrist_xyz_m\.2 = -1e\+300"),
+    "no such limit": ("q_max_deg = [170", "q_max_deg = [1e308", r"limits\.q_max_deg\.0 = 1e\+308"),
+    "no such inertia": ("rotor_inertia_kg_m2 = 0.2", "rotor_inertia_kg_m2 = 1e300", r"rotor_inertia_kg_m2.* = 1e\+300"),
+    "a name that is code": ('name = "lwr4"', "name = '*/ int x; /*'", r"name = '\*/ int x; /\*'.* is no name"),
+    "a link that is code": ('"link_7"', '"a\\\\"', r"frames\.last_link = .*is no name"),
+    "gains that are code": ("[gains.dcac]", '[gains."*/"]', r"gains\.\*/.*is no name"),
     "short vector": ("tau_max_Nm = [176, ", "tau_max_Nm = [", r"limits\.tau_max_Nm has 6 entries.*give 7"),
     "reversed": ("q_min_deg = [-170", "q_min_deg = [171", "joint_1.*is not below"),
     "zero speed": ("v_max_deg_per_s = [110", "v_max_deg_per_s = [0", "v_max of joint 'joint_1' = 0"),
@@ -182,6 +192,12 @@ BAD_URDF = {
     "planar joint": ('"joint_3" type="revolute"', '"joint_3" type="planar"', "joint_3.*'planar'"),
     "missing parent": ('<parent link="link_3"/>', "", "joint_4.*no <parent"),
     "loop": ('<parent link="link_0"/>', '<parent link="link_7"/>', "loop"),
+    "loop aside": (
+        "</robot>",
+        '<link name="x"/><link name="y"/><joint name="a" type="fixed"><parent link="x"/><child link="y"/></joint>'
+        '<joint name="b" type="fixed"><parent link="y"/><child link="x"/></joint></robot>',
+        r"loop at links \['x', 'y'\]",
+    ),
     "branch": (
         "</robot>",
         '<link name="x"/><joint name="side" type="revolute"><parent link="link_1"/><child link="x"/></joint>'
@@ -194,6 +210,23 @@ BAD_URDF = {
     "no mass": ('<mass value="1.7"/>', "", "link_5.*without <mass>"),
     "infinite": ('<mass value="1.7"/>', '<mass value="inf"/>', "link_5.*finite"),
     "indefinite": ('ixx="0.010753"', 'ixx="-0.010753"', "link_5.*positive definite"),
+    "no such body": ('ixx="0.010753"', 'ixx="0.030753"', "link_5.*triangle inequality"),
+    "negative mass": ('<mass value="1.7"/>', '<mass value="-1.7"/>', "link_5.*mass -1.7"),
+    "two inertias": ("<inertial>", "<inertial/><inertial>", "link_0.* 2 <inertial>"),
+    "two links of a name": ('<link name="link_0">', '<link name="link_5"/><link name="link_0">', "2 links named"),
+    "a link hangs on nothing": ("</robot>", '<link name="spare"/></robot>', "spare.*hang on no joint"),
+    "a link on two joints": (
+        "</robot>",
+        '<joint name="x" type="fixed"><parent link="link_1"/><child link="link_5"/></joint></robot>',
+        "both carry link 'link_5'",
+    ),
+    "no such parent": ('<parent link="link_3"/>', '<parent link="link_33"/>', "joint_4.*no such link"),
+    "capital letters": ('<mass value="1.7"/>', '<Mass value="1.7"/>', "link_5.*<Mass>: write <mass> in small letters"),
+    "another attribute": ('rpy="0 0 0"/>', 'ryp="0 0 0"/>', "link_0.*<origin ryp>.*with rpy, xyz alone"),
+    "no direction": ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 0"/>', "joint_1.*give a direction"),
+    "joint name taken": ('"joint_3" type', '"tip_frame" type', "has joints.*tip_frame"),
+    "empty name": ('<link name="link_3">', '<link name="">', "'' is no name"),
+    "a name that ends a comment": ('"joint_3" type', '"*/x();/*" type', "is no name"),
     "name taken": (
         '<link name="link_0">',
         '<link name="tip"/><link name="link_0">',
@@ -207,6 +240,34 @@ def test_bad_urdf_is_explained(case: str, tmp_path: Path) -> None:
     old, new, message = BAD_URDF[case]
     with pytest.raises(RobotError, match=message):
         load_data(write(tmp_path, urdf=changed(URDF, old, new)))
+
+
+@pytest.mark.parametrize("count", [MOST_LINKS, 30_000])
+def test_a_tree_too_deep_for_the_engines_is_refused(count: int, tmp_path: Path) -> None:
+    """Some thousands of links on each other end the process inside of an engine."""
+    chain = "".join(
+        f'<link name="k{i}"/><joint name="f{i}" type="fixed"><parent link="{f"k{i - 1}" if i else "link_7"}"/>'
+        f'<child link="k{i}"/></joint>'
+        for i in range(count)
+    )
+    with pytest.raises(RobotError, match=r"links or joints: an arm has 500 at most|20000 elements .* are the most"):
+        load_data(write(tmp_path, urdf=changed(URDF, "</robot>", chain + "</robot>")))
+
+
+def test_zeros_for_mass_and_inertia_are_a_frame(tmp_path: Path) -> None:
+    """As vendors write them; with a mass of zero alone the file contradicts itself."""
+    zero = " ".join(f'{key}="0.0"' for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    frame = '<link name="x"{}</link><joint name="j" type="fixed"><parent link="link_3"/><child link="x"/></joint>'
+    written = frame.format(f'><inertial><mass value="0"/><inertia {zero}/></inertial>')
+    data = load_data(write(tmp_path, urdf=changed(URDF, "</robot>", written + "</robot>")))
+    plain = load_data(write(tmp_path, urdf=changed(URDF, "</robot>", frame.format(">") + "</robot>")))
+    assert data.urdf == plain.urdf
+
+
+def test_a_link_may_not_have_the_name_that_is_the_base_to_mujoco(tmp_path: Path) -> None:
+    assert load_data(write(tmp_path, urdf=URDF.replace('"link_0"', '"world"'))).n == 7
+    with pytest.raises(RobotError, match=r"joint_3.*a link 'world'.*rename it"):
+        load_data(write(tmp_path, urdf=URDF.replace('"link_3"', '"world"')))
 
 
 def test_entities_are_refused_before_they_are_expanded(tmp_path: Path) -> None:
@@ -234,6 +295,12 @@ def test_degrees_do_not_fit_a_prismatic_joint(tmp_path: Path) -> None:
     urdf = changed(URDF, '"joint_1" type="revolute"', '"joint_1" type="prismatic"')
     with pytest.raises(RobotError, match=r"limits\.q_min_deg is in degrees, but a joint is prismatic"):
         load_data(write(tmp_path, urdf=urdf))
+
+
+@pytest.mark.parametrize("mass", [1e-300, 1e-9])
+def test_a_tool_of_no_mass_is_none(mass: float) -> None:
+    with pytest.raises(RobotError, match=r"tool of .* kg, 0\.3 m, radius 0\.004 m: .*raise tool\.mass_kg"):
+        load_data(tool_mass=mass)
 
 
 def test_a_movable_joint_must_move_some_mass(tmp_path: Path) -> None:

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.solvers.rows import equalities, expand
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.equalities import equalities, expand
+from moc_opt.qp.problem import NullSpaceQP
 from tests.problems import random_problem
 
 

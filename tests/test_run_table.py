@@ -8,7 +8,7 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.report.console import print_json
 from moc_opt.report.run_table import part, run_json, run_table, warnings
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
 

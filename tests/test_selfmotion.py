@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from moc_opt import selfmotion_kernels as kernels
 from moc_opt.errors import RobotError
-from moc_opt.model import RobotModel, load_robot
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.redundancy import continuation as kernels
+from moc_opt.redundancy.self_motion import SelfMotion, self_motion
 from moc_opt.robots import loader
-from moc_opt.selfmotion import SelfMotion, self_motion
 from tests.conftest import Array, Draw
 
 

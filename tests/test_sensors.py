@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import PlantError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
 from moc_opt.sim import Plant, PlantSettings, ToolLoad
 from moc_opt.sim.sensors import Encoders, WrenchSensor

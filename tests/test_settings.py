@@ -1,12 +1,13 @@
 """Settings that speak plainly: frozen, closed, and every error names field, value and range."""
 
+import re
 from typing import ClassVar
 
 import pytest
 from pydantic import Field
 
-from moc_opt.errors import ControlError, ScenarioError, UnknownNameError
-from moc_opt.settings import Settings
+from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
+from moc_opt.inputs.settings import Settings
 
 
 class Inner(Settings):
@@ -83,3 +84,46 @@ def test_long_values_are_cut_short():
     with pytest.raises(ScenarioError) as caught:
         Inner(gain="x" * 10_000)
     assert len(str(caught.value)) < 500
+
+
+# --- numbers of a usable size, in every table ---
+
+
+def every_table():
+    """All classes of settings of the package and of its benchmarks."""
+    import importlib
+    import pkgutil
+
+    import benchmarks
+    import moc_opt
+
+    for package in (moc_opt, benchmarks):
+        for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            if "__main__" not in module.name and ".peers." not in module.name:
+                importlib.import_module(module.name)
+    found, left = [], [Settings]
+    while left:
+        children = left.pop().__subclasses__()
+        found += children
+        left += children
+    return [table for table in found if table.__module__.startswith(("moc_opt.", "benchmarks."))]
+
+
+def test_no_number_of_any_table_may_be_extreme():
+    """Whatever the field's own range: what overflows, vanishes or is listed without end is refused by its name."""
+    tables = every_table()
+    assert len(tables) > 25
+    tried = 0
+    for table in tables:
+        for name, field in table.model_fields.items():
+            kinds = str(field.annotation)
+            integer = "int" in re.findall(r"\w+", kinds) and "float" not in kinds
+            if not integer and "float" not in kinds:
+                continue
+            time = name == "seconds" or (name.endswith("_s") and "_per_" not in name)
+            values = [1e308, -1e308, 1e-300, 10**5000, -(10**5000), [1e308], {"x": 1e308}]
+            for value in values + [2**70, -(2**70), [2**70]] * integer + [1e10] * time:
+                tried += 1
+                with pytest.raises(MocOptError, match=name):
+                    table(**{name: value})
+    assert tried > 800

@@ -8,15 +8,15 @@ import pytest
 
 from benchmarks import solvers
 from benchmarks.output import default_config
-from benchmarks.study import closed_loop
-from benchmarks.study import tables as study_tables
-from benchmarks.study.answers import ask
-from benchmarks.study.cells import Cell, costs_of, load, totals
-from benchmarks.study.config import PARTS, ClosedLoop, Config, TestSets
-from benchmarks.study.parts import Study
-from benchmarks.study.settings import Entry
-from benchmarks.study.store import Part
-from benchmarks.study.tables import headline, tables
+from benchmarks.solver_study import closed_loop
+from benchmarks.solver_study import tables as study_tables
+from benchmarks.solver_study.answers import ask
+from benchmarks.solver_study.cells import Cell, costs_of, load, totals
+from benchmarks.solver_study.config import PARTS, ClosedLoop, Config, TestSets
+from benchmarks.solver_study.parts import Study
+from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.store import Part
+from benchmarks.solver_study.tables import headline, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from tests import broken_solvers
 
@@ -304,7 +304,7 @@ def test_qpbenchmark_stands_beside_ours():
 
 def test_kept_parts_do_not_outlive_what_decides_them():
     """What reads a part is not among the sources of its key; what makes it is."""
-    from benchmarks.study.store import SOURCES
+    from benchmarks.solver_study.store import SOURCES
 
     made = [where.removeprefix("benchmarks.").replace(".", "/") for where in (ask.__module__, Cell.__module__)]
     assert made[0] in SOURCES

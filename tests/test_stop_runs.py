@@ -8,11 +8,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from moc_opt import scenario_tables
-from moc_opt.control.guard import Guard, GuardSettings
+from moc_opt.control.safety_filter import Guard, GuardSettings
 from moc_opt.errors import PlantError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import Scenario, run
+from moc_opt.scenario import config as scenario_tables
 from moc_opt.sim import Plant, PlantSettings
 
 QUICK = {"bound_samples": 0, "judge": False}

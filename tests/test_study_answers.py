@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.study import answers, growth, settings
-from benchmarks.study.answers import Data, Limits, asked, timed
-from benchmarks.study.cells import Cell, asked_all, load, time_figures, totals
-from benchmarks.study.settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
-from benchmarks.study.store import Part, Store
-from benchmarks.study.worker import Worker
+from benchmarks.solver_study import answers, growth, settings
+from benchmarks.solver_study.answers import Data, Limits, asked, timed
+from benchmarks.solver_study.cells import Cell, asked_all, load, time_figures, totals
+from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
+from benchmarks.solver_study.store import Part, Store
+from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
@@ -221,7 +221,7 @@ def test_the_table_names_no_solver_that_does_not_exist():
 
 
 def test_the_page_shows_the_table_as_it_is():
-    """python -m benchmarks.study.settings prints it; solvers that are missing here are missing there."""
+    """python -m benchmarks.solver_study.settings prints it; solvers that are missing here are missing there."""
     page = (Path(__file__).parent.parent / "docs" / "solvers.md").read_text(encoding="utf-8")
     shown = page.partition("<!-- settings -->\n")[2].partition("\n<!-- settings end -->")[0].splitlines()
     assert len(shown) > 30

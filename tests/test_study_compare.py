@@ -6,11 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from benchmarks.study import compare
-from benchmarks.study.cells import load
-from benchmarks.study.compare import correlations, disagreements, dual_distances, profile, ranks, verdict
+from benchmarks.solver_study import compare
+from benchmarks.solver_study.cells import load
+from benchmarks.solver_study.compare import (
+    correlations,
+    disagreements,
+    dual_distances,
+    profile,
+    ranks,
+    verdict,
+)
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import create
-from moc_opt.subproblem import NullSpaceQP
 
 NAMES = [f"solver {i}" for i in range(8)]
 

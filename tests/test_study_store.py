@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from benchmarks.study import store as study_store
-from benchmarks.study.store import Part, Store
+from benchmarks.solver_study import store as study_store
+from benchmarks.solver_study.store import Part, Store
 
 
 def test_what_is_kept_comes_back(tmp_path):

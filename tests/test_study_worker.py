@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from benchmarks.study.worker import Crashed, Hung, Raised, Worker, beat
+from benchmarks.solver_study.worker import Crashed, Hung, Raised, Worker, beat
 
 
 def numbers(count):

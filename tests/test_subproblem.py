@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import SubproblemError
-from moc_opt.subproblem import NullSpaceQP, fields, judge
+from moc_opt.qp.problem import NullSpaceQP, fields, judge
 from tests.problems import random_problem
 
 

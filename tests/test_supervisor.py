@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.answers import MOST_ITERATIONS, answer_residuals, received
-from moc_opt.control.manipulability import null_space
+from moc_opt.control.null_space import null_space
+from moc_opt.control.solution_check import MOST_ITERATIONS, answer_residuals, received
 from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings
 from moc_opt.errors import ControlError
+from moc_opt.qp.problem import NullSpaceQP, fields, judge
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.solvers import available
 from moc_opt.solvers.base import Solution, Status, no_answer
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 from moc_opt.solvers.faulty import KINDS, Faulty
-from moc_opt.subproblem import NullSpaceQP, fields, judge
 from tests.problems import random_problem
 from tests.wrong_answers import wrong_corners
 
@@ -159,7 +159,7 @@ def test_a_solver_that_never_answers_costs_no_joint_its_room(robot):
     kept = run(base)
     assert not kept.limited.any()
     room = np.minimum(robot.q_max - kept.q_rad, kept.q_rad - robot.q_min).min()
-    assert 0.045 < room < 0.1
+    assert 0.15 < room < 0.2
     bare = run(base.change(control={"supervisor": {"keep_off_limits": False}}))
     assert bare.limited.any()
     assert kept.rcm_error_m.mean() < 0.9 * bare.rcm_error_m.mean()

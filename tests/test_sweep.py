@@ -54,7 +54,7 @@ def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str
         ({"grid": {"control.damping": [1e-5, 1e-5]}}, "given twice"),
         ({"grid": {"control": {"damping": [1.0]}, "control.damping": [2.0]}}, "given twice"),
         ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
-        ({"grid": {"task.sizes.radius": [float("nan")]}}, "not a scenario"),
+        ({"grid": {"task.sizes.radius": [float("nan")]}}, r"radius\[0\] = nan"),
         ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "not below"),
         ({"random": {"fields": {"plant.friction": {"low": 0.0, "high": 0.1, "scale": "log"}}}}, "begins above 0"),
         ({"random": {"fields": {"plant.delay_ticks": {"low": 0.2, "high": 0.8, "scale": "integer"}}}}, "whole number"),

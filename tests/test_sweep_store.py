@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -197,3 +198,104 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="Not a directory"):
         Store(tmp_path / "file" / "sweep", Plan(config())).__enter__()
+
+
+def filled(folder: Path, plan: Plan, runs: int = 12) -> None:
+    """The first runs of a sweep, made up: shards of 3, the rest single files."""
+    with Store(folder, plan) as store:
+        for i in range(runs):
+            result = made_up(plan.scenario(i).model_dump(mode="json"), 1.0)
+            store.add(
+                i, {key: result[key] for key in ("error", "figures", "wall_s")} | {"timing_shared": False}
+            )
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_whatever_is_damaged_is_set_aside_and_done_again(seed: int, whole: bytes, tmp_path: Path) -> None:
+    """Any byte of any file, the plan's and the footers of the shards too: the same rows, without a hand."""
+    rng, plan = np.random.default_rng(seed), Plan(config())
+    filled(tmp_path, plan, 11)
+    files = sorted(p for p in tmp_path.rglob("*") if p.is_file() and p.name != ".lock")
+    spoilt = [files[i] for i in rng.choice(len(files), size=int(rng.integers(1, 4)), replace=False)]
+    for path in spoilt:
+        data = bytearray(path.read_bytes())
+        place = int(rng.integers(len(data)))
+        how = seed % 4
+        if how == 0:
+            data[place] ^= int(rng.integers(1, 256))
+        elif how == 1:
+            del data[place:]
+        elif how == 2:
+            data[place:place] = rng.bytes(5)
+        else:
+            data[-1 - place % 40] ^= 1  # of a footer
+        path.write_bytes(data)
+    bytes_, dropped = do(plan, tmp_path)
+    assert bytes_ == whole
+    assert sorted(dropped) == sorted(map(str, spoilt))
+    assert len(list((tmp_path / "damaged").iterdir())) == len(spoilt)
+    assert do(plan, tmp_path) == (whole, [])
+
+
+@pytest.mark.parametrize("how", ["damaged", "gone", "altered", "a folder"])
+def test_a_plan_that_is_lost_does_not_lock_out_finished_runs(how: str, whole: bytes, tmp_path: Path) -> None:
+    plan, path = Plan(config()), tmp_path / "plan.json"
+    filled(tmp_path, plan)
+    if how == "altered":  # still JSON: one digit of a value
+        path.write_text(path.read_text().replace("1e-06", "1e-05", 1))
+    else:
+        path.unlink()
+    if how == "damaged":
+        path.write_bytes(b'{"digest": Na')
+    elif how == "a folder":
+        path.mkdir()
+    again: list[int] = []
+    bytes_, _ = do(plan, tmp_path, todo=lambda left: again.extend(left) or left)
+    assert (bytes_, again) == (whole, [])
+    assert path.is_file()
+    assert do(plan, tmp_path) == (whole, [])
+
+
+def test_without_its_plan_a_folder_of_another_sweep_is_refused_all_the_same(whole: bytes, tmp_path: Path) -> None:
+    filled(tmp_path, Plan(config()))
+    before = sorted((tmp_path / "shards").iterdir())
+    (tmp_path / "plan.json").unlink()
+    with pytest.raises(StoreError, match="another sweep"):
+        Store(tmp_path, Plan(config(seeds=1))).__enter__()
+    assert sorted((tmp_path / "shards").iterdir()) == before
+
+
+def test_a_shard_of_another_sweep_is_not_taken(whole: bytes, tmp_path: Path) -> None:
+    """Whole by its own account, and even of the same runs: its figures are not this sweep's."""
+    filled(tmp_path / "mine", Plan(config()))
+    filled(tmp_path / "other", Plan(config(scenario={"duration_s": 0.06, "judge": False, "bound_samples": 0})))
+    theirs = sorted((tmp_path / "other" / "shards").iterdir())[0]
+    ours = sorted((tmp_path / "mine" / "shards").iterdir())[0]
+    ours.unlink()
+    (ours.parent / theirs.name).write_bytes(theirs.read_bytes())
+    bytes_, dropped = do(Plan(config()), tmp_path / "mine")
+    assert (bytes_, [Path(path).name for path in dropped]) == (whole, [theirs.name])
+
+
+def test_a_shard_spoilt_while_the_sweep_runs_is_found(whole: bytes, tmp_path: Path) -> None:
+    plan = Plan(config())
+    filled(tmp_path, plan)
+    with Store(tmp_path, plan) as store:
+        assert store.verify() == 0
+        shard = sorted((tmp_path / "shards").iterdir())[1]
+        shard.write_bytes(shard.read_bytes()[:-1])
+        assert store.verify() == 3
+        assert np.flatnonzero(~store.done).tolist() == [3, 4, 5]
+    assert do(plan, tmp_path)[0] == whole
+
+
+def test_what_a_sweep_writes_is_json(whole: bytes, tmp_path: Path) -> None:
+    def never(name: str) -> None:
+        raise AssertionError(name)
+
+    filled(tmp_path, Plan(config()), 2)  # whose figures hold NaN
+    files = [*tmp_path.glob("runs/*.json"), tmp_path / "plan.json"]
+    assert len(files) == 3
+    for path in files:
+        found = json.loads(path.read_text(), parse_constant=never)
+        json.loads(found.get("record", "{}"), parse_constant=never)

@@ -6,7 +6,7 @@ import pytest
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers import create
-from moc_opt.solvers.rnn import RNNPrinted
+from moc_opt.solvers.neural.projection import RNNPrinted
 from tests.problems import random_problem
 
 # Copied from the paper, not from the package.

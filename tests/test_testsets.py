@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import testsets
 from benchmarks.testsets import RECIPES, CertificateError, TestSet, straightened
-from moc_opt.subproblem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, judge
 
 every_set = pytest.mark.parametrize("name", RECIPES)
 
@@ -72,7 +72,7 @@ def test_a_wrong_certificate_is_refused(monkeypatch):
             return self
 
         def solve(self, qp):
-            from moc_opt.solvers.exact import Exact
+            from moc_opt.solvers.exact.solver import Exact
 
             found = Exact().start(qp).solve(qp)
             return found._replace(x=found.x * 0.5)

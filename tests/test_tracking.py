@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
-from moc_opt.tasks.pose import Pose, rotation_from
-from moc_opt.tasks.tracking import BoardTracker, Sighting, TrackerLimits, TrackingState
+from moc_opt.vision.pose import Pose, rotation_from
+from moc_opt.vision.tracking import BoardTracker, Sighting, TrackerLimits, TrackingState
 
 DT = 1 / 30
 HERE = Pose(rotation_from((0.3, -0.2, 0.1)), (0.0, 0.0, 0.15))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import RobotError
-from moc_opt.selfmotion import self_motion
-from moc_opt.travel import distance_to_go, travelling, uphill
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.redundancy.transient import distance_to_go, travelling, uphill
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import tune
-from benchmarks.experiment.config import STREAM
-from benchmarks.experiment.trials import MATCHED, Measurement, Outcome, seeds
 from benchmarks.output import default_config
+from benchmarks.paper_experiment.config import STREAM
+from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
 from moc_opt.control import ControlSettings
 from moc_opt.control.settings import TUNED
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError

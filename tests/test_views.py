@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import PlantError
-from moc_opt.sim.camera import Camera
-from moc_opt.sim.pinhole import DrawnView
-from moc_opt.sim.view import BoardSettings, CameraSettings
-from moc_opt.tasks.board import Board
-from moc_opt.tasks.pose import Pose
-from moc_opt.views import make_view, pose_accuracy
+from moc_opt.vision.board import Board
+from moc_opt.vision.camera import Camera
+from moc_opt.vision.image_source import make_view, pose_accuracy
+from moc_opt.vision.pinhole import DrawnView
+from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import BoardSettings, CameraSettings
 
 PHANTOM = Pose(np.eye(3), (0.6, 0.0, 0.05))
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 from tests.problems import random_problem
 
 Array = NDArray[np.float64]

@@ -165,7 +165,7 @@ def _child(writer: int, work: Callable[[], dict[str, Any]]) -> None:
     except BaseException as error:  # noqa: BLE001 - a mutant may throw anything, at any place
         said = {"by": f"{type(error).__name__}: {error}"[:200], "tests": []}
     with os.fdopen(writer, "wb") as pipe:
-        pipe.write(json.dumps(said).encode())
+        pipe.write(json.dumps(said, allow_nan=False).encode())
     os._exit(0)
 
 

@@ -7,8 +7,8 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from benchmarks.config import Configuration
+from moc_opt.inputs.settings import Name, Settings
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Settings
 
 GROUPS = ("solver", "sensors", "plant", "contact", "camera")
 BASELINE = "dcac"
@@ -50,7 +50,7 @@ class Config(Configuration):
     tip_limit_mm: float = Field(20.0, gt=0.0)
     rcm_limit_mm: float = Field(20.0, gt=0.0)
     scenario: Scenario = Scenario()
-    cases: dict[str, Case] = Field(min_length=1)
+    cases: dict[Name, Case] = Field(min_length=1)
 
     @field_validator("scenario", mode="before")
     @classmethod

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
-from moc_opt.driver import Driver
 from moc_opt.embedded.guarded import GuardedController
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import Safe, Scenario, make_guard, make_solver
+from moc_opt.scenario.driver import Driver
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]

@@ -17,17 +17,18 @@ import numpy as np
 
 from benchmarks.reliability.fuzz_c import exported
 from benchmarks.reliability.fuzz_inputs import good_trace
-from moc_opt.control.answers import answer_residuals
-from moc_opt.control.manipulability import null_space
+from moc_opt.control.null_space import null_space
+from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
-from moc_opt.metrics import summarize
-from moc_opt.model import load_robot
+from moc_opt.model.robot_model import load_robot
+from moc_opt.qp.problem import NullSpaceQP, judge
 from moc_opt.scenario import Scenario, run
+from moc_opt.scenario.agreement import check_engines
 from moc_opt.sim.plant import Plant
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
-from moc_opt.subproblem import NullSpaceQP, judge
-from moc_opt.trace import Trace
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
 
 __all__ = [
     "exported", "record_file", "result_file", "robot_file", "scenario", "scenario_file", "subproblem", "warm_up",
@@ -83,7 +84,7 @@ def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
         if not any(repr(name)[1:-1] in str(error) for name in names):
             raise Wrong(f"none of {names} is named: {error}") from error
         return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
 def scenario_file(data: bytes) -> Verdict:
@@ -95,10 +96,11 @@ def scenario_file(data: bytes) -> Verdict:
             if path.name not in str(error):
                 raise Wrong(f"the file is not named: {error}") from error
             return "refused"
-    return _few_ticks(made)
+    return few_ticks(made)
 
 
-def _few_ticks(made: Scenario) -> Verdict:
+def few_ticks(made: Scenario) -> Verdict:
+    """Two ticks of a scenario, sound or refused."""
     try:
         short = made.change(duration_s=2.0 * made.plant.period_s, bound_samples=min(made.bound_samples, 2))
         trace = run(short)
@@ -118,6 +120,7 @@ def robot_file(case: tuple[bytes, bytes]) -> Verdict:
         path.with_suffix(".urdf").write_bytes(case[1])
         try:
             robot = load_robot(path)
+            check_engines(robot)
             state = robot.state(robot.data.q_home)
             plant = Plant(robot.data)
             for _ in range(2):
@@ -206,7 +209,7 @@ def record_file(data: bytes) -> Verdict:
     from benchmarks.sweeps.store import _opened
 
     with _file(data, "record.json") as path:
-        found = _opened(path)
+        found = _opened(path, "0")
     if found is not None and not isinstance(found, dict):
         raise Wrong(f"a record that is a {type(found).__name__}")
     return "refused" if found is None else "accepted"

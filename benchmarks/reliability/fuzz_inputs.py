@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from benchmarks.reliability import fuzz_c
 from moc_opt.scenario import Scenario
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 ROBOTS = Path(__file__).resolve().parents[2] / "moc_opt" / "robots"
 
@@ -52,6 +52,10 @@ def fields(table: type[BaseModel] = Scenario) -> tuple[tuple[str, ...], ...]:
     return tuple(found)
 
 
+# What many a field takes: without it hardly a case would come to its run.
+usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])
+
+
 @st.composite
 def scenarios(draw: st.DrawFn) -> tuple[dict[str, Any], tuple[str, ...]]:
     """A scenario as a table with one to three fields changed, and the names of these fields."""
@@ -69,7 +73,7 @@ def scenarios(draw: st.DrawFn) -> tuple[dict[str, Any], tuple[str, ...]]:
             if not isinstance(inner, dict):
                 break
         if isinstance(inner, dict):
-            inner[path[-1]] = draw(st.one_of(numbers, texts, junk))
+            inner[path[-1]] = draw(st.one_of(usual, numbers, texts, junk))
             names += path
     return table, tuple(names)
 
@@ -299,7 +303,7 @@ def foreign_tables(draw: st.DrawFn) -> bytes:
     if draw(st.booleans()):
         types = {name: "<f8" for name in names}
     metadata = {
-        b"moc_opt.trace": draw(st.sampled_from([b"1", b"1", b"1", b"2", b"\xff"])),
+        b"moc_opt.trace.trace": draw(st.sampled_from([b"1", b"1", b"1", b"2", b"\xff"])),
         b"moc_opt.types": draw(st.sampled_from([json.dumps(types).encode(), b"[]", b"\xff", b"{}", b"[" * 100_000])),
         b"moc_opt.meta": draw(
             st.one_of(

@@ -103,10 +103,47 @@ PROMISES = (
     ),
     (
         "Bad input ends in success or in a MocOptError whose message names the field: never a traceback from inside, a "
-        "hang or a wrong answer. Files from strangers run no code, and nothing in them decides where files go.",
+        "hang or a wrong answer.",
         "Hypothesis over scenario files, robot files (TOML and URDF), subproblems and result files (Parquet and JSON): "
         "`python -m benchmarks.fuzz --cases 10000`.",
         "`tests/test_fuzz.py`",
+    ),
+    (
+        "Files from strangers run no code, and nothing in them decides where files go. Names of robots, links, joints, "
+        "scenarios and solvers come from an allow-list of characters, checked where they are read "
+        "(`moc_opt/inputs/names.py`); a comment of generated C, a page and a file's name hold any text without harm "
+        "even so. "
+        "Options of a solver's library come from an allow-list for each library (`moc_opt/solvers/options.py`): "
+        "tolerances, iterations and modes; what writes, reads, loads or compiles is refused by name, and IPOPT reads "
+        "no `ipopt.opt`.",
+        "Hypothesis over names, against a C compiler's rules of comments and the tags of a page; over options, with "
+        "the folder watched; every allowed option is set once, every option that writes is refused.",
+        "`tests/test_names.py`, `tests/test_options.py`",
+    ),
+    (
+        "The controller's model and the plant are one arm. Every number of a URDF is read once, strictly (decimal, "
+        "finite, of a size that an arm can have), and written anew for both engines; an inertia that no body has is "
+        "refused; before a run inertia, bias forces, tip and wrist of pinocchio and MuJoCo are compared at three "
+        "poses, to 1e-6.",
+        "Hypothesis over the numbers of a URDF; texts that one engine drops and the other keeps; heaps of masses, none "
+        "of whose inertias may be refused.",
+        "`tests/test_robot_numbers.py`, `tests/test_agreement.py`",
+    ),
+    (
+        "Files that come from outside are regular ones, measured before they are read, and bounded in what they can "
+        "ask for; every number of a setting is 0 or of a size from 1e-30 to 1e30, counts and times are bounded.",
+        "Pipes, devices, links, sparse files, nesting and integers without end, headers that lie, for every reader; "
+        "every numeric field of every table at the ends of its range; each case in a process with 2 GiB of addresses "
+        "and 20 s, a death or a hang being a failure.",
+        "`tests/test_files.py`, `tests/test_settings.py`, `tests/test_fuzz.py`",
+    ),
+    (
+        "A run whose trace goes into a file leaves what there was, whatever ends it: an interrupt, a defect, a full "
+        "disk; of a killed process all but the last block of 5000 ticks. A finished run of a sweep is done "
+        "again only if its own file is damaged.",
+        "Exceptions of every kind, SIGKILL and SIGTERM in the middle of runs; bytes of any file of a sweep's, a "
+        "study's and an interrupted run's folder changed, cut, inserted or taken away.",
+        "`tests/test_trace_writer.py`, `tests/test_sweep_store.py`, `tests/test_fuzz.py`",
     ),
 )  # fmt: skip
 
@@ -114,6 +151,10 @@ LIMITS = """\
 - A solver that never comes back is not interrupted: it runs in the control process, and its lateness is seen when it
   returns. A solver's own time limit is what bounds it; a watchdog that cuts the drives belongs in the arm's own
   controller.
+- A solver of a third party is code that its user installed: its own options are its own matter, and no allow-list is
+  kept for it. A TOML may name any URDF and `replay_us` any .npy file to be read.
+- The two engines are compared at the home pose and two others; what both drop alike (shapes, extensions of the format,
+  `<dynamics>`, whose place is the robot's TOML) is left out of the arm.
 - The residual check looks along one line. On an arm with one elbow swivel this is the whole feasible set; with several
   freedoms it is the steepest way down that the box leaves open at the answer. A wrong end is seen there; how much is
   lost across that line is not.
@@ -136,7 +177,7 @@ LIMITS = """\
   it is not, and all that acts across the shaft counts. An unknown weight on the tool counts as the trocar's too (10 N
   for 1 kg on a level tool), and so does the tool's inertia force (0.3 N for each m/s^2).
 - Oscillation is found after the run, above 8 Hz, in what a joint keeps up for a second: 0.2 rad/s or 10 Nm
-  (`moc_opt/oscillation.py` has the figures on both sides). With the paper's rho = 0 the answer jumps between
+  (`moc_opt/trace/oscillation.py` has the figures on both sides). With the paper's rho = 0 the answer jumps between
   vertices; where that shakes the arm it is reported as what it is. While the arm runs, only the limits above act.
 - A solver runs in the control process: it gets copies and its answers are copied, but nothing keeps foreign code from
   looking through the interpreter's memory. Code that means harm belongs into a process of its own.

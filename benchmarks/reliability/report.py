@@ -13,7 +13,7 @@ from benchmarks.reliability.summary import Summary, outcome
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 CASES = [
     Column("case", "fault"),

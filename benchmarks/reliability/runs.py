@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.reliability.config import BASELINE, Case, Config
-from moc_opt.ending import Ending
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.loop import RunAway
 from moc_opt.tasks import Reference
 from moc_opt.tasks.waiting import WaitingReference
-from moc_opt.trace import Trace
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -7,20 +7,24 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from benchmarks.config import Configuration
-from benchmarks.study.closed_loop import BASELINE
+from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.sweeps.errors import SweepError
-from moc_opt.errors import SolverError, UnknownNameError
+from moc_opt.errors import SolverError, UnknownNameError, shown
+from moc_opt.inputs.files import LARGEST_INTEGER
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.scenario_tables import SolverTable
-from moc_opt.settings import Settings
+from moc_opt.scenario.config import MOST_S, SolverTable
 from moc_opt.solvers import available
+
+MOST_LISTED = 1_000_000
+"""Seeds, and random samples, of one sweep."""
 
 
 class RandomSample(Settings):
     """Fields that are drawn, together, ``samples`` times."""
 
     KIND: ClassVar[str] = "[random]"
-    samples: int = Field(1, ge=1)
+    samples: int = Field(1, ge=1, le=MOST_LISTED)
     fields: dict[str, Any] = Field(default_factory=dict, description="path -> range or choice")
 
 
@@ -28,13 +32,16 @@ class Config(Configuration):
     """benchmarks/configs/sweep.toml."""
 
     KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0, description="of the random sample, and the first of the scenarios' seeds")
+    seed: int = Field(
+        0, ge=0, le=LARGEST_INTEGER - MOST_LISTED,
+        description="of the random sample, and the first of the scenarios' seeds",
+    )  # fmt: skip
     seeds: int | list[int] = Field(1, description="how many, or which")
     solvers: Literal["all"] | list[str] | None = Field(
         None, description="None: the scenario's; dcac: no solver"
     )
     run_limit_s: float = Field(
-        600.0, gt=0.0, description="a run that takes longer is stopped with its process"
+        600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped with its process"
     )
     grid: dict[str, Any] = Field(default_factory=dict, description="path -> list of values")
     random: RandomSample = RandomSample()
@@ -49,9 +56,11 @@ def chosen_seeds(config: Config) -> list[int]:
         SweepError: there is none, or one twice.
     """
     wanted = config.seeds
+    if isinstance(wanted, int) and not 1 <= wanted <= MOST_LISTED:
+        raise SweepError(f"seeds = {wanted}: give how many (1 or more, {MOST_LISTED} at most), or a list of them")
     seeds = wanted if isinstance(wanted, list) else [config.seed + i for i in range(wanted)]
-    if not seeds or len(set(seeds)) < len(seeds):
-        raise SweepError(f"seeds = {wanted}: give how many (1 or more), or a list of different ones")
+    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+        raise SweepError(f"seeds = {shown(wanted)}: give how many (1 or more), or a list of different ones, 0 or more")
     return seeds
 
 

@@ -14,8 +14,8 @@ from benchmarks.sweeps.errors import WorkerError
 from benchmarks.sweeps.version import code_version
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
-from moc_opt.metrics import summarize
 from moc_opt.scenario import Scenario
+from moc_opt.trace.metrics import summarize
 
 Table = Mapping[str, Any]
 Work = Callable[[Table, float], dict[str, Any]]

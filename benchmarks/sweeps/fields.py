@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from benchmarks.sweeps.errors import SweepError
-from moc_opt.errors import UnknownNameError
+from moc_opt.errors import MocOptError, UnknownNameError, shown
+from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.settings import Settings
 
 ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
 
@@ -22,8 +22,9 @@ class Range(Settings):
     """A range to draw from, uniformly on its scale; ``integer`` draws whole numbers, both ends included."""
 
     KIND: ClassVar[str] = "range:"
-    low: float
-    high: float
+    ERROR: ClassVar[type[MocOptError]] = SweepError
+    low: float = Field(ge=-1e15, le=1e15)
+    high: float = Field(ge=-1e15, le=1e15)
     scale: Literal["linear", "log", "integer"] = "linear"
 
 
@@ -124,7 +125,10 @@ def draw(path: str, entry: Any, samples: int, rng: np.random.Generator) -> list[
         options = Choice(**entry).choice
         _all_different(f"[random.fields] {path}", options)
         return [options[int(u * len(options))] for u in uniform]
-    known = Range(**entry)
+    try:
+        known = Range(**entry)
+    except SweepError as error:
+        raise SweepError(f"[random.fields] {path}: {error}") from error
     low, high = known.low, known.high
     if not low < high:
         raise SweepError(f"[random.fields] {path}: low = {low:g} is not below high = {high:g}")
@@ -152,6 +156,9 @@ def with_value(table: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _all_different(where: str, values: Sequence[Any]) -> None:
-    for i, value in enumerate(values):
-        if any(value == other and type(value) is type(other) for other in values[:i]):
-            raise SweepError(f"{where}: {value!r} is given twice: keep one, each value is one run")
+    seen: set[tuple[type, Any]] = set()
+    for value in values:
+        key = (type(value), repr(value) if isinstance(value, list | dict) else value)
+        if key in seen:
+            raise SweepError(f"{where}: {shown(value)} is given twice: keep one, each value is one run")
+        seen.add(key)

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.study.closed_loop import BASELINE, variant
+from benchmarks.solver_study.closed_loop import BASELINE, variant
 from benchmarks.sweeps.config import Config, chosen_seeds, chosen_solvers
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes, random_draws, with_value
 from benchmarks.sweeps.version import code_version
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.metrics import METRICS
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario_tables import SolverTable
+from moc_opt.scenario.config import SolverTable
+from moc_opt.trace.metrics import METRICS
 
 FORMAT = 1
 """Of what a sweep's folder holds; part of every id."""
@@ -49,20 +49,22 @@ class Plan:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.grid = grid_axes(config.grid)
+        self.seeds = chosen_seeds(config)
+        self.solvers, self._settings = chosen_solvers(config)
+        sizes = (*map(len, self.grid.values()), config.random.samples, len(self.seeds), len(self.solvers))
+        if math.prod(sizes) > MAX_RUNS:  # before anything is drawn or listed
+            raise SweepError(
+                f"{math.prod(sizes)} runs ([grid] x [random] samples x seeds x solvers); split what makes more than "
+                f"{MAX_RUNS} into several sweeps"
+            )
         self.draws = random_draws(config.random.fields, config.random.samples, config.seed)
         twice = self.grid.keys() & self.draws.keys()
         if twice:
             raise SweepError(f"{min(twice)} stands in [grid] and in [random.fields]: keep one")
         self.fields = [*self.grid, *self.draws]
-        self.seeds = chosen_seeds(config)
-        self.solvers, self._settings = chosen_solvers(config)
         samples = config.random.samples if self.draws else 1
         self._shape = (*map(len, self.grid.values()), samples, len(self.seeds), len(self.solvers))
         self.combinations = math.prod(self._shape)
-        if self.combinations > MAX_RUNS:
-            raise SweepError(
-                f"{self.combinations} runs; split what makes more than {MAX_RUNS} into several sweeps"
-            )
         self._base = config.scenario.model_dump()
         self._numbers: NDArray[np.int64] | None = None  # run -> combination
         self._ids: NDArray[np.bytes_] = np.empty(0, dtype="S20")
@@ -123,7 +125,7 @@ class Plan:
     @cached_property
     def digest(self) -> str:
         """Of the description."""
-        return hashlib.sha256(canonical(self.description).encode()).hexdigest()
+        return digest_of(self.description)
 
     def check_names(self) -> None:
         """Build what only a run would: robots, paths and solvers with their settings, once for every name.
@@ -180,6 +182,11 @@ class Plan:
 def canonical(value: Any) -> str:
     """One text for one value; NaN and infinity are refused."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def digest_of(description: Any) -> str:
+    """Of a plan's description; ValueError or TypeError where that is none."""
+    return hashlib.sha256(canonical(description).encode()).hexdigest()
 
 
 def differences(here: Any, there: Any, path: str = "") -> Iterator[str]:

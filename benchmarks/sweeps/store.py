@@ -2,7 +2,8 @@
 
     plan.json           which sweep this is
     runs/ID.json        one finished run each, written at once
-    shards/N.parquet    a thousand of these together, after which the single files go
+    shards/N-CRC.parquet  a thousand of these together, after which the single files go
+    damaged/            what was found damaged, set aside: its runs are done again
     rows.parquet        all runs in order, once all are finished; clock.parquet beside it
 
 Every file appears under its name whole or not at all, and every step can be repeated, so that a sweep
@@ -14,6 +15,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -27,8 +29,17 @@ from numpy.typing import NDArray
 
 from benchmarks.output import write_atomically
 from benchmarks.sweeps.errors import StoreError
-from benchmarks.sweeps.plan import Plan, differences
-from benchmarks.sweeps.table import BLOCK, read_records, record_table, whole_parquet, write_final
+from benchmarks.sweeps.plan import Plan, differences, digest_of
+from benchmarks.sweeps.table import (
+    BLOCK,
+    PLAN_KEY,
+    parquet_bytes,
+    read_shard,
+    record_table,
+    shard_plan,
+    write_final,
+)  # fmt: skip
+from moc_opt.inputs.files import file_in, parse_json, read_json, to_json
 
 SHARD = 1000
 """Finished runs that are files of their own before they become one."""
@@ -48,9 +59,9 @@ class Store:
     def __init__(self, folder: Path, plan: Plan) -> None:
         self.folder, self.plan = folder, plan
         self.done: NDArray[np.bool_] = np.zeros(len(plan), dtype=np.bool_)
-        self.dropped: list[str] = []  # what was found damaged; those runs are done again
+        self.dropped: list[str] = []  # what was found damaged, and set aside; those runs are done again
         self._loose: dict[int, dict[str, Any]] = {}
-        self._shards: dict[Path, tuple[int, int]] = {}  # first and last index
+        self._shards: dict[Path, NDArray[np.int64]] = {}  # which runs it holds
         self._lock: int | None = None
 
     def __enter__(self) -> Store:
@@ -85,12 +96,11 @@ class Store:
         Raises:
             StoreError: it could not be written; nothing of it stays.
         """
-        record = {"index": index, **result}
-        text = json.dumps(record, sort_keys=True)
-        sealed = json.dumps({"crc": zlib.crc32(text.encode()), "record": text})
+        text = to_json({"index": index, **result}, indent=None, sort_keys=True)
+        sealed = {"crc": zlib.crc32(text.encode()), "plan": self.plan.digest, "record": text}
         with self._plainly("cannot take another run"):
-            write_atomically(self._file(index), sealed.encode())
-            self._loose[index] = record
+            write_atomically(self._file(index), to_json(sealed, indent=None).encode())
+            self._loose[index] = json.loads(text)
             self.done[index] = True
             if len(self._loose) >= SHARD:
                 self._compact()
@@ -119,20 +129,17 @@ class Store:
             ) from error
 
     def _check_plan(self) -> None:
+        """Own a new folder, or one of the same sweep; a plan that is damaged or gone is written anew.
+
+        Every run and shard says which sweep it belongs to: without plan.json the folder is told by these.
+        """
         path, mine = self.folder / "plan.json", self.plan.description
-        if not path.exists():
-            for name in ("runs", "shards", "rows.parquet", "summary.json"):
-                if (self.folder / name).exists():
-                    raise StoreError(
-                        f"{self.folder} holds {name} and no plan.json: no sweep's folder; give another --out"
-                    )
-            write_atomically(path, (json.dumps(mine, indent=1, sort_keys=True) + "\n").encode())
-            return
-        try:
-            theirs = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
-            raise StoreError(f"{path} cannot be read ({error}): give another --out") from error
-        if theirs != mine:
+        theirs = self._described(path)
+        if theirs is None:
+            self._told_by_its_runs()
+            sealed = {"digest": self.plan.digest, "plan": mine}
+            write_atomically(path, (to_json(sealed, indent=1, sort_keys=True) + "\n").encode())
+        elif theirs != mine:
             found = list(differences(mine, theirs))
             more = f", and {len(found) - 3} more" if len(found) > 3 else ""
             raise StoreError(
@@ -140,20 +147,61 @@ class Store:
                 "Give another --out, or take that folder away"
             )
 
+    def _described(self, path: Path) -> Any:
+        """The plan in the folder; None where there is none, or a damaged one, which is set aside."""
+        if not os.path.lexists(path):
+            return None
+        try:
+            sealed = read_json(path, "plan of a sweep", StoreError)
+            if isinstance(sealed, dict) and digest_of(sealed.get("plan")) == sealed.get("digest"):
+                return sealed["plan"]
+        except (StoreError, TypeError, ValueError):
+            pass  # not JSON, or values that no plan has: damaged like one whose digest is wrong
+        self._drop(path)
+        return None
+
+    def _told_by_its_runs(self) -> None:
+        """Refuse a folder without a plan that holds runs of another sweep, or tables and no run at all."""
+        pieces = [*self.folder.glob("shards/*.parquet"), *self.folder.glob("runs/*.json")]
+        signs = {_owner(path) for path in pieces} - {None}
+        if signs - {self.plan.digest}:
+            raise StoreError(
+                f"{self.folder} holds runs of another sweep, whose plan.json is damaged or gone: give another --out"
+            )
+        ours = re.compile(r"runs/[0-9a-f]{20}\.json|shards/[0-9]+-[0-9a-f]{8}\.parquet")
+        tables = [path for path in (self.folder / "rows.parquet", self.folder / "summary.json") if path.exists()]
+        foreign = [path for path in pieces if not ours.fullmatch(path.relative_to(self.folder).as_posix())]
+        if (tables or foreign) and not signs and not self.dropped:
+            raise StoreError(
+                f"{self.folder} holds {(tables or foreign)[0].name} and no plan.json: no sweep's folder; "
+                "give another --out"
+            )
+
+    def verify(self) -> int:
+        """Read every shard again and set damaged ones aside; returns how many runs that takes away."""
+        before = int(self.done.sum())
+        with self._plainly("cannot be used"):
+            for path, indices in list(self._shards.items()):
+                if _indices(path, self.plan) is None:
+                    self._drop(path)
+                    del self._shards[path]
+                    self.done[indices] = False
+        return before - int(self.done.sum())
+
     def _load(self) -> None:
         for folder in (self.folder, self.folder / "runs", self.folder / "shards"):
             for torn in folder.glob(".*.*.*"):  # what a killed process was writing
                 torn.unlink()
         for path in sorted((self.folder / "shards").glob("*.parquet")):
-            indices = _indices(path)
-            if len(indices) == 0 or indices.min() < 0 or indices.max() >= len(self.done):
+            indices = _indices(path, self.plan)
+            if indices is None or self.done[indices].any():
                 self._drop(path)
                 continue
             self.done[indices] = True
-            self._shards[path] = (int(indices.min()), int(indices.max()))
+            self._shards[path] = indices
         for path in sorted((self.folder / "runs").glob("*.json")):
-            record = _opened(path)
-            index = -1 if record is None else int(record["index"])
+            record = _opened(path, self.plan.digest)
+            index = -1 if record is None else record["index"]
             if record is None or not 0 <= index < len(self.done) or self._file(index) != path:
                 self._drop(path)
             elif self.done[index]:
@@ -163,18 +211,20 @@ class Store:
                 self._loose[index] = record
 
     def _drop(self, damaged: Path) -> None:
+        """Set aside what is damaged: under its name in a folder of its own, so that its runs can be done again."""
+        damaged.rename(file_in(self.folder / "damaged", damaged.name))
         self.dropped.append(str(damaged))
-        damaged.unlink()
 
     def _compact(self) -> None:
         """Loose files into one; a stop after the shard leaves files that :meth:`_load` takes away."""
-        number = 1 + max((int(path.stem) for path in self._shards), default=-1)
-        path = self.folder / "shards" / f"{number:06d}.parquet"
+        number = 1 + max((int(path.stem.partition("-")[0]) for path in self._shards), default=-1)
         indices = sorted(self._loose)
         table = record_table([self._loose[i] for i in indices], self.plan.metrics)
-        with whole_parquet(path, table.schema) as write:
-            write(table)
-        self._shards[path] = (indices[0], indices[-1])
+        data = parquet_bytes(table.replace_schema_metadata({PLAN_KEY: self.plan.digest}))
+        # Parquet's own checksums leave its footer out; the one in the name does not.
+        path = self.folder / "shards" / f"{number:06d}-{zlib.crc32(data):08x}.parquet"
+        write_atomically(path, data)
+        self._shards[path] = np.array(indices)
         for index in indices:
             self._file(index).unlink(missing_ok=True)
         self._loose.clear()
@@ -183,15 +233,16 @@ class Store:
         """All records in order, BLOCK rows at a time: of the shards only those are open that reach into a block."""
         for first in range(0, len(self.plan), BLOCK):
             last = min(first + BLOCK, len(self.plan)) - 1
-            parts = [read_records(path) for path, (a, b) in self._shards.items() if a <= last and b >= first]
+            inside = [path for path, of in self._shards.items() if of.min() <= last and of.max() >= first]
+            parts = [read_shard(path, self.plan.digest).replace_schema_metadata() for path in inside]
             gone = [
                 {"index": i, "ended": "failed", "error": why, "figures": {}}
                 for i, why in lost.items()
                 if first <= i <= last
             ]
             block = pa.concat_tables([*parts, record_table(gone, self.plan.metrics)])
-            inside = pc.and_(pc.greater_equal(block["index"], first), pc.less_equal(block["index"], last))
-            block = block.filter(inside).sort_by("index")
+            asked = pc.and_(pc.greater_equal(block["index"], first), pc.less_equal(block["index"], last))
+            block = block.filter(asked).sort_by("index")
             if block["index"].to_pylist() != list(range(first, last + 1)):
                 raise StoreError(f"{self.folder}: not every run has a result; start the sweep again")
             yield block
@@ -212,20 +263,41 @@ class Store:
             ) from error
 
 
-def _opened(path: Path) -> dict[str, Any] | None:
-    """The record in a file, or None where that is damaged."""
+def _opened(path: Path, digest: str) -> dict[str, Any] | None:
+    """The record in a file, or None where that is damaged, or of another sweep than that of the digest."""
     try:
-        sealed = json.loads(path.read_text(encoding="utf-8"))
-        record: dict[str, Any] = json.loads(sealed["record"])
-        return record if zlib.crc32(sealed["record"].encode()) == sealed["crc"] else None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        sealed = _sealed(path)
+        record = parse_json(sealed["record"], str(path), StoreError)
+    except StoreError:
         return None
+    whole = isinstance(record, dict) and type(record.get("index")) is int
+    return record if whole and sealed["plan"] == digest else None
 
 
-def _indices(path: Path) -> NDArray[np.int64]:
-    """Which runs a shard holds; none where it is damaged."""
+def _sealed(path: Path) -> dict[str, str]:
+    """What a run's file holds: texts ``record`` and ``plan``; StoreError where it is damaged."""
+    sealed = read_json(path, "run of a sweep", StoreError)
+    kinds = {"crc": int, "plan": str, "record": str}
+    if not isinstance(sealed, dict) or any(type(sealed.get(name)) is not kind for name, kind in kinds.items()):
+        raise StoreError(f"{path} is no run of a sweep")
+    if zlib.crc32(sealed["record"].encode("utf-8", "surrogatepass")) != sealed["crc"]:
+        raise StoreError(f"{path} is damaged")
+    return sealed
+
+
+def _indices(path: Path, plan: Plan) -> NDArray[np.int64] | None:
+    """Which runs of the plan a shard holds; None where it is damaged, or no shard of it."""
     try:
-        found: NDArray[np.int64] = read_records(path, ["index"]).column("index").to_numpy()
+        found: NDArray[np.int64] = read_shard(path, plan.digest).column("index").to_numpy()
     except (StoreError, KeyError):
-        return np.empty(0, dtype=np.int64)  # the caller drops it, and says so
-    return found
+        return None  # the caller sets it aside, and says so
+    fits = found.size and found.min() >= 0 and found.max() < len(plan) and len(np.unique(found)) == found.size
+    return found if fits else None
+
+
+def _owner(path: Path) -> str | None:
+    """The digest of the sweep that a run or shard belongs to; None where it is damaged."""
+    try:
+        return _sealed(path)["plan"] if path.suffix == ".json" else shard_plan(path)
+    except StoreError:
+        return None

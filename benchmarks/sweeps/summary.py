@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.table import PLAN_KEY
-from moc_opt.ending import Ending
 from moc_opt.errors import UnknownNameError
+from moc_opt.trace.ending import Ending
 
 BATCH = 8192
 BUFFER = 1 << 16  # bytes of a column read at a time

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,13 +14,15 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.output import plain
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, canonical
+from moc_opt.inputs.files import plain, read_bytes
 
 BLOCK = 20_000
 """Rows of a row group of the final tables, whatever the pieces were: the bytes depend on it."""
 PLAN_KEY = b"moc_opt.sweep"
+MOST_BYTES = 2**28
+"""Of a shard."""
 
 
 def is_clock(metric: str) -> bool:
@@ -141,16 +145,41 @@ def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table]
         raise
 
 
-def read_records(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """A table of records that was written whole.
+def parquet_bytes(table: pa.Table) -> bytes:
+    """A Parquet file of one row group, in memory."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
+
+
+def read_shard(path: Path, digest: str) -> pa.Table:
+    """A table of records that was written whole, ``N-CRC.parquet``, for the sweep of this digest.
 
     Raises:
-        StoreError: damaged, or something else.
+        StoreError: damaged, of another sweep, or something else.
     """
+    table = _read(path)
+    if table.schema.metadata.get(PLAN_KEY, b"").decode(errors="replace") != digest:
+        raise StoreError(f"{path}: of another sweep; start the same command again: its runs are done again")
+    return table
+
+
+def shard_plan(path: Path) -> str:
+    """Digest of the sweep that a shard belongs to; StoreError where it is damaged."""
+    owner: bytes = _read(path).schema.metadata.get(PLAN_KEY, b"")
+    return owner.decode(errors="replace")
+
+
+def _read(path: Path) -> pa.Table:
+    again = "start the same command again: its runs are done again"
+    data = read_bytes(path, "part of a sweep", StoreError, MOST_BYTES)
+    if not re.fullmatch(rf"[0-9]{{6,9}}-{zlib.crc32(data):08x}", path.stem):
+        raise StoreError(f"{path}: damaged, or no part of a sweep; {again}")
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            return file.read(columns)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise StoreError(
-            f"{path}: damaged, or no table of a sweep ({error}); remove it: its runs are done again"
-        ) from error
+        table = pq.read_table(pa.BufferReader(data))
+    except (OSError, ValueError, pa.ArrowException, MemoryError) as error:
+        raise StoreError(f"{path}: no table of a sweep ({error}); {again}") from error
+    if table.schema.metadata is None:
+        raise StoreError(f"{path}: no table of a sweep; {again}")
+    return table

@@ -9,17 +9,18 @@ import numpy as np
 from numba import bool_, float64, int64
 from numpy.typing import NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
-from moc_opt.control import manipulability, tick
+from moc_opt.control import null_space as manipulability
+from moc_opt.control import tick
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
 from moc_opt.control.settings import ControlSettings, per_joint
 from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError, MocOptError, describe
-from moc_opt.model import RobotModel, RobotState
-from moc_opt.model_kernels import state_views
+from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import Session, Solution, Solver
-from moc_opt.subproblem import NullSpaceQP, row_length
 
 Array = NDArray[np.float64]
 

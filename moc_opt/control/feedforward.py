@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.dense import dot, forward_in_place
+from moc_opt.numerics.dense import dot, forward_in_place
 
 Array = NDArray[np.float64]
 

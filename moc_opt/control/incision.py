@@ -20,7 +20,7 @@ import numpy as np
 from numba import float64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
 
 Array = NDArray[np.float64]
 

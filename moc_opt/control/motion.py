@@ -7,10 +7,10 @@ from numba import float64, int64
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.compiled import INDICES, MATRIX, VECTOR, Entry
 from moc_opt.control import motion_kernels as kernels
-from moc_opt.settings import Settings
-from moc_opt.state import RobotState
+from moc_opt.inputs.settings import Settings
+from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, Entry
 
 Array = NDArray[np.float64]
 

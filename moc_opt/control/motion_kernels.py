@@ -16,7 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.observer import momentum_residual
-from moc_opt.model_kernels import state_views
+from moc_opt.model.kinematics_kernels import state_views
 
 Array = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import VECTOR, Entry, borrowed
 from moc_opt.errors import ControlError
-from moc_opt.model import RobotModel, RobotState
-from moc_opt.model_kernels import state_views
+from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.compiled import VECTOR, Entry, borrowed
 
 Array = NDArray[np.float64]
 

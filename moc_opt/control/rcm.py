@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.dense import cholesky, dot, gram, solve_factored, times, transpose_times
+from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, transpose_times
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,8 @@ from pydantic import BeforeValidator, Field, field_validator
 
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
-from moc_opt.settings import Settings
+from moc_opt.inputs.files import LARGEST
+from moc_opt.inputs.settings import Settings
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -20,7 +21,7 @@ NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
     numbers = value if isinstance(value, list | tuple) else (value,)
     for number in numbers:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number < float("inf"):
+        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number <= LARGEST:
             raise ValueError("input should be a number of 0 or more, or a list with one for each joint")
     return float(value) if numbers is not value else tuple(float(number) for number in numbers)
 
@@ -125,7 +126,7 @@ class ControlSettings(Settings):
         default=0.5, description="of v_max in the box on x: limits how fast the elbow travels; the paper has 1"
     )
     limit_margin_rad: NotNegative = Field(
-        default=0.045, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
+        default=0.15, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from moc_opt.control.answers import RESIDUALS, received
-from moc_opt.control.manipulability import into_the_box, least_violation
+from moc_opt.control.null_space import into_the_box, least_violation
+from moc_opt.control.solution_check import RESIDUALS, received
 from moc_opt.errors import ControlError, MocOptError, describe
-from moc_opt.settings import Settings
+from moc_opt.inputs.settings import Settings
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
-from moc_opt.subproblem import NullSpaceQP
 
 Array = NDArray[np.float64]
 

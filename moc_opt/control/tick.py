@@ -6,11 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import borrowed
-from moc_opt.control.compliance import compliance_force, task_inertia
-from moc_opt.control.dense import cholesky, times, transpose_times
 from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
-from moc_opt.control.manipulability import (
+from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     follow_null_space,
     self_motion_torque,
@@ -23,7 +20,10 @@ from moc_opt.control.rcm import (
     project_static,
     published_share,
 )
-from moc_opt.model_kernels import StateViews, state_views
+from moc_opt.control.tip_impedance import compliance_force, task_inertia
+from moc_opt.model.kinematics_kernels import StateViews, state_views
+from moc_opt.numerics.compiled import borrowed
+from moc_opt.numerics.dense import cholesky, times, transpose_times
 
 Array = NDArray[np.float64]
 

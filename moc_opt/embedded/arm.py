@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

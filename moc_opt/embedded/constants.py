@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.guard import PRESS_PER_S, GuardSettings
 from moc_opt.control.motion import SETTLED
+from moc_opt.control.safety_filter import PRESS_PER_S, GuardSettings
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.symbolic import Tick
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 
 LATE = ("hold", "zero", "iterate")
 DEFAULT_GUARD = GuardSettings()

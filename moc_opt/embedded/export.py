@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.guard import GuardSettings
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
@@ -19,7 +19,7 @@ from moc_opt.embedded.source import Recording, SafeRecording
 from moc_opt.embedded.support import check_guard
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import ControlError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 
 Array = NDArray[np.float64]

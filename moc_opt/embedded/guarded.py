@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.guard import GuardSettings
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.embedded import program
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.constants import DEFAULT_GUARD
 from moc_opt.embedded.export import safe_files
 from moc_opt.errors import ControlError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 
 Array = NDArray[np.float64]

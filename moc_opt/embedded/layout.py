@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from moc_opt.subproblem import row_length
+from moc_opt.qp.problem import row_length
 
 
 class Field(NamedTuple):

@@ -17,10 +17,10 @@ from moc_opt.embedded.export import c_files
 from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.errors import ControlError, RobotError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solver, Status
-from moc_opt.solvers.elimination import EMPTY, OK, STUCK
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
 
 Array = NDArray[np.float64]
 

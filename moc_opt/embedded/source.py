@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from moc_opt.embedded import templates
 from moc_opt.embedded.layout import OBSERVED, Field
 from moc_opt.embedded.symbolic import Tick
+from moc_opt.inputs.names import in_comment
 
 Array = NDArray[np.float64]
 
@@ -60,13 +61,14 @@ class SafeRecording(NamedTuple):
 
 
 def header(tick: Tick, title: str, constants: Mapping[str, Any]) -> str:
-    """moc_tick.h. `title` and `constants` say in a comment what the numbers in the code came from."""
+    """moc_tick.h. `title` and `constants` say in a comment what the numbers in the code came from.
+
+    They may hold names from files and the text of any setting: nothing of it leaves the comment.
+    """
     return templates.HEADER.substitute(
         n=tick.n,
-        title=title.replace("*/", "* /"),
-        constants="\n".join(
-            f" *   {name} = {value}".replace("*/", "* /") for name, value in constants.items()
-        ),
+        title=in_comment(title),
+        constants="\n".join(f" *   {in_comment(f'{name} = {value}')}" for name, value in constants.items()),
         state=_members(tick.layout.state),
         report=_members(tick.layout.report),
         inputs="\n".join(f" *   {field.name}: {_meaning(field)}" for field in tick.layout.inputs),

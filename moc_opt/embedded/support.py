@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.guard import GuardSettings
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.solver import Exact
 
 # Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself; the fields of
 # `supervisor` are below.

@@ -3,7 +3,7 @@
 Householder reflections turn the five independent rows A x = b of the k = 6 joints that move the tool into a
 triangle: x = particular + w z, with z the unit null vector and `particular` the shortest solution. They need
 no pivoting and no square of A, so that the same fixed sequence of operations is accurate at every pose where
-A has its five ranks. What remains is the ratio test of `moc_opt.solvers.elimination.swivel`.
+A has its five ranks. What remains is the ratio test of `moc_opt.solvers.exact.elimination.swivel`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from moc_opt.optimality import RANK_TOLERANCE
-from moc_opt.solvers.elimination import EMPTY, IDLE_COLUMN, OK, STUCK
+from moc_opt.qp.residuals import RANK_TOLERANCE
+from moc_opt.solvers.exact.elimination import EMPTY, IDLE_COLUMN, OK, STUCK
 
 SX = Any
 
@@ -52,7 +52,7 @@ class Answer(NamedTuple):
     dual: SX
     """(r,) multipliers of the rows; no meaning where there is no x"""
     status: SX
-    """OK, EMPTY or STUCK of `moc_opt.solvers.elimination`"""
+    """OK, EMPTY or STUCK of `moc_opt.solvers.exact.elimination`"""
 
 
 def triangulate(A: SX) -> Triangle:

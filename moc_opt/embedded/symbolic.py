@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.feedforward import STRAIGHT
-from moc_opt.control.manipulability import box_limits
+from moc_opt.control.null_space import box_limits
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
 from moc_opt.embedded.support import check_supported
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
-from moc_opt.solvers.elimination import OK, STUCK
-from moc_opt.solvers.exact import Exact
+from moc_opt.solvers.exact.elimination import OK, STUCK
+from moc_opt.solvers.exact.solver import Exact
 
 Array = NDArray[np.float64]
 SX = Any
@@ -228,7 +228,7 @@ class _Law:
 
 
 def _tool_pose(robot: RobotModel, at: dynamics.Points) -> SX:
-    """(12,) rows x, y, z, tip; see `moc_opt.model_kernels.tool_pose`."""
+    """(12,) rows x, y, z, tip; see `moc_opt.model.kinematics_kernels.tool_pose`."""
     return ca.vertcat(*(at.R @ ca.SX(axis) for axis in without_dust(robot.mount)), at.tip)
 
 

@@ -13,7 +13,7 @@ CONSENT = "--i-know-this-is-public"
 def checked_address(host: str, *, public: bool = False) -> str:
     """The numeric address that `host` stands for.
 
-    Whoever reaches the page commands the simulation, without a password.
+    Whoever reaches the page and holds its token commands the simulation; nothing is encrypted.
 
     Args:
         host: name or address.
@@ -32,7 +32,7 @@ def checked_address(host: str, *, public: bool = False) -> str:
     open_ones = [address for address in addresses if not ip_address(address).is_loopback]
     if open_ones and not public:
         raise LiveError(
-            f"--host {host!r} means {', '.join(open_ones)}, which other machines can reach, and the "
-            f"page has no password: leave --host out, or add {CONSENT}"
+            f"--host {host!r} means {', '.join(open_ones)}, which other machines can reach; the "
+            f"page is not encrypted: leave --host out, or add {CONSENT}"
         )
     return addresses[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
 from moc_opt.errors import RobotError, ScenarioError
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

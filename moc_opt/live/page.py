@@ -12,6 +12,7 @@ from threading import Event
 from time import monotonic
 from typing import Any
 
+from moc_opt.live.access import Access, check_refused, guarded_servers, own_names
 from moc_opt.live.address import checked_address
 from moc_opt.live.orders import LiveError
 from moc_opt.live.panel import Panel
@@ -48,10 +49,17 @@ class LivePage:
         self.run = LiveRun(scenario)
         self._pace, self._over = 1.0, Event()
         # Its greeting names addresses that are not always those it listens on; `serve` prints the true one.
-        with redirect_stdout(io.StringIO()):
-            self.server = make(host=address, port=port, label=f"moc_opt: {scenario.name}", verbose=False)
         shown = f"[{address}]" if ":" in address else address
-        self.url = f"http://{shown}:{self.server.get_port()}"
+        access = Access(own_names(host, address))
+        with redirect_stdout(io.StringIO()), guarded_servers(access):
+            self.server = make(host=address, port=port, label=f"moc_opt: {scenario.name}", verbose=False)
+        self.address = f"http://{shown}:{self.server.get_port()}"
+        self.url = f"{self.address}/?token={access.token}"
+        try:
+            check_refused(address, self.server.get_port())
+        except LiveError:
+            self.server.stop()
+            raise
         self.server.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         self._scene, self._panel = LiveScene(self.server, self.run), Panel(self.server, self.run)
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="simulation")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from threading import RLock
 from typing import Any
 
 import numpy as np
 
 from moc_opt import solvers
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.names import in_markdown
 from moc_opt.live.history import QUANTITIES
 from moc_opt.live.orders import DCAC, LiveError, Moment
 from moc_opt.live.run import LiveRun
@@ -47,6 +49,7 @@ class Panel:
         """Build it; `server` is a viser.ViserServer."""
         self._server, self._run, gui = server, run, server.gui
         self.paused = False
+        self._doing = RLock()  # viser calls back from many threads, in any order; setting a value calls back too
         self._status = gui.add_markdown("starting")
         choices = [DCAC, *(name for name, reason in solvers.available().items() if reason is None)]
         self._solver = gui.add_dropdown("Solver", choices, initial_value=run.moment().solver)
@@ -91,6 +94,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: run.reset())
 
     def _choose(self) -> None:
+        """Ask for what the list shows now, which may be later than the change that called."""
         if self._solver.value != self._run.solver:  # it may have been set back, not chosen
             self._run.choose(self._solver.value)
 
@@ -120,13 +124,14 @@ class Panel:
 
     def _do(self, act: Callable[[], None]) -> None:
         """Do what the user wants, or say what is wrong with it; the run goes on either way."""
-        try:
-            act()
-        except MocOptError as error:
-            self.tell(str(error))
-            self._solver.value = self._run.solver
-            for name, field in self._fields.items():
-                field.value = self._written(name)
+        with self._doing:
+            try:
+                act()
+            except MocOptError as error:
+                self.tell(str(error))
+                self._solver.value = self._run.solver
+                for name, field in self._fields.items():
+                    field.value = self._written(name)
 
     def tell(self, text: str) -> None:
         """Show a message on every open page."""
@@ -144,7 +149,7 @@ class Panel:
         for plot, lines in zip(self._plots, PLOTS.values(), strict=True):
             plot.data = (rows[:, 0], *(factor * rows[:, COLUMN[name]] for name, _, factor, _ in lines))
         last = rows[-1]
-        self._status.content = moment.stopped or (
+        self._status.content = in_markdown(moment.stopped) or (
             f"**{moment.solver}** · {moment.status} · {moment.t_s:.1f} s, real time × {pace:.2f}"
             f"{' · paused' if self.paused else ''}  \n"
             f"µ {last[COLUMN['mu']]:.3f} m³ · RCM {1e3 * last[COLUMN['rcm_error_m']]:.2f} mm · "

@@ -27,10 +27,10 @@ from moc_opt.live.orders import (
     checked_offset,
     child_link,
 )
-from moc_opt.model import RobotModel, RobotState
-from moc_opt.report.swivel import Elbow
+from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Safe, Scenario, Setup, make_guard, make_solver, make_stop
-from moc_opt.selfmotion import self_motion
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +11,7 @@ from typing import IO, Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from moc_opt.inputs.files import to_json
 from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
@@ -99,18 +98,4 @@ def print_json(values: Mapping[str, Any], file: IO[str] | None = None) -> None:
     Raises:
         TypeError: a value that JSON cannot hold.
     """
-    json.dump(plain(values), file or sys.stdout, indent=2, allow_nan=False)
-    (file or sys.stdout).write("\n")
-
-
-def plain(value: Any) -> Any:
-    """The same with nothing but JSON's own types; NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(entry) for key, entry in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(entry) for entry in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    (file or sys.stdout).write(to_json(values) + "\n")

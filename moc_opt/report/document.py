@@ -11,7 +11,7 @@ from pathlib import Path
 from string import Template
 from urllib.parse import quote
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.table_html import escape
 
 MAX_BYTES = 8_000_000

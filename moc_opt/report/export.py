@@ -13,8 +13,8 @@ from urllib.parse import unquote
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
-from moc_opt.errors import UnknownNameError
-from moc_opt.report.errors import BrowserError, BrowserMissingError, ReportError
+from moc_opt.errors import BrowserError, BrowserMissingError, ReportError, UnknownNameError
+from moc_opt.inputs.names import file_stem
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -57,8 +57,8 @@ def save_figures(
         if name not in FORMATS:
             raise UnknownNameError("figure format", name, FORMATS)
     for name in figures:
-        if not name or name in (".", "..") or Path(name).name != name:
-            raise ReportError(f"figure {name!r}: give a name without a folder in it")
+        if name != file_stem(name):
+            raise ReportError(f"figure {name!r}: give a name without a folder in it; {file_stem(name)!r} would do")
     folder, written = Path(directory), []
     with browser() as chromium:
         drawn = dict(_draw(chromium, figures, "pdf" in wanted))

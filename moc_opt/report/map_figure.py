@@ -8,10 +8,10 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from moc_opt.report.courses import alike
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
+from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, UNREACHABLE, Course, SwivelMap
+from moc_opt.redundancy.map_analysis import alike
 from moc_opt.report.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
-from moc_opt.report.map import FEASIBLE, OTHER_BRANCH_RAD, UNREACHABLE, Course, SwivelMap
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from moc_opt.report.courses import ALIKE_RAD, CLOSE_RAD, END, NEAR, End, Reading, alike, read_course
+from moc_opt.redundancy.manipulability_map import SwivelMap, manipulability_map
+from moc_opt.redundancy.map_analysis import ALIKE_RAD, CLOSE_RAD, END, NEAR, End, Reading, alike, read_course
 from moc_opt.report.figures.style import Styles
-from moc_opt.report.map import SwivelMap, manipulability_map
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.notation import Missing
 from moc_opt.report.page import Page

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import gzip
-import json
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -17,6 +16,7 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from moc_opt.inputs.files import to_json
 from moc_opt.report.document import asset, beside, document, save_document, script_data
 from moc_opt.report.figures.style import DARK
 from moc_opt.report.notation import DASH
@@ -115,7 +115,7 @@ class Page:
         scripts = [asset("tables.js")]
         if self._figures:
             data += [
-                script_data("dark-colors", json.dumps(dict(DARK))),
+                script_data("dark-colors", to_json(DARK, indent=None)),
                 script_data("plotly-packed", _packed_plotly()),
             ]
             scripts.append(asset("figures.js"))

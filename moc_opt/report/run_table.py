@@ -7,7 +7,7 @@ from typing import Any
 
 from moc_opt.report.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 WHOLE_RUN = ("completed", "share_of_run")
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from moc_opt.model import RobotModel, load_robot
-from moc_opt.report.errors import ReportError
-from moc_opt.trace import Trace
+from moc_opt.errors import ReportError
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.trace.trace import Trace
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:

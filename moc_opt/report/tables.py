@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from moc_opt.errors import ReportError
 from moc_opt.report import notation, table_html
-from moc_opt.report.errors import ReportError
 from moc_opt.report.notation import Missing, Notation, is_number, printable
 
 

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, shown
+from moc_opt.inputs.files import read_toml, wrong_size
+from moc_opt.inputs.settings import Name
 
-Vector = tuple[float, ...]
-Point = tuple[float, float, float]
-PerJoint = float | Vector
+# Strict: a number of TOML, no text or flag that could be read as one.
+Number = Annotated[float, Field(strict=True, ge=-1e9, le=1e9)]
+Vector = tuple[Number, ...]
+Coordinate = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+PerJoint = Number | Vector
 
 
 class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=False)
 
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any) -> Any:
+        if wrong := wrong_size(value):
+            raise ValueError(wrong)
+        return value
+
 
 class Frames(_Table):
     """Where wrist and tool sit on the last link; xyz in m, rpy in rad (URDF's fixed-axis order)."""
 
-    last_link: str
+    last_link: Name
     wrist_xyz_m: Point
     tool_mount_xyz_m: Point = (0.0, 0.0, 0.0)
     tool_mount_rpy_rad: Point = (0.0, 0.0, 0.0)
@@ -32,9 +43,9 @@ class Frames(_Table):
 class Tool(_Table):
     """A straight round rod from the mount to the tip, along z of the mount."""
 
-    length_m: Annotated[float, Field(gt=0)] = 0.30
-    mass_kg: Annotated[float, Field(gt=0)] = 0.3
-    radius_m: Annotated[float, Field(gt=0)] = 0.004
+    length_m: Annotated[float, Field(strict=True, gt=0, le=10)] = 0.30
+    mass_kg: Annotated[float, Field(strict=True, gt=0, le=1000)] = 0.3
+    radius_m: Annotated[float, Field(strict=True, gt=0, le=1)] = 0.004
 
 
 class Limits(_Table):
@@ -63,24 +74,14 @@ class Home(_Table):
 class RobotDescription(_Table):
     """The whole TOML file; `urdf` is relative to the file itself."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     urdf: Annotated[str, Field(min_length=1)]
     frames: Frames
     tool: Tool = Tool()
     limits: Limits = Limits()
     joints: Joints = Joints()
     home: Home
-    gains: dict[str, dict[str, float | Vector]] = {}
-
-
-def read_text(path: Path, what: str) -> str:
-    """The file's text, or a RobotError that says what could not be read."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # a ValueError: not UTF-8, or a NUL in the path
-        raise RobotError(
-            f"{what} {str(path)!r} cannot be read ({error}): check the path and the encoding (UTF-8)"
-        ) from error
+    gains: dict[Name, dict[Name, Number | Vector]] = {}
 
 
 def read_description(path: Path) -> RobotDescription:
@@ -89,12 +90,7 @@ def read_description(path: Path) -> RobotDescription:
     Raises:
         RobotError: unreadable file, bad TOML, a missing, unknown or wrong entry (all of them are named).
     """
-    try:
-        raw = tomllib.loads(read_text(path, "robot file"))
-    except tomllib.TOMLDecodeError as error:
-        raise RobotError(f"robot file {str(path)!r} is not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise RobotError(f"robot file {str(path)!r}: tables or lists in it are nested too deep") from error
+    raw = read_toml(path, "robot file", RobotError)
     try:
         return RobotDescription.model_validate(raw)
     except ValidationError as error:
@@ -104,15 +100,15 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = ".".join(map(str, loc))
+    field = repr(".".join(f"{part!s:.80}" for part in loc))[1:-1]  # a key of the file may hold anything
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
-        near = difflib.get_close_matches(str(loc[-1]), valid, n=3, cutoff=0.5)
+        near = difflib.get_close_matches(str(loc[-1])[:100], valid, n=3, cutoff=0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
     if item["type"] == "missing":
         return f"{field} is missing: add it"
-    return f"{field} = {item['input']!r}: {item['msg']}"
+    return f"{field} = {shown(item['input'])}: {item['msg']}"
 
 
 def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:

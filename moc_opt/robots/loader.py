@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.inputs import names
+from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
-from moc_opt.robots.description import RobotDescription, Tool, read_description, read_text
+from moc_opt.robots.description import RobotDescription, Tool, read_description
+from moc_opt.robots.rebuild import rebuild
 
 Array = NDArray[np.float64]
 Gains = Mapping[str, float | tuple[float, ...]]
@@ -55,6 +58,9 @@ class RobotData:
     """The raw [gains.*] tables, one for each controller."""
 
     def __post_init__(self) -> None:
+        for name in (self.name, *self.joint_names, self.wrist_frame, self.tip_frame):
+            if not names.is_name(name):  # they go into generated sources and pages
+                raise RobotError(f"robot {self.name!r:.80}: {name!r:.80} is no name: {names.RULE}")
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
@@ -106,9 +112,11 @@ def load_data(
     description = read_description(description_path)
     tool = _tool(description.tool, tool_length, tool_mass)
     urdf_path = description_path.parent / description.urdf
-    root = urdf.parse(read_text(urdf_path, "urdf"))
+    given = urdf.parse(read_text(urdf_path, "urdf", RobotError))
+    urdf.check_names_free(given)
+    root = rebuild(given, description.name)
     chain = urdf.moving_joints(root, description.frames.last_link)
-    urdf.check_inertias(root, chain)
+    urdf.check_masses(root, chain)
     bounds = _limits(description, chain)
     for joint, *values in zip(chain, *bounds.values(), strict=True):
         urdf.write_limits(joint, *values)

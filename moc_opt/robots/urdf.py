@@ -5,13 +5,40 @@ from __future__ import annotations
 import difflib
 import math
 import xml.etree.ElementTree as ET
+from collections import defaultdict
 from collections.abc import Iterable
 
 from moc_opt.errors import RobotError
 from moc_opt.robots.description import Frames, Point, Tool
+from moc_opt.robots.numbers import as_text, number
+from moc_opt.robots.rebuild import MOVING, SMALLEST_MASS, inertia_fault
 
 TOOL_LINK, TIP_LINK, WRIST_LINK = "tool", "tip", "wrist"
-_MOVING = {"revolute", "continuous", "prismatic"}
+_OUR_LINKS = {TOOL_LINK, TIP_LINK, WRIST_LINK}
+_OUR_JOINTS = {"tool_mount", "tip_frame", "wrist_frame"}
+_DEEPEST, _MOST_ELEMENTS = 32, 20_000
+
+
+class _Bounded(ET.TreeBuilder):
+    """Builds the tree, and refuses one that later readers, which recurse, could not walk through."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = self._elements = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        self._depth += 1
+        self._elements += 1
+        if self._depth > _DEEPEST or self._elements > _MOST_ELEMENTS:
+            raise RobotError(
+                f"urdf: element <{tag:.80}> is number {self._elements}, at depth {self._depth}: {_MOST_ELEMENTS} "
+                f"elements and a depth of {_DEEPEST} are the most"
+            )
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        self._depth -= 1
+        return super().end(tag)
 
 
 def parse(text: str) -> ET.Element:
@@ -24,7 +51,7 @@ def parse(text: str) -> ET.Element:
     if any(mark in text.upper() for mark in ("<!DOCTYPE", "<!ENTITY")):
         raise RobotError("urdf declares a document type or entities: remove <!DOCTYPE ...> and <!ENTITY ...>")
     try:
-        root = ET.fromstring(text)
+        root = ET.fromstring(text, parser=ET.XMLParser(target=_Bounded()))
     except ET.ParseError as error:
         raise RobotError(
             f"urdf is not well-formed XML ({error}): expand xacro files and check the line"
@@ -35,57 +62,58 @@ def parse(text: str) -> ET.Element:
 
 
 def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
-    """The movable joints from the base to `last_link`, in that order; checks that they are a serial chain."""
+    """The movable joints of a rebuilt tree from base to `last_link`, in that order; no other joint may move."""
     links = [link.get("name", "") for link in root.findall("link")]
     if last_link not in links:
         near = difflib.get_close_matches(last_link, links, n=3, cutoff=0.3)
         raise RobotError(
-            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or links}?"
+            f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or links[:20]}?"
         )
     by_child = {_name(joint, "child"): joint for joint in root.findall("joint")}
     path: list[ET.Element] = []
     link = last_link
     while link in by_child:
-        if by_child[link] in path:
-            raise RobotError(f"urdf joints form a loop at link {link!r}: a serial chain is needed")
         path.append(by_child[link])
         link = _name(path[-1], "parent")
-    chain = [joint for joint in reversed(path) if joint.get("type") in _MOVING]
+    chain = [joint for joint in reversed(path) if joint.get("type") in MOVING]
     if not chain:
         raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
+    moving = {joint.get("name") for joint in chain}
     for joint in root.findall("joint"):
-        name, kind = joint.get("name"), joint.get("type")
-        if kind not in _MOVING | {"fixed"}:
+        if joint.get("type") in MOVING and joint.get("name") not in moving:
             raise RobotError(
-                f"urdf joint {name!r} has type {kind!r}: use revolute, prismatic, continuous or fixed"
+                f"urdf joint {joint.get('name')!r} moves but is not between base and last link: make it fixed"
             )
-        if kind != "fixed" and joint not in chain:
-            raise RobotError(
-                f"urdf joint {name!r} moves but is not between base and last link: make it fixed"
-            )
-        if joint.find("mimic") is not None:
-            raise RobotError(f"urdf joint {name!r} mimics another: make it fixed or free")
     return chain
 
 
-def check_inertias(root: ET.Element, chain: Iterable[ET.Element]) -> None:
-    """Every inertia must be one of a real body, and every movable joint must move some mass."""
-    for link in root.findall("link"):
-        if link.find("inertial") is not None:
-            _check_inertia(link)
+def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
+    """Every movable joint must move some mass."""
     heavy = {link.get("name", "") for link in root.findall("link") if link.find("inertial") is not None}
-    fixed = [
-        (_name(j, "parent"), _name(j, "child")) for j in root.findall("joint") if j.get("type") == "fixed"
-    ]
+    fixed: dict[str, list[str]] = defaultdict(list)
+    for joint in root.findall("joint"):
+        if joint.get("type") == "fixed":
+            fixed[_name(joint, "parent")].append(_name(joint, "child"))
     for joint in chain:
-        body = {_name(joint, "child")}
-        for _ in fixed:
-            body |= {child for parent, child in fixed if parent in body}
+        body, new = set(), [_name(joint, "child")]
+        while new:
+            link = new.pop()
+            if link not in body:
+                body.add(link)
+                new += fixed[link]
         if not body & heavy:
             raise RobotError(
                 f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} "
                 "an <inertial>"
             )
+
+
+def check_names_free(root: ET.Element) -> None:
+    """No link or joint may have a name of those that `append_tool` adds."""
+    for tag, ours in (("link", _OUR_LINKS), ("joint", _OUR_JOINTS)):
+        taken = sorted({element.get("name", "") for element in root.findall(tag)} & ours)
+        if taken:
+            raise RobotError(f"urdf already has {tag}s named {taken}: rename them, the tool needs these names")
 
 
 def limits(joint: ET.Element) -> dict[str, float]:
@@ -95,19 +123,19 @@ def limits(joint: ET.Element) -> dict[str, float]:
         return {}
     keys = ("lower", "upper", "velocity", "effort")
     where = f"<limit> of joint {joint.get('name')!r}"
-    return {key: _number(element.get(key, ""), f"{where}, {key}") for key in keys if key in element.attrib}
+    return {
+        key: number(element.get(key, ""), f"{where}, {key}", "a limit") for key in keys if key in element.attrib
+    }
 
 
 def write_limits(joint: ET.Element, lower: float, upper: float, velocity: float, effort: float) -> None:
     """Put these limits into the text, so that every later reader of the URDF sees the same ones."""
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
-    element = joint.find("limit")
-    if element is None:
-        element = ET.SubElement(joint, "limit")
+    for old in joint.findall("limit"):
+        joint.remove(old)
     values = {"lower": lower, "upper": upper, "velocity": velocity, "effort": effort}
-    for key, value in values.items():
-        element.set(key, repr(float(value)))
+    ET.SubElement(joint, "limit", {key: as_text(value) for key, value in values.items()})
 
 
 def append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
@@ -116,11 +144,6 @@ def append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
     The tool is a uniform round rod along z of the mount. The wrist must lie on its axis, behind the tip: the
     control laws take the line from wrist to tip for the shaft.
     """
-    taken = {link.get("name") for link in root.findall("link")} & {TOOL_LINK, TIP_LINK, WRIST_LINK}
-    if taken:
-        raise RobotError(
-            f"urdf already has links named {sorted(map(str, taken))}: rename them, the tool needs these names"
-        )
     axis = _mount_axis(frames.tool_mount_rpy_rad)
     mount = frames.tool_mount_xyz_m
     back = [m - w for m, w in zip(mount, frames.wrist_xyz_m, strict=True)]
@@ -155,12 +178,18 @@ def to_text(root: ET.Element) -> str:
 def _rod(tool: Tool) -> ET.Element:
     m, length, r = tool.mass_kg, tool.length_m, tool.radius_m
     across, about = m * (3 * r * r + length * length) / 12, m * r * r / 2
+    fault = inertia_fault((across, across, about, 0.0, 0.0, 0.0))
+    if m < SMALLEST_MASS or fault is not None:
+        raise RobotError(
+            f"tool of {m:g} kg, {length:g} m, radius {r:g} m: {fault or f'{SMALLEST_MASS:g} kg is the least'}; raise "
+            "tool.mass_kg (tool_mass) or tool.radius_m"
+        )
     link = ET.Element("link", name=TOOL_LINK)
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_join((0.0, 0.0, length / 2)), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=repr(m))
+    ET.SubElement(inertial, "origin", xyz=as_text(0.0, 0.0, length / 2), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=as_text(m))
     moments = {"ixx": across, "ixy": 0.0, "ixz": 0.0, "iyy": across, "iyz": 0.0, "izz": about}
-    ET.SubElement(inertial, "inertia", {key: repr(value) for key, value in moments.items()})
+    ET.SubElement(inertial, "inertia", {key: as_text(value) for key, value in moments.items()})
     return link
 
 
@@ -168,7 +197,7 @@ def _fix(root: ET.Element, name: str, parent: str, child: str, xyz: Point, rpy: 
     joint = ET.SubElement(root, "joint", name=name, type="fixed")
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", xyz=_join(xyz), rpy=_join(rpy))
+    ET.SubElement(joint, "origin", xyz=as_text(*xyz), rpy=as_text(*rpy))
 
 
 def _mount_axis(rpy: Point) -> Point:
@@ -177,45 +206,8 @@ def _mount_axis(rpy: Point) -> Point:
     return (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
 
 
-def _check_inertia(link: ET.Element) -> None:
-    name = link.get("name")
-    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
-    if mass is None or inertia is None:
-        raise RobotError(
-            f"urdf link {name!r} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>"
-        )
-    value = _number(mass.get("value", ""), f"mass of link {name!r}")
-    if value <= 0:
-        raise RobotError(
-            f"urdf link {name!r} has mass {value}: it must be positive; drop <inertial> for a massless frame"
-        )
-    xx, yy, zz, xy, xz, yz = (
-        _number(inertia.get(key, "0"), f"inertia {key} of link {name!r}")
-        for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    )
-    det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    if not (xx > 0 and xx * yy - xy * xy > 0 and det > 0):
-        raise RobotError(
-            f"urdf link {name!r} has an inertia that is not positive definite: correct ixx ... izz"
-        )
-
-
-def _number(text: str, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError as error:
-        raise RobotError(f"urdf: {what} is {text!r}: write a number") from error
-    if not math.isfinite(value):
-        raise RobotError(f"urdf: {what} is {text!r}: write a finite number")
-    return value
-
-
 def _name(joint: ET.Element, end: str) -> str:
     element = joint.find(end)
     if element is None or not element.get("link"):
         raise RobotError(f"urdf joint {joint.get('name')!r} has no <{end} link=...>: add it")
     return str(element.get("link"))
-
-
-def _join(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)

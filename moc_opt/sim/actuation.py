@@ -6,8 +6,8 @@ import numpy as np
 from numba import int64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
+from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
 
 Array = NDArray[np.float64]
 

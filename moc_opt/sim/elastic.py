@@ -18,8 +18,8 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import NDArray
 
-from moc_opt.compiled import VECTOR, Entry
 from moc_opt.errors import PlantError
+from moc_opt.numerics.compiled import VECTOR, Entry
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
 

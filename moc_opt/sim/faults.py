@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
+from moc_opt.inputs.settings import Name
 from moc_opt.sim.mjcf import TOOL_BODY
 from moc_opt.sim.packets import Packets, PacketSettings
 from moc_opt.sim.plant import Plant
@@ -41,7 +42,7 @@ class FaultSettings(PacketSettings):
     bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="sideways push on the elbow")
     bump_at_s: float = Field(default=2.0, ge=0.0)
     bump_s: float = Field(default=0.3, gt=0.0)
-    bump_link: str = "link_4"
+    bump_link: Name = "link_4"
     payload_kg: float = Field(
         default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model"
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.settings import Settings
+from moc_opt.inputs.settings import Settings
 
 Array = NDArray[np.float64]
 

@@ -7,19 +7,20 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from time import perf_counter_ns
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.sim.faults import Faults
+from moc_opt.sim.log import Course, Courses, Log, Sink, Touched
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.safe import Brain, Safe, Watchdog
-from moc_opt.tasks.trocar import shaft_distance
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
-Array = NDArray[np.float64]
+BLOCK = 5000
+"""Ticks that are kept in memory where a sink takes them."""
 
 
 class RunAway(PlantError):
@@ -28,25 +29,6 @@ class RunAway(PlantError):
     def __init__(self, message: str, trace: Trace) -> None:
         super().__init__(message)
         self.trace = trace
-
-
-class Touched(NamedTuple):
-    """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
-
-    The robot's own frame lies off the true one by calibration error, encoder bias and bending joints. What it touches
-    it registers in its own frame, so that the offset at that point is of no consequence to it; only how the offset
-    changes on the way from there is.
-    """
-
-    tip: Array
-    """Where the path begins."""
-    trocar: Array
-    """Where the shaft enters, the error of the registration left out."""
-
-    @classmethod
-    def nothing(cls) -> Touched:
-        """The robot's frame is the true one."""
-        return cls(np.zeros(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -89,9 +71,9 @@ _STOPPED = {
 def simulate(
     plant: Plant,
     brain: Brain,
-    tip_refs: Array,
-    trocars: Array,
-    registered: Array,
+    tip_refs: Course,
+    trocars: Course,
+    registered: Course,
     *,
     guard: Watchdog | None = None,
     faults: Faults | None = None,
@@ -99,6 +81,8 @@ def simulate(
     touched: Touched | None = None,
     watch: Callable[[int], None] | None = None,
     meta: Mapping[str, Any] | None = None,
+    sink: Sink | None = None,
+    block: int = BLOCK,
 ) -> Trace:
     """Run the loop from the plant's present state.
 
@@ -115,6 +99,9 @@ def simulate(
             own tip; None: as the true one.
         watch: called with the tick's number before each tick (progress, events).
         meta: goes into the trace.
+        sink: takes the rows, ``block`` ticks at a time and what there is when the loop ends, in whatever way; the
+            trace that is returned then has no columns. None: all rows stay in memory.
+        block: see ``sink``.
 
     Returns:
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
@@ -126,64 +113,56 @@ def simulate(
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
     """
-    ticks, n = len(tip_refs), plant.data.n
-    touched = Touched.nothing() if touched is None else touched
-    kept: dict[str, NDArray[Any]] = {
-        "t_s": plant.time + plant.settings.period_s * np.arange(ticks),
-        "tip_ref_m": np.array(tip_refs[:, 0]), "trocar_m": np.array(trocars[:, 0]),
-        "trocar_registered_m": registered[:, 0] + touched.trocar, "tau_Nm": np.empty((ticks, n)),
-        "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **brain.columns(ticks),
-    }  # fmt: skip
-    truth, wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
-    torques, tick_us, limited = kept["tau_Nm"], kept["tick_us"], kept["limited"]
+    ticks, touched = len(tip_refs), Touched.nothing() if touched is None else touched
+    log = Log(plant, brain, Courses(tip_refs, trocars, registered), touched, sink, block)
+    now = log.block
     safe = Safe(brain, guard, np.array(plant.applied_torque))
     seen = plant.measure()
-    safe.start(seen, tip_refs[0], registered[0])
-    ended, stop_at, broken = "completed", ticks - 1, None
+    safe.start(seen, now.tip_refs[0], now.registered[0])
+    begin_s, ended, stop_at, broken = float(now.kept["t_s"][0]), "completed", ticks - 1, None
     stopped: dict[str, float] = {}
-    with no_collector():
-        for k in range(ticks):
-            if watch is not None:
-                watch(k)
-            seen = plant.measure()
-            if faults is not None:
-                faults.act(plant, k)
-                seen = faults.sense(seen, k)
-            begin = perf_counter_ns()
-            tau = safe.tick(seen, tip_refs[k], registered[k])
-            tick_us[k] = (perf_counter_ns() - begin) * 1e-3
-            if safe.lost and ended == "completed":
-                ended = f"stopped: {safe.lost} (t = {kept['t_s'][k]:.3f} s)"
-                stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
-                stopped["stopped_at_s"] = float(kept["t_s"][k])
-            brain.note(k, kept)
-            if safe.lost:
-                plant.brake(stop.damping, safe.hold(seen))
-                _blank(kept, k)
-            plant.write_truth(truth[k])
-            wrench[k], torques[k], limited[k] = seen.force, tau, safe.limited
-            try:
-                plant.step(tau, trocars[k])
-            except PlantError as error:
-                ended, stop_at, broken = f"ran away at t = {kept['t_s'][k]:.3f} s", k, error
-            if k == stop_at:
-                break
-    places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
-    kept |= dict(zip(places, np.split(truth, np.cumsum([*places.values()])[:-1], axis=1), strict=True))
-    kept["force_N"], kept["torque_Nm"] = wrench[:, :3], wrench[:, 3:]
-    kept = {name: column[: stop_at + 1] for name, column in kept.items()}
-    kept["tip_error_m"] = np.linalg.norm(kept["tip_ref_m"] - kept["tip_m"], axis=1)
-    kept["tip_error_registered_m"] = np.linalg.norm(kept["tip_ref_m"] + touched.tip - kept["tip_m"], axis=1)
-    kept["rcm_error_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], kept["trocar_m"])
-    registered_m = kept["trocar_registered_m"]
-    kept["rcm_error_registered_m"] = shaft_distance(kept["tip_m"], kept["wrist_m"], registered_m)
+    try:
+        with no_collector():
+            for k in range(ticks):
+                if watch is not None:
+                    watch(k)
+                now = log.at(k)
+                row, kept = k - now.first, now.kept
+                tip_ref, believed = now.tip_refs[row], now.registered[row]
+                seen = plant.measure()
+                if faults is not None:
+                    faults.act(plant, k)
+                    seen = faults.sense(seen, k)
+                begin = perf_counter_ns()
+                tau = safe.tick(seen, tip_ref, believed)
+                kept["tick_us"][row] = (perf_counter_ns() - begin) * 1e-3
+                if safe.lost and ended == "completed":
+                    ended = f"stopped: {safe.lost} (t = {kept['t_s'][row]:.3f} s)"
+                    stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
+                    stopped["stopped_at_s"] = float(kept["t_s"][row])
+                brain.note(row, kept)
+                if safe.lost:
+                    plant.brake(stop.damping, safe.hold(seen))
+                    _blank(kept, row)
+                plant.write_truth(now.truth[row])
+                now.wrench[row], kept["tau_Nm"][row], kept["limited"][row] = seen.force, tau, safe.limited
+                now.done = row + 1
+                try:
+                    plant.step(tau, now.trocars[row])
+                except PlantError as error:
+                    ended, stop_at, broken = f"ran away at t = {kept['t_s'][row]:.3f} s", k, error
+                if k == stop_at:
+                    break
+    except BaseException:
+        log.close()  # what was measured is not lost, whatever ends the loop
+        raise
+    columns = log.close()
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": ended, **stopped}
     found |= {"ticks": stop_at + 1, "ticks_planned": ticks}
     found |= {"faults": brain.faults} if hasattr(brain, "faults") else {}
     if safe.warnings:
-        begin_s = float(kept["t_s"][0])
         found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in safe.warnings]
-    trace = Trace(kept, {**found, **(meta or {})})
+    trace = Trace(columns, {**found, **(meta or {})})
     if broken is not None:
         raise RunAway(f"{ended}: {broken}", trace) from broken
     return trace

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.settings import Settings
+from moc_opt.inputs.settings import Settings
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]

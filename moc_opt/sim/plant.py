@@ -9,8 +9,8 @@ import numpy as np
 from numba import float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import INDICES, MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, Entry
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
 from moc_opt.sim.contact import Pushes, load_bodies, shaft_force

@@ -43,7 +43,7 @@ class Brain(Pilot, Protocol):
 
 
 class Watchdog(Protocol):
-    """What the loop asks of a guard (``moc_opt.control.guard.Guard``)."""
+    """What the loop asks of a guard (``moc_opt.control.safety_filter.Guard``)."""
 
     @property
     def lost(self) -> bool:

@@ -10,8 +10,8 @@ import numpy as np
 from numba import float64, njit
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.compiled import MATRIX, VECTOR, Entry
 from moc_opt.errors import PlantError
+from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
 Array = NDArray[np.float64]

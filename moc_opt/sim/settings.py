@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.settings import Settings
+from moc_opt.inputs.settings import Settings
 
 GRAVITY = (0.0, 0.0, -9.81)
 """[m/s^2], world axes; pinocchio's default too."""

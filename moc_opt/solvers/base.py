@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.subproblem import NullSpaceQP
+from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
 

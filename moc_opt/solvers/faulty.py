@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
-from moc_opt.solvers.exact import Exact
-from moc_opt.subproblem import NullSpaceQP, fields
+from moc_opt.solvers.exact.solver import Exact
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from moc_opt.errors import SolverError, describe
+from moc_opt.inputs import names
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
@@ -43,6 +44,8 @@ def factory_of(name: str, points: list[EntryPoint]) -> Callable[..., Solver]:
     Raises:
         SolverError: several claim the name, the entry point cannot be imported, or it is no solver.
     """
+    if not names.is_name(name):
+        raise SolverError(f"solver {name!r:.80}: {in_words(points[0])}: rename it; {names.RULE}")
     if len(points) > 1:
         claims = " and ".join(map(in_words, points))
         raise SolverError(f"solver {name!r}: {claims} claim this name: rename one, or uninstall its package")
@@ -72,6 +75,8 @@ def made(name: str, point: EntryPoint, factory: Callable[..., Solver], settings:
     solver = factory(**settings)
     lacking = [part for part in ("supports", "start") if not callable(getattr(solver, part, None))]
     _require(name, point, lacking + ([] if isinstance(getattr(solver, "name", None), str) else ["name"]))
+    if not names.is_name(solver.name):
+        raise SolverError(f"solver {name!r}: {in_words(point)} calls itself {solver.name!r:.80}: {names.RULE}")
     return solver
 
 

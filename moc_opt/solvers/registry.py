@@ -16,23 +16,23 @@ from moc_opt.solvers.base import Solver
 
 # name -> (module, class, package that must be installed or "")
 BUILT_IN: dict[str, tuple[str, str, str]] = {
-    "exact": ("moc_opt.solvers.exact", "Exact", ""),
-    "rnn": ("moc_opt.solvers.rnn", "RNN", ""),
-    "rnn-printed": ("moc_opt.solvers.rnn", "RNNPrinted", ""),
-    "osqp": ("moc_opt.solvers.osqp", "OSQP", "osqp"),
-    "proxqp": ("moc_opt.solvers.proxqp", "ProxQP", "proxsuite"),
-    "daqp": ("moc_opt.solvers.daqp", "DAQP", "daqp"),
-    "piqp": ("moc_opt.solvers.piqp", "PIQP", "piqp"),
-    "quadprog": ("moc_opt.solvers.quadprog", "Quadprog", "quadprog"),
-    "clarabel": ("moc_opt.solvers.clarabel", "Clarabel", "clarabel"),
-    "nlp-sqp": ("moc_opt.solvers.nlp", "SQP", "casadi"),
-    "nlp-ipopt": ("moc_opt.solvers.nlp", "Ipopt", "casadi"),
-    "nlp-fatrop": ("moc_opt.solvers.nlp", "Fatrop", "casadi"),
+    "exact": ("moc_opt.solvers.exact.solver", "Exact", ""),
+    "rnn": ("moc_opt.solvers.neural.projection", "RNN", ""),
+    "rnn-printed": ("moc_opt.solvers.neural.projection", "RNNPrinted", ""),
+    "osqp": ("moc_opt.solvers.backends.osqp", "OSQP", "osqp"),
+    "proxqp": ("moc_opt.solvers.backends.proxqp", "ProxQP", "proxsuite"),
+    "daqp": ("moc_opt.solvers.backends.daqp", "DAQP", "daqp"),
+    "piqp": ("moc_opt.solvers.backends.piqp", "PIQP", "piqp"),
+    "quadprog": ("moc_opt.solvers.backends.quadprog", "Quadprog", "quadprog"),
+    "clarabel": ("moc_opt.solvers.backends.clarabel", "Clarabel", "clarabel"),
+    "nlp-sqp": ("moc_opt.solvers.nlp.nlp", "SQP", "casadi"),
+    "nlp-ipopt": ("moc_opt.solvers.nlp.nlp", "Ipopt", "casadi"),
+    "nlp-fatrop": ("moc_opt.solvers.nlp.nlp", "Fatrop", "casadi"),
 }
 # prefix -> (package, module): one adapter for all solvers that a library finds
 FAMILIES: dict[str, tuple[str, str]] = {
-    "qpsolvers:": ("qpsolvers", "moc_opt.solvers.qpsolvers"),
-    "casadi:": ("casadi", "moc_opt.solvers.casadi_conic"),
+    "qpsolvers:": ("qpsolvers", "moc_opt.solvers.backends.qpsolvers"),
+    "casadi:": ("casadi", "moc_opt.solvers.backends.casadi_conic"),
 }
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import plotly.graph_objects as go
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.figures.distributions import Floats, Samples, known_samples
 from moc_opt.report.figures.style import Styles, figure, label, log_axis
 from moc_opt.report.notation import pretty_units

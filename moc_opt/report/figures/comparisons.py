@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import plotly.graph_objects as go
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.figures.labels import label_sides
 from moc_opt.report.figures.style import (
     BAD,

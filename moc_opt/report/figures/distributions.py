@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,9 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 from plotly.subplots import make_subplots
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.figures.style import TEMPLATE, Styles, label, legend_height
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 Floats = NDArray[np.float64]
 PANELS = {

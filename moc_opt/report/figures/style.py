@@ -16,7 +16,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
-from moc_opt.report.errors import ReportError
+from moc_opt.errors import ReportError
 from moc_opt.report.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"

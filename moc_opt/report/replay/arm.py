@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.kinematics import Chain
-from moc_opt.model import RobotModel
+from moc_opt.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -48,39 +47,6 @@ class Part:
         numbers = {"origin": self.origin, "axis": self.axis, "radii": self.radii, "heights": self.heights}
         rounded = {key: [round(float(x), 6) for x in values] for key, values in numbers.items()}
         return {"link": self.link, "role": self.role, **rounded}
-
-
-def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Forward kinematics of many poses at once.
-
-    Args:
-        chain: the arm.
-        q: (k, n) [rad], of prismatic joints [m].
-
-    Returns:
-        Origins (k, n, 3) [m] and rotations (k, n, 3, 3), world from joint frame, after each joint's motion.
-    """
-    count, n = q.shape
-    origins, rotations = np.empty((count, n, 3)), np.empty((count, n, 3, 3))
-    place, turn = np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1))
-    for j in range(n):
-        place = place + turn @ chain.origins[j]
-        turn = turn @ chain.rotations[j]
-        if chain.prismatic[j]:
-            place = place + (turn @ chain.axes[j]) * q[:, j, None]
-        else:
-            turn = turn @ _turns(chain.axes[j], q[:, j])
-        origins[:, j], rotations[:, j] = place, turn
-    return origins, rotations
-
-
-def _turns(axis: Array, angles: Array) -> Array:
-    """(k, 3, 3) Rodrigues' rotations about one unit axis."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    turned: Array = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
-    return turned
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:

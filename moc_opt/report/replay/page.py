@@ -13,16 +13,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model import RobotModel
+from moc_opt.errors import ReportError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.showable import check
 from moc_opt.report.document import asset, document, save_document, script_data
-from moc_opt.report.errors import ReportError
 from moc_opt.report.figures.series import PANELS
 from moc_opt.report.figures.style import DARK, Styles
 from moc_opt.report.replay.arm import arm_parts
-from moc_opt.report.replay.tracks import Block, check, frame_times, run_track
+from moc_opt.report.replay.tracks import Block, frame_times, run_track
 from moc_opt.report.runs import load_runs
 from moc_opt.report.table_html import escape
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 

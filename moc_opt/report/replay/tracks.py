@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model import RobotModel
-from moc_opt.report.errors import ReportError
+from moc_opt.model.frames import link_frames
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.report.figures.series import PANELS, envelope
-from moc_opt.report.replay.arm import link_frames
-from moc_opt.trace import Trace
+from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 
@@ -23,7 +22,6 @@ FRAMES_IN_ALL = 9000
 """Of all runs together; a longer replay gets fewer per second, and the page moves evenly between them."""
 PATH_POINTS = 1500
 SERIES_POINTS = 900
-NEEDED = ("t_s", "q_rad", "tip_m", "tip_ref_m")
 
 
 class Block:
@@ -45,27 +43,6 @@ class Block:
         """Little-endian, compressed, base64."""
         raw = np.concatenate(self._parts).astype("<f4").tobytes() if self._parts else b""
         return base64.b64encode(gzip.compress(raw, mtime=0)).decode()
-
-
-def check(name: str, trace: Trace, robot: RobotModel) -> None:
-    """Raise where a run cannot be shown.
-
-    Raises:
-        ReportError: it is empty, lacks a column, is of another arm, or its poses are not finite.
-    """
-    missing = [column for column in NEEDED if column not in trace.columns]
-    if missing or not len(trace):
-        what = f"lacks the columns {', '.join(missing)}" if missing else "has no ticks"
-        raise ReportError(f"run {name!r} {what}: give a trace as `run` leaves it")
-    if trace.q_rad.shape[1] != robot.n:
-        raise ReportError(
-            f"run {name!r} has {trace.q_rad.shape[1]} joints, robot {robot.data.name!r} {robot.n}: give its own arm"
-        )
-    for column in NEEDED:
-        if not np.isfinite(trace.columns[column]).all():
-            raise ReportError(
-                f"run {name!r} is not finite in {column!r}: cut it off before that with `select`"
-            )
 
 
 def frame_times(runs: Mapping[str, Trace]) -> Array:

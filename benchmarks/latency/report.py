@@ -1,0 +1,266 @@
+"""The tables, the page and the headline of ``python -m benchmarks.speed``, all from its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+from rich.console import Console
+
+from benchmarks import baselines as peers
+from benchmarks.latency.goals import Summary
+from benchmarks.latency.tick import PARTS
+from benchmarks.output import save_page
+from moc_opt.report import figures
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+
+GOALS = [
+    Column("what", "goal"),
+    Column("kind", ""),
+    Column("goal", "limit"),
+    Column("value", "measured"),
+    Column("unit", "unit"),
+    Column("reached", "reached"),
+]
+_COLD = "median of the five calls after another entry's turn; the percentiles count them too"
+_WORST = [
+    Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low", help=_COLD),
+    Column("tick_max_us", "longest", unit="us", format=".1f", better="low"),
+]
+TICKS = [
+    Column("name", "tick with"),
+    Column("tick_p50_us", "p50", unit="us", format=".1f", better="low"),
+    Column("tick_p99_us", "p99", unit="us", format=".1f", better="low"),
+    Column("tick_p99_9_us", "p99.9", unit="us", format=".1f", better="low"),
+    *_WORST,
+    Column(
+        "beyond_us",
+        "beyond",
+        unit="us",
+        format=".1f",
+        help="beyond our own part and the library driven by hand",
+    ),
+]
+PARTS_COLUMNS = [
+    Column("name", "part"),
+    Column("tick_p50_us", "p50", unit="us", format=".2f"),
+    Column("tick_p99_us", "p99", unit="us", format=".2f"),
+    Column("is", "what it is"),
+]
+PEERS = [
+    Column("name", "controller"),
+    Column("level", "gives", help="a velocity still needs a servo"),
+    Column("installed", "installed by"),
+    Column("tick_p50_us", "p50", unit="us", format=".1f", better="low"),
+    Column("tick_p99_us", "p99", unit="us", format=".1f", better="low"),
+    *_WORST,
+    Column("times_ours", "over ours", format=".2f", help="its median over that of our tick in Python"),
+    Column("times_c", "over ours in C", format=".2f"),
+    Column(
+        "tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"
+    ),
+    Column(
+        "rcm_error_max_mm", "shaft", unit="mm", help="largest distance of the shaft from the trocar, likewise"
+    ),
+    Column(
+        "mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"
+    ),
+]
+EXACT = [
+    Column("name", "subproblems"),
+    Column("solve_p50_us", "p50", unit="us", format=".2f", better="low"),
+    Column("solve_p99_us", "p99", unit="us", format=".2f", better="low"),
+    Column("kernel_us", "kernel", unit="us", format=".3f", help="inside compiled code, best of five"),
+    Column("solve_cold_p50_us", "cold", unit="us", format=".2f", help=_COLD),
+    Column("batch_one_thread_per_s", "batch, one thread", unit="1/s", format=".3g", help="solves per second"),
+    Column("batch_all_cores_per_s", "batch, all cores", unit="1/s", format=".3g", help="solves per second"),
+    Column("batch_threads", "cores", format=".0f"),
+    Column("primal_max", "primal", format=".1e"),
+    Column("natural_max", "natural", format=".1e"),
+    Column("loss_max", "loss", format=".1e"),
+]
+ADAPTERS = [
+    Column("name", "adapter"),
+    Column("adapter_p50_us", "adapter", unit="us", format=".2f", better="low"),
+    Column(
+        "by_hand_p50_us",
+        "by hand",
+        unit="us",
+        format=".2f",
+        help="load the numbers and solve, in a bare loop",
+    ),
+    Column("library_p50_us", "library", unit="us", format=".2f", help="update and solve alone"),
+    Column("ratio", "adapter / by hand", format=".3f", better="low", help="median over the chunks"),
+    Column("ratio_low", "from", format=".3f", help="lower quartile of the chunks"),
+    Column("ratio_high", "to", format=".3f", help="upper quartile of the chunks"),
+    Column("ratio_to_library", "adapter / library", format=".2f"),
+]
+LOOP = [
+    Column("name", "loop"),
+    Column("factor", "real time", unit="times", format=".1f", better="high"),
+    Column("factor_cpu", "of its own processor time", unit="times", format=".1f", better="high"),
+    Column("factor_best", "best run", unit="times", format=".1f"),
+    Column(
+        "us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"
+    ),
+    Column("tick_p50_us", "controller p50", unit="us", format=".1f"),
+    Column("tick_p99_us", "p99", unit="us", format=".1f"),
+    Column("tick_p99_9_us", "p99.9", unit="us", format=".1f"),
+]
+FACTS = [Column("what", "what"), Column("value", "value"), Column("unit", "unit")]
+OTHER = {
+    ("loop", "two processes", "speed_up"): ("two processes over one", ""),
+    ("loop", "memory", "growth_bytes_per_tick"): (
+        "memory that a tick leaves behind, besides the trace",
+        "byte",
+    ),
+    ("loop", "memory", "trace_bytes_per_tick"): ("the trace itself, per tick", "byte"),
+    ("loop", "memory", "kept_short_kB"): ("held after a short run, besides its trace", "kB"),
+    ("loop", "memory", "kept_long_kB"): ("held after a long run, besides its trace", "kB"),
+    ("loop", "memory", "resident_growth_kB"): ("growth of the process over four more long runs", "kB"),
+    ("setup", "moc_opt", "import_s"): ("import moc_opt", "s"),
+    ("setup", "moc_opt", "import_process_s"): ("the same as a process of its own, interpreter included", "s"),
+    ("setup", "moc_opt", "first_tick_s"): ("first torque of a new process", "s"),
+    ("setup", "moc_opt", "libraries_s"): ("of that: loading libraries", "s"),
+    ("setup", "moc_opt", "model_s"): ("of that: model and controller", "s"),
+    ("setup", "moc_opt", "start_and_tick_s"): ("of that: start and first tick", "s"),
+    ("embedded", "c", "own_mean_us"): ("exported C program, a tick in its own loop: mean", "us"),
+    ("embedded", "c", "own_p99_9_us"): ("the same with the clock: p99.9", "us"),
+    ("embedded", "c", "difference_Nm"): ("largest torque difference between C and Python", "Nm"),
+    ("clock", "cost", "p50_us"): ("reading the clock twice, left inside every time", "us"),
+}
+
+
+def tables(summary: Summary) -> dict[str, Table]:
+    """Name -> table, in the order of the page; what was not measured is left out."""
+    beyond = {name: found["beyond_us"] for name, found in summary["beyond_the_library"].items()}
+    ticks = [
+        {"name": name, "beyond_us": beyond.get(name), **found} for name, found in summary["tick"].items()
+    ]
+    parts = [
+        {"name": name, "is": PARTS.get(name, ""), **found} for name, found in summary["tick_parts"].items()
+    ]
+    own, c = summary["tick"]["exact"], summary["tick"].get("c")
+    rivals = [{"name": "moc_opt", "level": "torque", "times_ours": 1.0, **own}]
+    if c is not None:
+        rivals.append({"name": "moc_opt in C", "level": "torque", "times_c": 1.0, **c})
+    for name, found in summary["peers"].items():
+        p50 = found["tick_p50_us"]
+        over = {"times_ours": p50 / own["tick_p50_us"], "times_c": p50 / c["tick_p50_us"] if c else None}
+        rivals.append({"name": name, **found, **over})
+    for name in peers.PEERS:
+        if f"peer {name}" in summary["not_run"]:
+            reason = summary["not_run"][f"peer {name}"]["reason"]
+            rivals.append({"name": name, "installed": f"not run: {reason}"})
+    loops = [{"name": name, **found} for name, found in summary["loop"].items() if "factor" in found]
+    other = [
+        {"what": what, "unit": unit, "value": f"{value:.3g}"}
+        for (part, name, key), (what, unit) in OTHER.items()
+        if (value := summary[part].get(name, {}).get(key)) is not None
+    ]
+    goals = [
+        {**found, "goal": f"{found['goal']:g}", "value": _short(found["value"])}
+        for found in summary["goals"].values()
+    ]
+    found = {
+        "goals": Table("Goals", GOALS, goals),
+        "tick": Table("One tick, state to torque", TICKS, ticks),
+        "parts": Table("Parts of a tick with exact", PARTS_COLUMNS, parts),
+        "peers": Table("One tick in other libraries, the same job on the same arm", PEERS, rivals),
+        "exact": Table("The solver exact", EXACT, _rows(summary["exact"])),
+        "adapters": Table("Adapters and their libraries", ADAPTERS, _rows(summary["adapters"])),
+        "loop": Table("The closed loop", LOOP, loops),
+        "other": Table("Set-up, memory, processes", FACTS, other),
+    }
+    if summary["not_run"]:
+        columns = [Column("name", "not run"), Column("reason", "reason")]
+        found["not_run"] = Table("What could not run here", columns, _rows(summary["not_run"]))
+    return {name: table for name, table in found.items() if table.rows}
+
+
+def headline(summary: Summary) -> str:
+    """The result in words, computed."""
+    goals = summary["goals"].values()
+    reached = sum(goal["reached"] == "yes" for goal in goals)
+    missed = [f"{goal['what']} ({_short(goal['value'])})" for goal in goals if goal["reached"] == "no"]
+    own, loop = summary["tick"]["exact"]["tick_p50_us"], summary["loop"]["python"]["factor"]
+    said = [
+        f"A tick with `exact` takes {own:.1f} us (median), the closed loop runs {loop:.0f} times real time"
+    ]
+    if summary["peers"]:
+        best = min(summary["peers"], key=lambda name: float(summary["peers"][name]["tick_p50_us"]))
+        said.append(
+            f"the fastest peer, {best}, takes {summary['peers'][best]['tick_p50_us']:.1f} us for the same job"
+        )
+    said.append(f"{reached} of {len(summary['goals'])} goals are reached")
+    if missed:
+        said.append("not reached: " + "; ".join(missed))
+    return ". ".join(part[0].upper() + part[1:] for part in said) + "."
+
+
+def print_tables(console: Console, summary: Summary, out: Path) -> None:
+    """The tables on the screen, and where the files are."""
+    for table in tables(summary).values():
+        console.print(table.to_rich())
+    console.print(headline(summary))
+    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
+
+
+TEXTS = {
+    "goals": ("Goals", "Times depend on the machine, and on what else it does; ratios are measured side by side."),
+    "tick": (
+        "Ticks",
+        "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks of 100 that take "
+        "turns, without pauses of the garbage collector. A round that is not timed comes first; after it every call "
+        "counts. The parts are called by themselves, so that their sum is not exactly "
+        "the whole; those with a dash are compiled into the call above them.",
+    ),
+    "peers": (
+        "Other libraries",
+        "Tip on its reference, wrist on the line through the trocar, joint speeds in their limits, and the freedom "
+        "left up the gradient of the manipulability. Each has its fastest solver, hard equalities where it takes them, "
+        "our compiled gradient where it has none, and is timed on the states of a second on an ideal arm in which it "
+        "did the job; one that did not, or is not installed, is listed with the reason. Our tick also runs a momentum "
+        "observer and follows the "
+        "compliance law of the paper; it is timed on the states of its own run with the realistic plant.",
+    ),
+    "exact": ("Solvers", "Residuals are judged by the one measure of all solvers, on the recorded and on random arms."),
+    "adapters": (
+        "Adapters",
+        "By hand: the same library with the same settings, set up once, its numbers loaded from the same arrays, "
+        "solved, answer and multipliers read. Library: update and solve alone, on numbers that are loaded already.",
+    ),
+    "loop": ("Loop", "A run includes references, plant, controller and trace; building the arm is set-up."),
+}  # fmt: skip
+
+
+def write_report(
+    path: Path, summary: Summary, ticks: Mapping[str, ArrayLike], environment: Mapping[str, Any]
+) -> None:
+    """One page that opens by itself."""
+    page = Page("Speed", "ticks, solvers, adapters, the loop, set-up, and other libraries, side by side")
+    page.headline(headline(summary))
+    for name, table in tables(summary).items():
+        if name in TEXTS:
+            title, text = TEXTS[name]
+            page.section(title)
+            page.text(text)
+        page.table(table)
+        if name == "peers":
+            page.figure(figures.latency_ecdf(ticks), "Time of a tick: distribution.", name="ticks")
+            page.figure(
+                figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail"
+            )
+    page.environment(environment)
+    save_page(page, path)
+
+
+def _rows(part: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{"name": name, **found} for name, found in part.items()]
+
+
+def _short(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3g}"

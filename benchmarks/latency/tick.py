@@ -1,0 +1,194 @@
+"""One control tick, state to torque: whole with several solvers, in its parts, and in the other libraries.
+
+Everything here is timed on ticks that were recorded in a run with the realistic plant (ours) or in the peer's own
+ideal run (theirs), one after the other in chunks, in one process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import baselines as peers
+from benchmarks.baselines.check import PERIOD_S, Inputs, Verdict, job, perform, verdict
+from benchmarks.timing import Timed
+from moc_opt.control import Controller, ControlSettings, tick
+from moc_opt.control import null_space as manipulability
+from moc_opt.control.observer import MomentumObserver
+from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.qp.problem import NullSpaceQP, row_length
+from moc_opt.scenario import Setup, make_solver
+from moc_opt.scenario.driver import Driver
+from moc_opt.sim.loop import simulate
+from moc_opt.solvers.base import Solver
+from moc_opt.trace.trace import Trace
+
+Array = NDArray[np.float64]
+
+
+class Recording(NamedTuple):
+    """What a closed-loop run leaves for the clock."""
+
+    inputs: list[Inputs]
+    problems: list[NullSpaceQP]
+    trace: Trace
+
+
+class _Ear(Driver):
+    """A driver that remembers what it was asked."""
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__(controller)
+        self.heard: list[Inputs] = []
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """See ``sim.loop.Brain``."""
+        self.heard.append((q, v, np.array(tip_ref), np.array(trocar)))
+        return super().tick(q, v, tip_ref, trocar)
+
+
+def record(setup: Setup) -> Recording:
+    """Run the scenario once, and keep what every tick was given and its subproblem."""
+    ear = _Ear(setup.controller())
+    trace = simulate(setup.plant, ear, *references(setup))
+    problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
+    return Recording(ear.heard, problems, trace)
+
+
+def references(setup: Setup) -> tuple[Array, Array, Array]:
+    """Tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
+    t = setup.times()
+    tip, true, registered = (
+        np.stack(source.at(t), axis=1) for source in (setup.reference, setup.trocar, setup.registered)
+    )
+    return tip, true, registered
+
+
+def own_ticks(
+    names: Iterable[str], robot: RobotModel, settings: ControlSettings, inputs: list[Inputs], period_s: float
+) -> tuple[dict[str, Timed], dict[str, str]]:
+    """Solver -> its whole tick; and solver -> why it cannot run in this controller."""
+    timed: dict[str, Timed] = {}
+    refused: dict[str, str] = {}
+    for name in names:
+        driver = Driver(Controller(robot, settings, make_solver(name, robot), period_s))
+        try:
+            driver.start(*inputs[0])
+        except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
+            refused[name] = f"{type(error).__name__}: {error}"
+            continue
+        timed[name] = Timed(spread(driver.tick), inputs)
+    return timed, refused
+
+
+def spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
+    """``call`` for a tuple of its arguments."""
+    return lambda given: call(*given)
+
+
+PARTS = {
+    "model state": "pinocchio's terms, Jacobians, manipulability and its gradient (RobotModel.state)",
+    "before the solver": "one compiled call: the next four rows",
+    "- levels 1 and 2": "tip and RCM torque, called alone",
+    "- null space": "Z carried on, called alone",
+    "- subproblem": "its record filled, called alone",
+    "solver": "exact, from Python",
+    "observer": "momentum residual",
+    "level 3 and limits": "one compiled call",
+}
+"""Part of a tick -> what it is; those that begin with a dash lie inside the one above."""
+
+
+def parts(
+    robot: RobotModel, settings: ControlSettings, solver: Solver, inputs: list[Inputs], period_s: float
+) -> dict[str, Timed]:
+    """The parts of our tick, each on the same states: what the controller calls, called by itself."""
+    n, gains = robot.n, settings.resolve_gains(robot.data.gains, robot.n)
+    numbers, rcm_lambda = np.array(gains[:4]), settings.rcm_lambda or 0.0
+    limits = manipulability.box_limits(
+        robot.q_min, robot.q_max, robot.v_max,
+        margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+    )  # fmt: skip
+    weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
+    states = [robot.state(q, v) for q, v, _, _ in inputs]
+    given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]
+    Z, tau, row = manipulability.null_space(states[0].A), np.empty(n), np.empty(row_length(n))
+    observer = MomentumObserver(robot, settings.observer_gain_per_s or 1.0, period_s)
+    observer.start(states[0])
+    held = np.array(states[0].h)
+    held.flags.writeable = False
+    problems = []
+    for state, tip_ref, trocar in given:
+        record = np.empty(row_length(n))
+        tick.fill_subproblem(state.record, n, tip_ref, trocar, limits, weights, settings.k0_per_s, record)
+        problems.append(NullSpaceQP.from_row(record))
+    session = solver.start(problems[0])
+    answers = [np.array(session.solve(qp).x) for qp in problems]
+    views = [state_views.py_func(state.record, n) for state in states]
+    spans = [(view.A, view.u) for view in views]
+    fixed = (limits, weights, settings.k0_per_s)
+
+    def before(item: Any) -> None:
+        state, tip_ref, trocar = item
+        tick.before_solver(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda, *fixed, Z, tau, row)
+
+    def low(item: Any) -> None:
+        state, tip_ref, trocar = item
+        tick.tracking_torque(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda)
+
+    def fill(item: Any) -> None:
+        state, tip_ref, trocar = item
+        tick.fill_subproblem(state.record, n, tip_ref, trocar, *fixed, row)
+
+    def after(item: Any) -> None:
+        state, x = item
+        tick.after_solver(state.record, n, Z, x, gains.K_N2, gains.D_N2, 1.0, held, robot.tau_max, tau)
+
+    calls: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
+        "model state": (lambda item: robot.state(item[0], item[1]), inputs),
+        "before the solver": (before, given),
+        "- levels 1 and 2": (low, given),
+        "- null space": (lambda item: manipulability.follow_null_space(item[0], item[1], Z), spans),
+        "- subproblem": (fill, given),
+        "solver": (session.solve, problems),
+        "observer": (lambda state: observer.update(state, held), states),
+        "level 3 and limits": (after, list(zip(states, answers, strict=True))),
+    }
+    return {name: Timed(*entry) for name, entry in calls.items()}
+
+
+class PeerRun(NamedTuple):
+    """A peer that does its job: what is timed, and how well it did it."""
+
+    timed: Timed
+    level: str
+    verdict: Verdict
+
+
+def peer_ticks(
+    names: Iterable[str], robot: RobotModel, advance: Callable[[str], None]
+) -> tuple[dict[str, PeerRun], dict[str, str]]:
+    """Peer -> its tick on the states of its own run; and peer -> why it is not listed."""
+    work, runs, refused = job(robot), {}, {}
+    for name in names:
+        reason = peers.missing(name)
+        advance(f"tried {name}")
+        if reason is not None:
+            refused[name] = reason
+            continue
+        peer = peers.create(name, robot, PERIOD_S)
+        poses, given = perform(peer, robot, work)
+        runs[name] = PeerRun(Timed(spread(peer.tick), given), peer.level, verdict(poses, robot, work))
+    return runs, refused
+
+
+def excess_us(
+    ticks: Mapping[str, float], solves: Mapping[str, float], bare: Mapping[str, float]
+) -> dict[str, float]:
+    """What a tick costs beyond our tick without its solver and the library by hand [us], by solver."""
+    rest = ticks["exact"] - solves["exact"]
+    return {name: ticks[name] - rest - bare[name] for name in ticks if name in bare}

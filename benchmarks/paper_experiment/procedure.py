@@ -1,0 +1,205 @@
+"""The operative procedure, whole: a hand guides the tip to the incision, the camera finds the board, the task is done.
+
+One run a task. The trocar is registered where the hand's tip came to rest, off by what hands and kinematics leave; the
+task is carried from the board to the robot through the camera's extrinsics, off by what calibration and detection
+leave; it waits while the board is lost. Errors are taken against the truth: the incision as it is, the task as it lies
+on the phantom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from moc_opt.control import Controller
+from moc_opt.errors import MocOptError, TaskError
+from moc_opt.inputs.settings import Settings
+from moc_opt.model.inverse_kinematics import pose_through
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.procedure.hands_on import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
+from moc_opt.procedure.reachability import check_reachable
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.scenario import Scenario, make_guard, make_solver, make_stop
+from moc_opt.scenario.driver import Driver
+from moc_opt.sim.loop import simulate
+from moc_opt.sim.plant import Plant
+from moc_opt.tasks import Path as TipPath
+from moc_opt.tasks import Reference
+from moc_opt.tasks.waiting import WaitingReference, flags_at
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.oscillation import judged_for_oscillation
+from moc_opt.trace.trace import Trace
+from moc_opt.vision.augmented_reality import Augmented
+from moc_opt.vision.board import board_below, board_task
+from moc_opt.vision.image_source import pose_accuracy
+from moc_opt.vision.settings import BoardSettings, CameraSettings, TrackerSettings
+
+Array = NDArray[np.float64]
+
+METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
+
+
+class ProcedureSettings(Settings):
+    """The parts of the procedure; each table is that of the component."""
+
+    KIND: ClassVar[str] = "[procedure]"
+    hands_on: HandsOnSettings = HandsOnSettings()
+    camera: CameraSettings = CameraSettings()
+    board: BoardSettings = BoardSettings()
+    tracker: TrackerSettings = TrackerSettings()
+    poses: int = Field(100, ge=1, description="at which single pictures are judged")
+    film: bool = Field(True, description="save what the surgeon sees during the first task")
+
+
+@dataclass(frozen=True)
+class ProcedureJob:
+    """One task from guiding to the end of its path; ``film`` is where the pictures go, None for nowhere."""
+
+    settings: ProcedureSettings
+    scenario: Scenario
+    task: str
+    film: Path | None = None
+
+
+def perform(job: ProcedureJob) -> dict[str, Any]:
+    """The whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
+    row: dict[str, Any] = {"part": "procedure", "task": job.task, "seed": job.scenario.seed}
+    try:
+        return row | _perform(job)
+    except MocOptError as error:
+        return {**row, "ended": "failed", "error": f"{type(error).__name__}: {error}"}
+
+
+def _perform(job: ProcedureJob) -> dict[str, Any]:
+    scenario, table, task = job.scenario, job.scenario.robot, board_task(job.task)
+    robot = table.arm()
+    home = robot.state(robot.data.q_home)
+    hand_seed, plant_seed, swivel_seed, eye_seed = (
+        np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
+    )
+    # The registration error is the hand's and the kinematics' here, not the plant's.
+    plant = Plant(
+        robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed
+    )
+
+    incision = home.tip - task.depth_m * home.tool_direction
+    guided = guide_to(incision, plant, robot, job.settings.hands_on, seed=hand_seed)
+    if guided.registered is None:
+        raise TaskError(f"hands-on: {guided.status.value}")
+
+    phantom = board_below(incision, home.tool_direction, task.depth_m)
+    parts = job.settings
+    scene = Augmented(
+        robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
+    )
+    estimate = scene.locate(guided.q)
+    path = scene.task(task, estimate)
+
+    q = pose_through(robot, path.start, guided.registered, q=robot.data.q_home)
+    q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
+    trace, waited, lost = _run(job, robot, plant, scene, path, q, (guided.trocar, guided.registered))
+    count = 0
+    if job.film is not None:
+        count = scene.film(job.film, trace, path, guided.registered)
+    deviation = 1e3 * from_path(trace.tip_m, scene.task(task, phantom))
+    metrics = summarize(trace)
+    return {
+        "ended": trace.meta["ended"], "share_of_run": metrics["share_of_run"],
+        **_guiding(guided), "camera": scene.source, **scene.accuracy(estimate, task),
+        "waited_s": waited, "lost_s": lost, "pictures": count,
+        **{name: metrics[name] for name in METRICS},
+        "path_deviation_mean_mm": float(deviation.mean()), "path_deviation_max_mm": float(deviation.max()),
+    }  # fmt: skip
+
+
+def _run(
+    job: ProcedureJob,
+    robot: RobotModel,
+    plant: Plant,
+    scene: Augmented,
+    path: TipPath,
+    q: Array,
+    trocars: tuple[Array, Array],
+) -> tuple[Trace, float, float]:
+    """The task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
+
+    ``trocars``: the true one and the registered one, (3,) each [m].
+    """
+    true, registered = trocars
+    scenario, period = job.scenario, job.scenario.plant.period_s
+    reference = Reference(
+        path,
+        scenario.task.v_max_m_per_s,
+        scenario.task.a_max_m_per_s2,
+        t_start=scenario.task.wait_s,
+    )
+    check_reachable(robot, q, reference, registered)
+    waiting = WaitingReference(reference, period)
+    lost = sum(end - begin for begin, end in job.settings.board.lost_s)
+    # Every start and stop takes the brakes' time.
+    settling = 2.0 * waiting.settle_s * (1 + len(job.settings.board.lost_s))
+    seconds = reference.t_start + reference.duration + lost + settling + scenario.task.hold_s
+    times = period * np.arange(round(seconds / period))
+    # The tool hides little of the board, and where it will be is not known yet: it is drawn where it starts.
+    watch = scene.watch(seconds, lambda t: q)
+    rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
+    last = int(np.searchsorted(played, reference.t_start + reference.duration))
+    ticks = min(len(times), last + round(scenario.task.hold_s / period))
+    solver = make_solver(scenario.solver.name, robot, **scenario.solver.settings)
+    plant.reset(q)
+    still = np.zeros(3)
+    trace = simulate(
+        plant,
+        Driver(Controller(robot, scenario.control, solver, period)),
+        rows[:ticks],
+        np.tile(np.stack([true, still]), (ticks, 1, 1)),
+        np.tile(np.stack([registered, still]), (ticks, 1, 1)),
+        guard=make_guard(robot, scenario),
+        stop=make_stop(scenario),
+    )
+    mu = np.array([robot.state(pose).mu for pose in trace.q_rad])
+    waited = float(times[min(last, len(times) - 1)] - (reference.t_start + reference.duration))
+    trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names)
+    return trace, waited, float(np.mean(~watch.seen) * seconds)
+
+
+def _guiding(guided: HandsOn) -> dict[str, Any]:
+    trace = guided.trace
+    return {
+        "status": guided.status.name.lower(),
+        "registered": guided.status is HandsOnStatus.REGISTERED,
+        "registration_error_mm": 1e3 * guided.error_m,
+        "guiding_s": float(trace.t_s[-1]),
+        "hand_force_max_N": float(np.linalg.norm(trace.hand_force_N, axis=1).max()),
+    }
+
+
+def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
+    """Distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
+    from scipy.spatial import cKDTree
+
+    line = path.at(np.linspace(0.0, path.length, samples))[0]
+    found: Array = cKDTree(line).query(points)[0]
+    return found
+
+
+def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[str, Any]:
+    """Accuracy of single pictures of the board at random poses, against the truth."""
+    return dict(
+        pose_accuracy(
+            load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed
+        )
+    )
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Task -> what its procedure came to."""
+    return {
+        row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")}
+        for row in rows
+    }

@@ -1,0 +1,244 @@
+"""What answers and times mean: judged, counted, and summed up without a mean that hides a tail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.solver_study.answers import (
+    CRASHED,
+    HUNG,
+    NOT_ASKED,
+    RAISED,
+    REFUSED,
+    SETTING_UP,
+    Data,
+    Limits,
+    asked,
+    not_asked,
+)  # fmt: skip
+from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.store import Part, Store
+from benchmarks.solver_study.worker import Worker
+from benchmarks.testsets import TestSet
+from benchmarks.timing import percentiles
+from moc_opt.qp.problem import fields, judge
+
+BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
+CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
+RIGHTLY = 0.99
+"""Least share of right answers of a solver whose times are compared with others': a wrong answer may come fast."""
+RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The answers of one solver under one setting to one set, judged."""
+
+    entry: Entry
+    data: Data
+    part: Part
+
+    def __post_init__(self) -> None:
+        found = judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
+        object.__setattr__(self, "residuals", found)
+        object.__setattr__(self, "verified", found.verified() & self.data.feasible)
+
+    residuals: Any = None
+    verified: Any = None
+
+    @property
+    def status(self) -> NDArray[Any]:
+        """One word per problem."""
+        return self.part.arrays["status"]
+
+    @property
+    def contradictory(self) -> NDArray[np.bool_]:
+        """Where the six rows cannot all be met: their references were moved before the certificate was made."""
+        moved = np.abs(fields(self.data.judged).b - fields(self.data.rows).b).max(axis=-1)
+        return moved > CONTRADICTION
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """(k,) which problems were answered rightly, the one rule of all tables, figures and sentences.
+
+        Right is a claim of success that the judge verifies; and a claim of infeasibility where the certificate says so,
+        or where the six rows that the solver was given do contradict each other.
+        """
+        return (self.status == "solved") & self.verified | (self.status == "infeasible") & self._no_answer
+
+    @property
+    def _no_answer(self) -> NDArray[np.bool_]:
+        """(k,) where what the solver was given has none."""
+        if not self.entry.six_rows:
+            return ~self.data.feasible
+        return ~self.data.feasible | self.contradictory
+
+    @property
+    def refused(self) -> str:
+        """Why the solver does not take these problems; "" where it does."""
+        return str(self.part.values["reason"])
+
+    @property
+    def trouble(self) -> str:
+        """What the solver raised, or how its process ended, at the first problem where it did; "" where never."""
+        events = [event for event in self.part.values["events"] if event != NOT_ASKED]
+        return f"{self.data.name}, {events[0]}" if events else ""
+
+    @property
+    def complete(self) -> bool:
+        """Every problem was answered, somehow."""
+        return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
+
+    def counts(self) -> dict[str, int]:
+        """How many answers were what; what is right adds up with what is wrong to the problems."""
+        status, feasible = self.status, self.data.feasible
+        claimed, infeasible = status == "solved", status == "infeasible"
+        certified = infeasible & ~feasible
+        contradicted = infeasible & feasible & self._no_answer
+        broken = {name: int((status == name).sum()) for name in (HUNG, CRASHED, RAISED)}
+        failed = ~claimed & ~certified & ~contradicted & ~np.isin(status, (HUNG, CRASHED, NOT_ASKED, REFUSED))
+        return {
+            "solves": len(status),
+            "feasible": int(feasible.sum()),
+            "right": int(self.right.sum()),
+            "claimed_solved": int(claimed.sum()),
+            "verified_solved": int((claimed & self.verified).sum()),
+            "verified": int(self.verified.sum()),
+            "silently_wrong": int((claimed & ~self.verified).sum()),
+            "infeasible_right": int(certified.sum()),
+            "infeasible_six_rows": int(contradicted.sum()),
+            "infeasible_wrong": int((infeasible & feasible & ~contradicted).sum()),
+            "failed": int(failed.sum()),
+            **broken,
+            "not_asked": int(np.isin(status, (NOT_ASKED, REFUSED)).sum()),
+        }
+
+    def figures(self) -> dict[str, float | None]:
+        """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
+        given = self.data.feasible & np.isfinite(self.part.arrays["x"]).all(axis=1)
+        found: dict[str, float | None] = {}
+        for name in RESIDUALS:
+            values = np.asarray(getattr(self.residuals, name))[given]
+            for word, q in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
+                found[f"{name}_{word}"] = float(np.percentile(values, q)) if values.size else None
+        found["iterations_p50"] = float(np.median(self.part.arrays["iterations"]))
+        return found
+
+    def summary(self, times: Part | None = None) -> dict[str, Any]:
+        """Everything, for summary.json."""
+        found: dict[str, Any] = {**self.counts(), **self.figures()}
+        if self.refused:
+            found["reason"] = self.refused
+        if self.trouble:
+            found["trouble"] = self.trouble
+        return {**found, **({} if times is None else time_figures(times))}
+
+    def rows(self, part: str) -> list[dict[str, Any]]:
+        """One row per problem, for rows.parquet."""
+        return [
+            {
+                "part": part, "solver": self.entry.solver, "setting": self.entry.setting, "set": self.data.name,
+                "index": i, "status": str(self.status[i]), "iterations": int(self.part.arrays["iterations"][i]),
+                "feasible": bool(self.data.feasible[i]), "verified": bool(self.verified[i]),
+                **{name: float(getattr(self.residuals, name)[i]) for name in RESIDUALS},
+            }
+            for i in range(len(self.status))
+        ]  # fmt: skip
+
+
+def time_figures(times: Part) -> dict[str, Any]:
+    """Percentiles, and of how many solves."""
+    arrays = times.arrays
+    found: dict[str, Any] = {
+        **percentiles(arrays["solve_us"].ravel(), "solve"),
+        **percentiles(arrays["cold_us"], "cold"),
+        **percentiles(arrays["setup_us"], "setup"),
+        **percentiles(arrays["update_us"], "update"),
+        "timed_solves": int(arrays["solve_us"].size),
+    }
+    return found
+
+
+def share_right(counts: Mapping[str, Any]) -> float:
+    """Of the problems, how many were answered rightly; see `Cell.right`."""
+    return float(counts["right"] / counts["solves"]) if counts.get("solves") else 0.0
+
+
+def answers_rightly(counts: Mapping[str, Any]) -> bool:
+    """Whether a solver's times may be compared with others': see `RIGHTLY`."""
+    return share_right(counts) >= RIGHTLY
+
+
+def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
+    """One solver under one setting over all its sets: sums of counts, largest of maxima, worst of percentiles."""
+    found: dict[str, Any] = {}
+    for cell in cells:
+        for name, count in cell.counts().items():
+            found[name] = found.get(name, 0) + count
+    for name in RESIDUALS:
+        values = [v for cell in cells if (v := cell.figures()[f"{name}_max"]) is not None]
+        found[f"{name}_max"] = max(values) if values else None
+    trouble = next((cell.trouble for cell in cells if cell.trouble), "")
+    found |= {"trouble": trouble} if trouble else {}
+    figures = [time_figures(part) for part in timings.values()]
+    for name in dict.fromkeys(name for f in figures for name in f):
+        if name.endswith("_us"):
+            # of the slowest set: a mean over sets would hide it
+            found[f"{name}_worst_set"] = max(f[name] for f in figures if name in f)
+    return found
+
+
+def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
+    """All sets, judged. A solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
+
+    Nor is one that does not survive being set up.
+    """
+    cells: list[Cell] = []
+    for data in sets:
+        broken = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
+        unborn = any(SETTING_UP in event for cell in cells for event in cell.part.values["events"])
+        given_up = unborn or broken >= BROKEN_SETS
+        part = not_asked(data) if given_up else asked(store, worker, entry, data, limits)
+        cells.append(Cell(entry, data, part))
+    return cells
+
+
+def load(name: str, every: int = 1) -> Data:
+    """A certified set as the study needs it."""
+    kept = TestSet.load(name)
+    return Data(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
+
+
+def cold_only(times: Part) -> Part:
+    """The cold part of timings, under the names that solves have."""
+    arrays = {
+        "solve_us": times.arrays["cold_us"],
+        "setup_us": times.arrays["setup_us"],
+        "cold_us": np.empty(0),
+        "update_us": np.empty(0),
+    }
+    return Part(times.values, arrays)
+
+
+def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> Any:
+    """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
+    found = []
+    for cell in cells:
+        right = cell.right
+        times = (
+            measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else np.empty((0, 0))
+        )
+        known = np.median(times, axis=0) if len(times) else np.full(len(right), np.inf)
+        found.append(np.where(right, known, np.inf))
+    return np.concatenate(found)
+
+
+def solved_duals(part: Part) -> Any:
+    y = np.array(part.arrays["y"])
+    y[part.arrays["status"] != "solved"] = np.nan
+    return y

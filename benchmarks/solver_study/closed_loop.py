@@ -1,0 +1,338 @@
+"""The same trials under every controller: what a solver's answers do to the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.solver_study.store import Part, Store
+from benchmarks.solver_study.worker import Hung, Worker, WorkerError, beat, spread
+from benchmarks.statistics import StatisticsError, relative_change
+from benchmarks.timing import percentiles
+from moc_opt import scenario
+from moc_opt.control.supervisor import Fault
+from moc_opt.errors import MocOptError
+from moc_opt.redundancy.transient import travelling
+from moc_opt.scenario import Scenario
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
+
+Array = NDArray[Any]
+
+BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
+KEPT = (
+    "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_model_m", "trocar_force_N",
+    "solve_us", "tick_us",
+)  # fmt: skip
+TRAVELLING = "travelling"  # column of a run: its own elbow is on its way
+POSES = (
+    "q_rad",
+    "tip_m",
+    "tip_ref_m",
+    "trocar_m",
+    "trocar_registered_m",
+)  # where arm and trocar were, to be drawn
+POSES_EVERY = 5
+PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
+BEAT_S = 0.5
+HUNG = "hung"
+SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
+SETTLED = ("tip_error_model", "rcm_error_model", "rcm_error")
+COMPARED = {
+    "mu_mean": "mu_gain_percent", "tip_error_model_mean_mm": "tip_change_percent",
+    "rcm_error_model_mean_mm": "rcm_change_percent",
+}  # fmt: skip
+CLOCKS = ("deadline_misses",)  # counts that the clock decides
+AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")
+
+
+@dataclass(frozen=True)
+class Run:
+    """One controller on one trial; without columns where the run broke off, and ``error`` says why.
+
+    ``ended`` is the trace's ``meta["ended"]``, or "failed" where there is none; the metrics of a stopped run are those
+    of a part, and enter no mean.
+    """
+
+    controller: str
+    trial: str
+    metrics: Mapping[str, float]
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    error: str | None = None
+    ended: str = "completed"
+    timed: bool = True
+    faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as in the trace's meta
+
+    @property
+    def raised(self) -> str:
+        """What the solver raised first, and how often it did; "" where it never did."""
+        found = self.faults.get(Fault.RAISED.label)
+        if found is None:
+            return ""
+        return f"{self.trial}, {found['count']:g} ticks, first at {found['first_at_s']:.3f} s: {found['first']}"
+
+    @property
+    def trace(self) -> Trace | None:
+        """What is left of the run: a few columns."""
+        return Trace(each_tick(self.columns)) if self.columns else None
+
+    @property
+    def seen(self) -> Trace | None:
+        """What can be drawn of the run: poses too, at every ``POSES_EVERY``-th tick; None where none were kept."""
+        if not self.columns or POSES[0] not in self.columns:
+            return None
+        thin = {name: column[::POSES_EVERY] for name, column in each_tick(self.columns).items()}
+        return Trace({**thin, **{name: self.columns[name] for name in POSES}})
+
+    def row(self) -> dict[str, Any]:
+        """One row of rows.parquet."""
+        return {
+            "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
+            "error": self.error, "raised": self.raised or None, **self.metrics,
+        }  # fmt: skip
+
+
+def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """The columns with a row for each tick."""
+    return {name: column for name, column in columns.items() if name not in (*POSES, TRAVELLING)}
+
+
+def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
+    """One scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
+    start = {"pose": "random", "swivel": "random"}
+    return {
+        f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
+        for task in tasks
+        for seed in seeds
+    }
+
+
+def placed(trial: Scenario) -> Scenario:
+    """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
+    q = scenario.Setup(trial).q_start.tolist()
+    return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
+
+
+def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
+    """The trial under DCAC (with MOC's gains) or under MOC with the named solver."""
+    if controller == BASELINE:
+        return trial.change(control=trial.control.matched_dcac())
+    return trial.change(solver={"name": controller, "settings": dict(settings or {})})
+
+
+def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool) -> Iterator[Part]:
+    """Run and summarise, in a worker; a run that breaks off is a result, with its reason.
+
+    Args:
+        trial: the whole scenario.
+        baseline: columns of the run that mu is compared with.
+        poses: keep where arm and trocar were.
+        travel: find the ticks at which the elbow is on its way.
+    """
+    last = perf_counter()
+
+    def watch(tick: int) -> None:
+        nonlocal last
+        if perf_counter() - last > BEAT_S:
+            beat()
+            last = perf_counter()
+
+    try:
+        trace = scenario.run(trial, watch)
+    except MocOptError as error:
+        yield Part({"ended": "failed", "error": f"{type(error).__name__}: {error}", "metrics": {}}, {})
+        return
+    ended = str(trace.meta["ended"])
+    if not Ending.of(ended).whole:
+        yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
+        return
+    metrics = summarize(trace, None if baseline is None else Trace(baseline))
+    if "fault" in trace.columns:
+        names, counts = np.unique(trace.fault, return_counts=True)
+        metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
+        metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
+    metrics["ticks"] = float(len(trace))
+    arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
+    if travel:
+        flags = travelling(
+            trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
+        )
+        metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
+        arrays[TRAVELLING] = flags
+    if poses:
+        arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
+    found = {"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}
+    yield Part(found, arrays)
+
+
+def run_one(
+    store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
+    travel: bool = True,
+) -> Run:
+    """One scenario in the worker, or from the store.
+
+    Args:
+        store: of finished runs.
+        worker: where it runs.
+        trial: the whole scenario.
+        label: the controller's name in tables.
+        baseline: the run that mu is compared with.
+        timed: whether its times mean anything: nothing else ran meanwhile.
+        travel: whether the ticks are found at which the elbow is on its way: ``settle`` asks for them.
+    """
+    reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
+    shape = trial.model_dump(mode="json")
+    mu = None if reference is None else reference["mu"]
+    key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed, travel=travel)
+    part = store.get(key)
+    if part is None:
+        try:
+            # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
+            asked = (finish, trial, reference, timed, travel)
+            (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
+        except WorkerError as error:
+            word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
+            part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
+        store.put(key, part)
+    values, faults = part.values, part.values.get("faults", {})
+    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, faults)
+
+
+def run_all(
+    cases: Mapping[str, Scenario],
+    controllers: Mapping[str, Mapping[str, Any]],
+    advance: Callable[[str], None],
+    store: Store | None = None,
+    *,
+    timed: int = 1,
+    processes: int = 1,
+) -> list[Run]:
+    """Every controller on every trial, the baseline first; in the order of the trials.
+
+    Args:
+        cases: name -> trial.
+        controllers: solver -> its settings.
+        advance: called with a few words after each run.
+        store: of finished runs; None keeps nothing.
+        timed: how many trials, the first ones, run alone, so that their times hold; the others' are not used.
+        processes: how many of the others run at a time.
+    """
+    store = store or Store(None)
+    hung: dict[str, str] = {}
+
+    def one_trial(worker: Worker, trial: Scenario, alone: bool) -> list[Run]:
+        baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=alone)
+        advance(f"{trial.name} {BASELINE}")
+        runs = [baseline]
+        for name, settings in controllers.items():
+            if name in hung:
+                reason = f"not run: it hung on trial {hung[name]}"
+                runs.append(Run(name, trial.name, {}, error=reason, ended="failed", timed=alone))
+            else:
+                runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline, timed=alone))
+                if (runs[-1].error or "").startswith(HUNG):
+                    hung[name] = trial.name
+            advance(f"{trial.name} {name}")
+        return settle(runs)
+
+    trials = list(cases.values())
+    with Worker() as worker:
+        found = [one_trial(worker, trial, True) for trial in trials[:timed]]
+    others = trials[timed:]
+    if others:
+        found += spread(others, lambda worker, trial: one_trial(worker, trial, False), processes)
+    return [run for runs in found for run in runs]
+
+
+def settle(runs: Sequence[Run]) -> list[Run]:
+    """The runs of one trial with their errors at its settled ticks, which are the same for all of them.
+
+    Settled are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
+    which leads its elbow nowhere, has no say in them, nor has a run that broke off.
+    """
+    whole = [run for run in runs if run.columns]
+    flags = [run.columns[TRAVELLING].astype(bool) for run in whole if run.controller != BASELINE]
+    if not flags:
+        return list(runs)
+    still = ~np.any(flags, axis=0)
+    found = []
+    for run in runs:
+        metrics = {**run.metrics, "settled_ticks": float(still.sum())} if run.columns else run.metrics
+        if run.columns and still.any():
+            metrics = {
+                **metrics,
+                **{f"{name}_settled_mean_mm": 1e3 * float(run.columns[f"{name}_m"][still].mean()) for name in SETTLED},
+            }
+        found.append(replace(run, metrics=metrics))
+    return found
+
+
+def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
+    """Controller -> metric over its trials, and its change against the baseline with an interval; see ``combined``."""
+    by_name = {
+        name: [run for run in runs if run.controller == name]
+        for name in dict.fromkeys(run.controller for run in runs)
+    }
+    return {
+        name: combined(mine) | changes(mine, by_name.get(BASELINE, [])) for name, mine in by_name.items()
+    }
+
+
+def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
+    """Change against the baseline [percent] on the trials that both finished: a ratio of means, with its interval.
+
+    The mean of the trials' own gains is another number, and is not given.
+    """
+    theirs = {run.trial: run.metrics for run in baseline if run.columns}
+    found: dict[str, float] = {}
+    for metric, name in COMPARED.items():
+        pairs = [
+            (run.metrics[metric], theirs[run.trial][metric])
+            for run in runs
+            if run.columns and metric in run.metrics and metric in theirs.get(run.trial, {})
+        ]
+        try:
+            found |= relative_change([mine for mine, _ in pairs], [base for _, base in pairs]).entries(name)
+        except StatisticsError:
+            continue  # no trial that both finished: there is no change
+    return found
+
+
+def combined(runs: Sequence[Run]) -> dict[str, Any]:
+    """The runs of one controller as one: means of means, largest of maxima, sums of counts, pooled times.
+
+    Runs that broke off enter none of these; ``runs``, ``broke_off``, ``stopped`` and ``oscillated`` count them.
+    Means at settled ticks count by their ticks. Times, and what the clock decides, are those of the timed runs alone.
+    """
+    whole = [run for run in runs if run.columns]
+    values: dict[str, Any] = {
+        "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
+    }  # fmt: skip
+    values |= {
+        ending.value: sum(Ending.of(run.ended) is ending for run in runs)
+        for ending in (Ending.STOPPED, Ending.OSCILLATED)
+    }
+    for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
+        used = [run for run in whole if metric in run.metrics and (run.timed or metric not in CLOCKS)]
+        if metric.endswith(("_p50_us", "_p99_us")) or metric in COMPARED.values() or not used:
+            continue
+        data = [run.metrics[metric] for run in used]
+        if "_settled_" in metric:
+            values[metric] = float(np.average(data, weights=[run.metrics["settled_ticks"] for run in used]))
+            continue
+        averaged = metric.startswith(AVERAGED) or metric.endswith("_percent")
+        total = np.max if "_max" in metric else np.mean if averaged else np.sum
+        values[metric] = float(total(data))
+    for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
+        timed = [run.columns[column] for run in whole if run.timed and column in run.columns]
+        values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix)
+    errors = [run.error for run in runs if run.error]
+    raised = [run.raised for run in runs if run.raised]
+    values |= {"trouble": raised[0]} if raised else {}
+    return {**values, "reason": errors[0]} if errors else values

@@ -1,0 +1,162 @@
+"""benchmarks/configs/solvers.toml: what is compared, on what, and how long it may take."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field, field_validator
+
+from benchmarks.config import Configuration
+from benchmarks.solver_study.answers import Limits
+from benchmarks.testsets import RECIPES
+from moc_opt.errors import UnknownNameError
+from moc_opt.inputs.settings import Level, Settings
+from moc_opt.scenario import Scenario
+
+Parts = Literal["open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark"]
+PARTS: tuple[Parts, ...] = (
+    "open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark",
+)  # fmt: skip
+
+TASKS = ("circle", "sinusoid", "spiral")  # the paper's
+
+
+class OpenLoop(Settings):
+    """The recorded sequence."""
+
+    KIND: ClassVar[str] = "[open_loop]"
+    task: str = "circle"
+    ticks: int = Field(1000, ge=2)
+    cold: int = Field(100, ge=1)
+
+
+class ClosedLoop(Settings):
+    """The trials."""
+
+    KIND: ClassVar[str] = "[closed_loop]"
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    seeds: int = Field(5, ge=1, description="trials per task, each from a random pose")
+    timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
+    duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
+    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
+
+
+class TestSets(Settings):
+    """The certified sets."""
+
+    __test__: ClassVar[bool] = False  # not a class of tests
+
+    KIND: ClassVar[str] = "[testsets]"
+    names: Literal["all"] | list[str] = "all"
+    timed: list[str] = Field(
+        ["circle", "circle-rho0", "random"], description="under default and tight settings too"
+    )
+    every: int = Field(1, ge=1, description="take each every-th problem")
+    rounds: int = Field(8, ge=1)
+    seconds: float = Field(0.1, gt=0.0, description="of timing a set, at most")
+    patience_s: float = Field(1.0, gt=0.0, description="longer without an answer is a hang")
+    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
+    cold: int = Field(16, ge=1)
+
+    @field_validator("names", "timed")
+    @classmethod
+    def _exist(cls, value: Any) -> Any:
+        for name in [] if value == "all" else value:
+            if name not in RECIPES:
+                raise UnknownNameError("test set", name, RECIPES)
+        return value
+
+    def chosen(self) -> list[str]:
+        """Names of sets, in the order of their recipes."""
+        return [name for name in RECIPES if self.names == "all" or name in self.names]
+
+    def limits(self) -> Limits:
+        """How much is measured."""
+        return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
+
+
+class Growth(Settings):
+    """Arms with more joints."""
+
+    KIND: ClassVar[str] = "[growth]"
+    joints: list[int] = Field([7, 8, 10, 12, 14], min_length=2)
+    nonlinear: bool = Field(False, description="nlp-*, whose programs take minutes to build for many joints")
+
+
+class Sweeps(Settings):
+    """What is varied in closed loop."""
+
+    KIND: ClassVar[str] = "[sweeps]"
+    tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    seeds: int = Field(5, ge=1, description="trials per task, as in [closed_loop]")
+    duration_s: Level = Field(4.0, description="as in [closed_loop]")
+    values: Literal["few", "usual", "many"] = "usual"
+    deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
+    late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
+
+
+class Config(Configuration):
+    """The whole file."""
+
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
+    solvers: Literal["all"] | list[str] = "all"
+    parts: list[Parts] = Field(list(PARTS))
+    processes: int = Field(2, ge=1, description="at a time, where no times are measured")
+    open_loop: OpenLoop = OpenLoop()
+    testsets: TestSets = TestSets()
+    growth: Growth = Growth()
+    closed_loop: ClosedLoop = ClosedLoop()
+    sweeps: Sweeps = Sweeps()
+    settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
+    scenario: Scenario = Scenario()
+
+    def quick(self) -> Config:
+        """The same study on less data: for a first look and for the tests."""
+        few = {
+            "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
+            "seconds": 0.02, "setup_s": 6.0,
+        }  # fmt: skip
+        return self._with(
+            open_loop={"ticks": 200, "cold": 10},
+            testsets=few,
+            growth={"joints": [7, 10]},
+            closed_loop={"tasks": self.closed_loop.tasks[:1], "seeds": 1, "duration_s": 1.0},
+            sweeps={
+                "tasks": self.sweeps.tasks[:1], "seeds": 1, "duration_s": 0.7, "values": "few",
+                "deadline_solvers": ["osqp"], "late_percent": [5.0],
+            },
+            parts=[part for part in self.parts if part not in ("qpbenchmark", "growth")],
+        )  # fmt: skip
+
+    def full(self) -> Config:
+        """More of everything, for figures to be cited: an hour or two."""
+        return self._with(
+            open_loop={"ticks": 4000, "cold": 400},
+            testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
+            growth={"joints": list(range(7, 15)), "nonlinear": True},
+            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "twice": True},
+            sweeps={
+                "tasks": list(TASKS), "seeds": 5, "duration_s": None, "values": "many",
+                "late_percent": [0.1, 1.0, 5.0, 20.0],
+            },
+        )  # fmt: skip
+
+    def choosing(self, sets: list[str] | None, parts: list[Parts] | None) -> Config:
+        """The same on some sets and with some parts alone; None leaves them as they are.
+
+        Raises:
+            UnknownNameError: no such set.
+        """
+        changes: dict[str, Any] = {} if parts is None else {"parts": parts}
+        if sets is not None:
+            timed = [name for name in self.testsets.timed if name in sets]
+            changes["testsets"] = TestSets(**{**self.testsets.model_dump(), "names": sets, "timed": timed})
+        return self._with(**{k: v.model_dump() if isinstance(v, TestSets) else v for k, v in changes.items()})
+
+    def _with(self, **changes: Any) -> Config:
+        update = {
+            name: getattr(self, name).model_copy(update=value) if isinstance(value, dict) else value
+            for name, value in changes.items()
+        }
+        return self.model_copy(update=update)

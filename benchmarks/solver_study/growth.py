@@ -1,0 +1,47 @@
+"""How much longer each solver takes for an arm with more joints: smooth sequences of random arms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.arms import random_arm, smooth_sequence
+from benchmarks.solver_study.answers import Data
+from moc_opt.solvers.exact.solver import Exact
+
+COUNT = 32
+SEED = 5
+
+
+def kinematics(n: int) -> Any:
+    """CasADi functions of the arm with n joints."""
+    return _arm(n).kinematics()
+
+
+def sequence(n: int, count: int = COUNT) -> Data:
+    """``count`` subproblems of one arm with n joints, 2 ms apart; all of them feasible, as the arm moves like that."""
+    problems = smooth_sequence(np.random.default_rng([SEED, n, 1]), count, arm=_arm(n))
+    rows = np.array([qp.row for qp in problems])
+    session = Exact().start(problems[0])
+    feasible = np.array([session.solve(qp).status.label == "solved" for qp in problems])
+    return Data(f"n={n}", rows, rows, feasible, partial(kinematics, n))
+
+
+def _arm(n: int) -> Any:
+    return random_arm(np.random.default_rng([SEED, n]), n, structured=False)
+
+
+def growth(times: Mapping[int, Mapping[str, float]], key: str = "solve_p50_us") -> dict[str, float]:
+    """From joints -> figures to {exponent of n, ratio of the last to the first}; empty with fewer than two.
+
+    The exponent is the slope of a straight line through log time over log n.
+    """
+    joints = sorted(n for n, figures in times.items() if figures.get(key))
+    if len(joints) < 2:
+        return {}
+    values = np.array([times[n][key] for n in joints])
+    slope = float(np.polyfit(np.log(joints), np.log(values), 1)[0])
+    return {"exponent": slope, f"{joints[-1]}_over_{joints[0]}": float(values[-1] / values[0])}

@@ -1,0 +1,201 @@
+"""What inaccuracy, damping, a narrow box and missed deadlines do in closed loop: one setting is swept at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.solver_study import closed_loop
+from benchmarks.solver_study.closed_loop import BASELINE, Run
+from benchmarks.solver_study.compare import HARMLESS, WORDS
+from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.store import Store
+from benchmarks.solver_study.worker import Worker
+from moc_opt.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+# Without the supervisor's residual check: what is swept is the effect of an answer, not of its replacement.
+UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}
+BOUND_SAMPLES = 9
+
+
+@dataclass(frozen=True)
+class Point:
+    """One value of what is swept.
+
+    Attributes:
+        label: of the value.
+        value: on the axis of a figure.
+        changes: of the trial's tables.
+        entry: the solver to ask in open loop too; None where the sweep is not about a solver's accuracy.
+    """
+
+    label: str
+    value: float
+    changes: Mapping[str, Mapping[str, Any]]
+    entry: Entry | None = None
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A family of points, loosest first."""
+
+    name: str
+    about: str
+    points: Sequence[Point]
+    needs: str = "exact"
+    group: str = ""
+    suffix: str = ""
+
+
+def accuracy(solver: str, setting: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
+    """A solver's own setting from loose to tight."""
+    points = []
+    for value in values:
+        options = {**fixed, setting: value}
+        label = f"{setting}={value:g}"
+        changes = {"solver": {"name": solver, "settings": options}, "control": UNCHECKED}
+        points.append(Point(label, float(value), changes, Entry(solver, label, options, about)))
+    return Sweep(f"{solver}.{setting}", about, points, solver, "accuracy")
+
+
+def accuracy_sweeps(full: bool) -> list[Sweep]:
+    """Tolerances, iterations and steps; costs unscaled, so that a tolerance means what it says."""
+    powers = [10.0**-k for k in range(1, 10)] if full else [1e-1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9]
+    raw = {"cost_scale": 1.0}
+    tolerance = "tolerance on the unscaled cost, five rows"
+    steps = [1, 2, 3, 5, 10, 20, 30, 50, 100, 200, 300] if full else [1, 3, 10, 30, 100, 300]
+    return [
+        accuracy("osqp", "eps", powers, tolerance, **raw),
+        accuracy(
+            "osqp", "max_iter", [1, 3, 10, 30, 100], "the truncated iterate: stopped after so many",
+            check_termination=1,
+        ),
+        accuracy("proxqp", "eps", powers, tolerance, **raw),
+        accuracy("piqp", "eps", powers, tolerance, **raw),
+        accuracy("clarabel", "eps", powers, tolerance, **raw),
+        accuracy("daqp", "primal_tol", powers, "primal tolerance, five rows, unscaled", **raw),
+        accuracy("rnn", "steps", steps, "inner steps a tick, explicit"),
+        replace(
+            accuracy("rnn", "steps", steps, "inner steps a tick, semi-implicit", method="semi-implicit"),
+            name="rnn.steps semi-implicit", suffix=" semi-implicit",
+        ),
+    ]  # fmt: skip
+
+
+def damping_sweep() -> Sweep:
+    """rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
+    values = [0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
+    points = [
+        Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "damping": v}, "solver": {"name": "exact"}})
+        for v in values
+    ]
+    return Sweep("damping", "rho with c2 = 1e-3, solver exact", points, group="damping")
+
+
+def box_sweep(full: bool) -> Sweep:
+    """k0 from the paper's 0.1 up, and what stands for the answer of an infeasible subproblem."""
+    values = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0] if full else [0.1, 0.5, 2.0, 5.0]
+    points = [
+        Point(
+            f"k0={v:g} {fallback}", v,
+            {"control": {"k0_per_s": v, "fallback": fallback}, "solver": {"name": "exact"}},
+        )
+        for v in values
+        for fallback in ("damping", "hold", "least-violation")
+    ]  # fmt: skip
+    return Sweep("k0", "velocity damper and fallback, solver exact", points, group="k0")
+
+
+def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sweep:
+    """A budget that so many percent of the recorded times exceed, and what is fed back for a late answer.
+
+    The times are replayed from the recording, tick by tick, so that the run can be repeated exactly.
+    """
+    times = [round(float(t), 3) for t in recorded_us[np.isfinite(recorded_us)]]
+    points = []
+    for share in shares:
+        budget = max(float(np.percentile(times, 100.0 - share)), 1e-3)
+        for late in ("hold", "zero", "iterate"):
+            changes: dict[str, dict[str, Any]] = {
+                "solver": {"name": name, "settings": {}, "replay_us": times},
+                "control": {"supervisor": {"budget_us": budget, "late": late}},
+            }
+            points.append(Point(f"{share:g}% late, {late}", share, changes))
+    return Sweep(f"deadline.{name}", f"recorded times of {name} against a budget", points, name, "deadline")
+
+
+def run_sweep(
+    store: Store,
+    worker: Worker,
+    sweep: Sweep,
+    point: Point,
+    cases: Mapping[str, Scenario],
+    baselines: Mapping[str, Run],
+) -> dict[str, Any]:
+    """One point on all trials; several run at a time, so its times say nothing and are left out.
+
+    The bound is taken at few ticks and travel not at all: a sweep compares its points with each other.
+    """
+    runs = []
+    for trial in cases.values():
+        changed = trial.change(**{table: dict(values) for table, values in point.changes.items()})
+        if "settings" not in point.changes.get("solver", {}):
+            changed = changed.change(solver={"settings": {}})
+        runs.append(
+            closed_loop.run_one(
+                store, worker, changed.change(bound_samples=BOUND_SAMPLES), f"{sweep.name} {point.label}",
+                baselines[trial.name], timed=False, travel=False,
+            )
+        )
+    found = closed_loop.combined(runs)
+    values = {name: value for name, value in found.items() if not name.endswith("_us")}
+    values |= closed_loop.changes(runs, [baselines[trial] for trial in cases])
+    return {"value": point.value, **values}
+
+
+def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
+    """DCAC with the gains of the others."""
+    return closed_loop.run_one(
+        store, worker, closed_loop.variant(trial.change(bound_samples=BOUND_SAMPLES), BASELINE), BASELINE, None,
+        timed=False, travel=False,
+    )
+
+
+def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
+    """What `beginning_of_cost` found, a clause for each sweep."""
+    said = []
+    for name, found in begins.items():
+        labels = set(found.values())
+        solver = name.partition(".")[0] + (" semi-implicit" if "semi-implicit" in name else "")
+        parts = ", ".join(f"{WORDS[metric]} from {label} on" for metric, label in found.items())
+        if len(labels) == 1:
+            parts = f"everything from {labels.pop()} on"
+        said.append(f"{solver}: {parts}")
+    limits = ", ".join(f"{WORDS[metric]} {100 * limit:g} %" for metric, limit in HARMLESS.items())
+    return f"As good as the tightest setting (within {limits}): " + "; ".join(said) + "." if said else ""
+
+
+def beginning_of_cost(points: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """From loose to tight: from which value on a metric stays within its tolerance of the tightest one's.
+
+    Returns:
+        Metric -> label of the loosest value from which on every tighter one is as good as the tightest.
+    """
+    labels = list(points)
+    found: dict[str, str] = {}
+    for metric, limit in HARMLESS.items():
+        values = [points[label].get(metric) for label in labels]
+        last = values[-1]
+        if last is None or last == 0.0:
+            continue
+        start = len(labels) - 1
+        while start > 0 and (v := values[start - 1]) is not None and abs(v / last - 1.0) <= limit:
+            start -= 1
+        found[metric] = labels[start]
+    return found

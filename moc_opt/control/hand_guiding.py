@@ -1,0 +1,43 @@
+"""Hand guiding: the arm carries its own weight and resists motion a little; whoever holds it moves it.
+
+tau = g(q) - D v: gravity compensation with joint damping, the law of step one of the operative procedure
+(Su et al. 2019). There is no position the arm goes back to: the errors of the model's masses push it slowly, and
+joint friction or a hand has to hold against them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import ControlError
+from moc_opt.model.robot_model import RobotModel, RobotState
+
+Array = NDArray[np.float64]
+
+
+class HandGuiding:
+    """The torque law of hand guiding."""
+
+    def __init__(self, robot: RobotModel, damping_Nm_s_per_rad: ArrayLike = 3.0) -> None:
+        """Set the damping.
+
+        Args:
+            robot: the model that the law believes in.
+            damping_Nm_s_per_rad: D, one number or one a joint, zero or above.
+
+        Raises:
+            ControlError: it has another shape, is negative or not finite.
+        """
+        self.robot = robot
+        damping = np.asarray(damping_Nm_s_per_rad, dtype=np.float64)
+        if damping.shape not in ((), (robot.n,)) or not np.isfinite(damping).all() or (damping < 0.0).any():
+            raise ControlError(
+                f"damping_Nm_s_per_rad = {damping.tolist()!r}: give one number or {robot.n}, zero or above"
+            )
+        self._damping = np.broadcast_to(damping, (robot.n,))
+
+    def tick(self, state: RobotState) -> Array:
+        """Torque (n,) [Nm] for the measured state, cut at the joints' limits."""
+        tau = self.robot.gravity(state.q) - self._damping * state.v
+        return np.clip(tau, -self.robot.tau_max, self.robot.tau_max)

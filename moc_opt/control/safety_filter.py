@@ -1,0 +1,288 @@
+"""Limits that hold at every tick, whatever the levels ask for, and the order to stop.
+
+Torque and torque rate are cut. A joint may come near its limit only as fast as it can still be stopped;
+a faster one, and one above its speed limit, is braked. A measurement that cannot be true (NaN, or a jump
+that no motion explains), a torque that is no number, or a controller that breaks down ends the run: the
+drives brake, and the torque carries the arm's weight in the last pose that was believed. So does a tip that
+has been far off its reference for a while, a shaft that has been far from the registered trocar, and a trocar
+that has been pressed hard: an unstable loop, or an arm that stands against its joint limit, does not go on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from moc_opt.control.incision import Incision
+from moc_opt.control.motion import MotionSettings, MotionWatch
+from moc_opt.control.motion_kernels import FRESH, OLD
+from moc_opt.control.safety_kernels import believable, holding_friction, limit_torque, squared_error
+from moc_opt.errors import ControlError, MocOptError
+from moc_opt.inputs.settings import Level
+from moc_opt.model.robot_state import RobotState
+from moc_opt.robots import RobotData
+
+Array = NDArray[np.float64]
+
+_NEEDS_HOLD, _NOT_FINITE = -1, -2
+PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
+
+
+class GuardSettings(MotionSettings):
+    """Safety limits."""
+
+    KIND: ClassVar[str] = "[guard]"
+    ERROR: ClassVar[type[MocOptError]] = ControlError
+
+    torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest change of a joint's torque")
+    position_margin_rad: float = Field(
+        0.045, ge=0.0, description="the wall begins this far inside a joint limit"
+    )
+    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
+    wall_damping_Nm_s_per_rad: float = Field(
+        20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
+    )
+    wall_brake_rad_per_s2: float = Field(
+        2.0, gt=0.0, description="allowed speed at a distance d from a wall: sqrt(2 d wall_brake)"
+    )
+    jump_rad: float = Field(
+        0.05, gt=0.0, description="a measured step beyond what v_max explains: not believed"
+    )
+    speed_factor: float = Field(5.0, gt=1.0, description="of v_max: a measured speed above it: not believed")
+    patience_ticks: int = Field(
+        3, ge=0, description="ticks with a bad measurement that are bridged before the stop"
+    )
+    tip_error_m: float = Field(
+        0.01, gt=0.0, description="root mean square of the tip's error: above it, the loop is out of control"
+    )
+    tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
+    rcm_error_m: Level = Field(
+        0.012, description="root mean square of the shaft's distance from the registered trocar: above it, stop"
+    )
+    rcm_warning_m: Level = Field(0.006, description="above it, a warning is recorded")
+    trocar_force_N: Level = Field(
+        15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
+    )
+    trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
+    incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
+    stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
+    stop_holding: float = Field(
+        0.25, ge=0.0, le=1.0,
+        description="dry friction of the brakes in a stop, of tau_max; 0: damping alone, under which an arm sinks",
+    )
+    stop_yield_N: Level = Field(
+        8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
+    )
+    stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
+
+    @model_validator(mode="after")
+    def _warned_before_it_stops(self) -> Self:
+        for warning, limit in (("rcm_warning_m", "rcm_error_m"), ("trocar_force_warning_N", "trocar_force_N")):
+            low, high = getattr(self, warning), getattr(self, limit)
+            if low is not None and high is not None and low > high:
+                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give a lower one")
+        return self
+
+
+class Guard:
+    """The limits of one arm, with the memory they need.
+
+    Args:
+        data: the arm.
+        settings: see GuardSettings.
+        period: control period [s].
+        gravity: q (n,) [rad] -> torque (n,) [Nm] that carries the arm's weight (``RobotModel.gravity``); None for
+            drives that carry it by themselves.
+        tool_pose: q (n,) [rad] -> (4, 3) axes and tip of the tool (``RobotModel.tool_pose``); None for an arm
+            that is in no incision: nothing is known of a trocar then.
+        state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: without one, what
+            torque the motion needs is not known.
+    """
+
+    def __init__(
+        self,
+        data: RobotData,
+        settings: GuardSettings,
+        period: float,
+        gravity: Callable[[Array], Array] | None = None,
+        tool_pose: Callable[[Array], Array] | None = None,
+        state: Callable[[Array, Array], RobotState] | None = None,
+    ) -> None:
+        self.settings, self._period = settings, period
+        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
+        self._wall = np.array([
+            settings.position_margin_rad, settings.wall_stiffness_Nm_per_rad,
+            settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
+        ])  # fmt: skip
+        self._jump = settings.jump_rad
+        self._per_tick = data.v_max * period
+        self._fastest = settings.speed_factor * data.v_max
+        self._step = settings.torque_rate_Nm_per_s * period
+        self._unknown, self._rest = np.empty(0), np.zeros(data.n)
+        self._gravity, self._state = gravity, state
+        self._motion = MotionWatch(settings, period, settings.patience_ticks, data.tau_max)
+        self._share = min(1.0, period / settings.tip_error_s)
+        self._most = settings.tip_error_m**2
+        self._press_share = min(1.0, PRESS_PER_S * period)
+        self._incision = None if tool_pose is None else Incision(
+            tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
+            settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
+            (settings.trocar_force_warning_N, settings.trocar_force_N),
+        )  # fmt: skip
+        self._believe_anew(np.zeros(data.n), np.zeros(data.n))
+
+    def _believe_anew(self, q: Array, v: Array) -> None:
+        self._q, self._v, self._bad = q, v, 0
+        self._square, self.limited, self.reason, self._yields = 0.0, 0, "", False
+        self._press = 0.0
+
+    def start(self, q: Array, v: Array, stamp: int = 0) -> None:
+        """Believe the first measurement, number ``stamp``; what is compiled runs once: no compiler runs in the loop.
+
+        Raises:
+            ControlError: it is not finite.
+        """
+        if not (np.isfinite(q).all() and np.isfinite(v).all()):
+            raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
+        self._believe_anew(np.array(q), np.array(v))
+        self._motion.start(q, v, stamp)
+        self.believe(q, v)
+        if self._state is not None:
+            self.weigh(q, v, None, self._rest)
+            self.weigh(q, v, None, self._rest)
+        self.limit(self._rest, self._rest, q, v)
+        self.follow(np.zeros(3), np.zeros((3, 3)))
+        self.limited = 0
+        self._believe_anew(np.array(q), np.array(v))
+        self._motion.start(q, v, stamp)
+        if self._incision is not None:
+            self._incision.look(q, np.zeros((2, 3)), np.zeros(6))
+            self._incision.forget()
+
+    def believe(
+        self, q: Array, v: Array, stamp: int | None = None, sent: Array | None = None, wrench: Array | None = None
+    ) -> tuple[Array, Array]:
+        """The measurement, or the last believed one moved on where this one cannot be true.
+
+        Args:
+            q, v: (n,) as measured [rad], [rad/s].
+            stamp: number of the control period in which it was taken; None: the arm counts none.
+            sent: (n,) the torque that went out before it [Nm]; None: not known.
+            wrench: (6,) as the sensor at the tool's mount shows it; None: not known.
+        """
+        late = FRESH if stamp is None else self._motion.age(stamp)
+        if late == OLD:
+            self.give_up(f"measurements are more than {self.settings.patience_ticks} ticks late")
+        if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
+            self._q, self._v, self._bad = q, v, 0
+            wrong = self._motion.look(q, v, sent, wrench) if sent is not None else ""
+            if wrong:
+                self.give_up(wrong)
+        else:
+            self._bad += 1
+            self._q = self._q + self._v * self._period
+            if self._bad > self.settings.patience_ticks:
+                self.give_up("measurements not believed")
+        return self._q, self._v
+
+    def weigh(self, q: Array, v: Array, state: RobotState | None, sent: Array) -> None:
+        """Take note of the motion that the torque (n,) [Nm] before (q, v) should have made.
+
+        ``state`` is that of (q, v) where the controller shows it; None: it is computed.
+        """
+        if state is None:
+            if self._state is None:
+                return
+            state = self._state(q, v)
+        wrong = self._motion.weigh(state, sent)
+        if wrong:
+            self.give_up(wrong)
+
+    def follow(self, tip: Array, tip_ref: Array) -> None:
+        """Take note of how far the tip (3,) is from its reference (3, 3) rows X_d, ... [m]."""
+        self._motion.reference(tip_ref)
+        self._square += self._share * (squared_error(tip, tip_ref) - self._square)
+        if not self._square <= self._most:
+            self.give_up(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
+
+    def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
+        """Take note of the incision; arguments as for ``Incision.look``."""
+        if self._incision is not None:
+            reason = self._incision.look(q, trocar, wrench)
+            if reason:
+                self.give_up(reason)
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What was above its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        return [] if self._incision is None else self._incision.warnings(self._period)
+
+    @property
+    def bad_ticks(self) -> int:
+        """Measurements in a row that were not believed."""
+        return self._bad
+
+    @property
+    def lost(self) -> bool:
+        """Whether it is time to stop; ``reason`` says why. There is no way back but ``start``."""
+        return bool(self.reason)
+
+    def give_up(self, reason: str) -> None:
+        """Order the stop; the first reason stays."""
+        self.reason = self.reason or reason
+
+    def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+        """A torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
+
+        A torque that is no number is an order to stop; ``before`` is returned then.
+        """
+        tau = tau.copy()
+        rest = (before, q, v, self._unknown, self._limits, self._wall, self._step)
+        self.limited = limit_torque(tau, *rest)
+        if self.limited == _NEEDS_HOLD:
+            self.limited = limit_torque(tau, *rest[:3], self._weight(q), *rest[4:])
+        if self.limited == _NOT_FINITE:
+            self.limited = 0
+            self.give_up("the controller's torque is not finite")
+            return before
+        return tau
+
+    def rest(self, before: Array) -> Array:
+        """The torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose believed.
+
+        Holding the last torque instead would go on pushing wherever the levels were pushing at that moment.
+        """
+        self.limited = 0
+        weight = self._weight(self._q)
+        if not np.isfinite(weight).all():
+            return self._rest  # a model that knows no weight: the brakes alone
+        wanted = np.clip(weight, -self._limits[3], self._limits[3])
+        return before + np.clip(wanted - before, -self._step, self._step)
+
+    def hold(self, wrench: Array) -> Array:
+        """Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
+
+        They stay closed where the drives cannot carry the weight. Brakes that hold an arm against tissue that pushes it
+        would keep up the force; an arm without them sinks under any load that its model does not know of. They close
+        again once the force has halved.
+
+        Args:
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
+        """
+        level, friction, weight = self.settings.stop_yield_N, np.zeros(self._rest.size), self._weight(self._q)
+        weight = weight if np.isfinite(weight).all() else self._rest
+        if self._incision is not None and level is not None and (np.abs(weight) <= self._limits[3]).all():
+            # A mean: in the first moments the tool's inertia force stands beside the trocar's.
+            force = self._incision.pressed(self._q, wrench)
+            self._press = self._press + self._press_share * (force - self._press) if np.isfinite(force) else 0.0
+            self._yields = self._press > (0.5 * level if self._yields else level)
+        if not self._yields:
+            holding_friction(weight, self._limits[3], self.settings.stop_holding, friction)
+        return friction
+
+    def _weight(self, q: Array) -> Array:
+        return self._rest if self._gravity is None else self._gravity(q)

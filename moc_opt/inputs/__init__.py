@@ -1,0 +1,1 @@
+"""What comes from outside: files, names, numbers and settings, checked where they are read."""

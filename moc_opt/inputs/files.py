@@ -1,0 +1,242 @@
+"""Files that come from outside: regular ones only, measured before they are read, and JSON that is JSON.
+
+What a few bytes can ask for is bounded here, for every reader: a pipe or a device that never ends, a text of gigabytes,
+keys and lists nested without end, numbers of thousands of digits.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import stat
+import tomllib
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+from moc_opt.errors import MocOptError, describe, shown
+
+MOST_TEXT = 4 * 2**20
+"""Bytes of a text file (TOML, URDF, JSON)."""
+MOST_DATA = 4 * 2**30
+"""Bytes of a file of numbers (Parquet, .npy)."""
+DEEPEST = 64
+"""Tables or lists inside one another."""
+LARGEST_INTEGER = 2**63 - 1
+SMALLEST, LARGEST = 1e-30, 1e30
+"""A setting's number is 0, or its size lies between these: beyond them products of a few overflow or vanish."""
+_PIECE = 2**20
+
+# A key of more parts than any table has: the parser's time grows with the square of their number.
+_PART = r"(?:[\w-]++|\"[^\"\n]*+\"|'[^'\n]*+')"
+_DOTTED = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
+
+Path_ = str | os.PathLike[str]
+Wrong = type[MocOptError]
+
+
+def check_regular(path: Path_, what: str, error: Wrong, most: int = MOST_DATA) -> int:
+    """Check that a path names a regular file of a reasonable size, and return its bytes.
+
+    Args:
+        path: the file; links are followed.
+        what: the kind of file, for messages.
+        error: raised where it is not.
+        most: bytes it may have.
+    """
+    try:
+        found = os.stat(path)
+    except FileNotFoundError as reason:
+        raise error(f"{what} {_named(path)}: no such file; check the path") from reason
+    except (OSError, ValueError) as reason:  # a ValueError: a NUL in the path
+        raise error(f"{what} {_named(path)} cannot be read ({reason}); check the path") from reason
+    if not stat.S_ISREG(found.st_mode):
+        raise error(f"{what} {_named(path)} is no regular file (a folder, pipe or device): give a file")
+    if found.st_size > most:
+        raise error(f"{what} {_named(path)} has {found.st_size} bytes: {most} at most are read")
+    return found.st_size
+
+
+def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
+    """Read a regular file of at most ``most`` bytes; arguments as `check_regular`."""
+    check_regular(path, what, error, most)
+    try:
+        # Without blocking: between the check and here the name may have become that of a pipe.
+        handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(handle, "rb") as file:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise OSError("no regular file")
+            data = bytearray()
+            # In pieces: a buffer as large as the limit may not fit where the file itself does.
+            while len(data) <= most and (piece := file.read(_PIECE)) != b"":
+                if piece is None:
+                    raise OSError("nothing to be read now")  # a file of the kernel that would have to be waited for
+                data += piece
+    except OSError as reason:
+        raise error(f"{what} {_named(path)} cannot be read ({reason}); check the path") from reason
+    except MemoryError as reason:
+        raise error(f"{what} {_named(path)} does not fit into the memory") from reason
+    if len(data) > most:  # one that grows, or whose system says nothing of its size
+        raise error(f"{what} {_named(path)} has more than {most} bytes: no more are read")
+    return bytes(data)
+
+
+def read_text(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> str:
+    """Read a text file in UTF-8; arguments as `check_regular`."""
+    try:
+        return read_bytes(path, what, error, most).decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as reason:
+        raise error(f"{what} {_named(path)} cannot be read: not UTF-8 ({reason}); save it as such") from reason
+
+
+def read_toml(path: Path_, what: str, error: Wrong) -> dict[str, Any]:
+    """Read a TOML file; arguments as `check_regular`."""
+    text, where = read_text(path, what, error), f"{what} {_named(path)}"
+    if _DOTTED.search(text):
+        raise error(f"{where}: a key of more than {DEEPEST} dotted parts: no table here is nested so deep")
+    try:
+        table = tomllib.loads(text)
+    except RecursionError as reason:
+        raise error(f"{where}: tables or lists in it are nested too deep") from reason
+    except ValueError as reason:  # not only the parser's own: an integer of thousands of digits
+        raise error(f"{where} is not TOML: {reason}") from reason
+    check_values(table, where, error)
+    return table
+
+
+def read_json(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> Any:
+    """Read a JSON file; arguments as `check_regular`."""
+    return parse_json(read_text(path, what, error, most), f"{what} {_named(path)}", error)
+
+
+def parse_json(text: str | bytes, where: str, error: Wrong) -> Any:
+    """Return the value of a JSON text; NaN and infinity are no JSON."""
+    try:
+        value = json.loads(text, parse_constant=_no_constant)
+    except RecursionError as reason:
+        raise error(f"{where}: nested too deep") from reason
+    except ValueError as reason:
+        raise error(f"{where} is not JSON: {reason}") from reason
+    check_values(value, where, error)
+    return value
+
+
+def check_values(value: Any, where: str, error: Wrong) -> None:
+    """Check that nothing is nested deeper than `DEEPEST`, and that integers fit into 64 bits."""
+    for path, depth, entry in entries(value):
+        if depth > DEEPEST:
+            raise error(f"{where}: {path[:80]}... is nested too deep, {DEEPEST} levels are the most")
+        if isinstance(entry, int) and not -LARGEST_INTEGER <= entry <= LARGEST_INTEGER:
+            raise error(f"{where}: {path} = {shown(entry)}: an integer has 64 bits")
+
+
+def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
+    """Say which number inside is of no usable size, or what is nested too deep; empty where all are.
+
+    Args:
+        value: of a setting; numbers in lists and tables count.
+        most: largest integer.
+    """
+    for path, depth, entry in entries(value):
+        if depth > DEEPEST:
+            return f"nested deeper than {DEEPEST} levels"
+        where = f"{path} = {shown(entry)}: " if path else ""
+        if isinstance(entry, int) and not -most <= entry <= most:
+            return f"{where}give an integer of at most {most}"
+        if isinstance(entry, float) and entry != 0.0 and not SMALLEST <= abs(entry) <= LARGEST:
+            return f"{where}give 0, or a size from {SMALLEST:g} to {LARGEST:g}"
+    return ""
+
+
+def entries(value: Any) -> Iterator[tuple[str, int, Any]]:
+    """Every value inside: its path, its depth, itself; on a stack of its own, whatever the depth."""
+    stack: list[tuple[str, int, Any]] = [("", 0, value)]
+    while stack:
+        path, depth, entry = stack.pop()
+        yield path, depth, entry
+        if depth > DEEPEST:
+            continue
+        if isinstance(entry, Mapping):
+            stack += [(f"{path}.{key!s:.80}" if path else f"{key!s:.80}", depth + 1, v) for key, v in entry.items()]
+        elif isinstance(entry, list | tuple):
+            stack += [(f"{path}[{i}]", depth + 1, v) for i, v in enumerate(entry)]
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
+
+
+def _named(path: Path_) -> str:
+    return repr(os.fspath(path))
+
+
+def read_arrays(path: Path_, what: str, error: Wrong, most: int = 2**27) -> dict[str, Any]:
+    """Read the arrays of a .npz file, or that of a .npy file under the name "", as numpy arrays.
+
+    Args:
+        path, what, error: as `check_regular`.
+        most: bytes of all arrays together, read off their headers before any is made.
+    """
+    import numpy as np
+
+    data, where = read_bytes(path, what, error, most), f"{what} {_named(path)}"
+    try:
+        if not data.startswith(b"PK"):
+            _measure([(io.BytesIO(data), len(data))], most)
+            return {"": np.load(io.BytesIO(data), allow_pickle=False)}
+        with zipfile.ZipFile(io.BytesIO(data)) as inside:
+            _measure([(inside.open(one), one.file_size) for one in inside.infolist()], most)
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except Exception as reason:  # whatever a damaged archive makes its readers say
+        raise error(f"{where} is damaged or no file of arrays: {describe(reason)}") from reason
+
+
+def _measure(members: Sequence[tuple[IO[bytes], int]], most: int) -> None:
+    """Raise ValueError where a header promises more than the member holds, or all together more than ``most``."""
+    from numpy.lib import format as npy
+
+    total = 0
+    for file, size in members:
+        version = npy.read_magic(file)
+        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, _, dtype = header(file)
+        total += (asked := math.prod(shape) * max(dtype.itemsize, 1))
+        if asked > size or total > most:
+            raise ValueError(f"an array of {asked} bytes in {size}; {most} bytes at most are read")
+
+
+def plain(value: Any) -> Any:
+    """The same with nothing but JSON's own types; numpy's numbers as numbers, NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if hasattr(value, "tolist"):
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
+    """Write as JSON that any reader takes: what is not finite becomes null.
+
+    Raises:
+        TypeError: a value that JSON cannot hold.
+    """
+    return json.dumps(plain(value), indent=indent, sort_keys=sort_keys, allow_nan=False)
+
+
+def file_in(folder: Path, name: str) -> Path:
+    """A free name in a folder, made if need be: ``name``, or with a number before it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    free, number = folder / name, 0
+    while free.exists() or free.is_symlink():
+        number += 1
+        free = folder / f"{number}-{name}"
+    return free

@@ -1,0 +1,85 @@
+"""Settings that speak plainly: frozen pydantic models whose errors name field, value and cure."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)  # fmt: skip
+
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.inputs import names
+from moc_opt.inputs.files import LARGEST_INTEGER, wrong_size
+
+LONGEST_S = 1e6
+"""Of any time that is run, waited for or averaged over [s]: a week and a half."""
+
+Name = Annotated[str, AfterValidator(names.checked)]
+"""A name that comes from a file: `moc_opt.inputs.names.RULE`."""
+
+
+def _none_if_infinite(value: Any) -> Any:
+    return None if isinstance(value, float) and value == float("inf") else value
+
+
+Level = Annotated[Annotated[float, Field(gt=0.0)] | None, BeforeValidator(_none_if_infinite)]
+"""A limit above zero; None, or in TOML ``inf``, is no limit."""
+
+
+class Settings(BaseModel):
+    """Base of every table of settings.
+
+    Subclasses say what they are (``KIND``, for messages) and which error they raise (``ERROR``).
+
+    Raises:
+        UnknownNameError: a field does not exist; the message lists the nearest ones.
+        MocOptError: the subclass's own, naming the field, its value and the range.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    KIND: ClassVar[str] = "setting"
+    ERROR: ClassVar[type[MocOptError]] = ScenarioError
+    MOST: ClassVar[int] = 10_000_000
+    """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
+
+    @field_validator("*", mode="after")
+    @classmethod
+    def _of_a_usable_size(cls, value: Any, info: ValidationInfo) -> Any:
+        most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
+        if wrong := wrong_size(value, most):
+            raise ValueError(wrong)
+        name = info.field_name or ""
+        is_time = name == "seconds" or (name.endswith("_s") and "_per_" not in name)
+        if is_time and isinstance(value, float) and value > LONGEST_S:
+            raise ValueError(f"give {LONGEST_S:g} s at most")
+        return value
+
+    def __init__(self, **values: Any) -> None:
+        for name in values:
+            if name not in type(self).model_fields:
+                raise UnknownNameError(self.KIND, name, type(self).model_fields)
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise self.ERROR("; ".join(f"{self.KIND} {line}" for line in explain(error))) from error
+
+
+def explain(error: ValidationError) -> list[str]:
+    """One line per wrong field: name, value, cure."""
+    lines = []
+    for item in error.errors():
+        field = repr(".".join(f"{part!s:.80}" for part in item["loc"]))[1:-1]  # a key of a file may hold anything
+        message = item["msg"].removeprefix("Value error, ")
+        lines.append(
+            f"{field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}" if field else message
+        )
+    return lines

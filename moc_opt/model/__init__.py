@@ -1,0 +1,1 @@
+"""RobotModel and RobotState: kinematics and dynamics of an arm with its tool."""

@@ -1,0 +1,279 @@
+"""RobotModel: everything the control laws need to know about an arm at one (q, v), computed once.
+
+Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add what belongs to the tool.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import RobotError
+from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model.robot_state import RobotState
+from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
+from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, Entry
+from moc_opt.robots import RobotData, load_data
+
+Array = NDArray[np.float64]
+__all__ = ["RobotModel", "RobotState", "load_robot"]
+
+_FILL_STATE = Entry(
+    kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
+)
+_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
+_TOOL_POSE = Entry(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
+_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+_bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
+_forward = pin.forwardKinematics
+_STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
+
+
+class RobotModel:
+    """The arm with its tool. One model serves one thread: all its calls share pinocchio's workspace."""
+
+    def __init__(self, data: RobotData) -> None:
+        """Build the pinocchio model of `data`.
+
+        Raises:
+            RobotError: pinocchio cannot read the URDF, or its joints or frames are not those of the data.
+        """
+        self.data = data
+        self.n = n = data.n
+        self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
+        self._pin = _build(data)
+        self._fill_state, self._tip_manipulability = _FILL_STATE.code, _TIP_MANIPULABILITY.code
+        self._tool_pose = _TOOL_POSE.code
+        self._pin_data = self._pin.createData()
+        self._side_data = self._pin.createData()
+        frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
+        self._offsets = _read_only(np.array([frame.placement.translation for frame in frames]))
+        self._mount, self._tip_offset = np.ascontiguousarray(frames[0].placement.rotation.T), self._offsets[0]
+        if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
+            raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
+        # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
+        self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
+        self._places, self._last_place = _places(self._pin_data, n), _places(self._side_data, n)[n - 1]
+        self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
+        self._field = np.array(self._pin.gravity.linear)
+        self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
+        self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
+        self._moves = self._find_moves()
+        self._kinematics: Kinematics | None = None
+
+    def __repr__(self) -> str:
+        return f"RobotModel({self.data.name!r}, n={self.n}, tool {self.data.tool_length} m)"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return RobotModel, (self.data,)  # the views into pinocchio's memory do not survive copying
+
+    def state(self, q: ArrayLike, v: ArrayLike | None = None) -> RobotState:
+        """Compute everything at q (n,) [rad] and v (n,) [rad/s] (at rest when None).
+
+        Raises:
+            RobotError: q or v has the wrong shape or is not finite.
+        """
+        position = self._vector("q", q)
+        velocity = self._rest if v is None else self._vector("v", v)
+        model, data, record = self._pin, self._pin_data, np.empty(self._size)
+        _bias_forces(model, data, position, velocity)
+        _inertia(model, data, position, _IN_THE_WORLD)  # there, axes and places come with it
+        code = self._fill_state(
+            record,
+            position,
+            velocity,
+            self._axes,
+            self._places,
+            self._bodies,
+            self._field,
+            self._offsets,
+            self._moves,
+            self._inertia,
+            self._bias,
+        )
+        if code != kernels.OK:
+            name, value = ("q", position) if code == kernels.BAD_Q else ("v", velocity)
+            raise RobotError(
+                f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
+            )
+        return RobotState(record, self.n)
+
+    def mu_along(self, poses: Array) -> Array:
+        """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it."""
+        mu = np.empty(len(poses))
+        for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
+            pin.computeJointJacobians(self._pin, self._pin_data, q)
+            mu[k] = self._tip_manipulability(self._axes, self._places, self._offsets, self._moves)
+        return mu
+
+    def tool_along(self, poses: Array) -> tuple[Array, Array]:
+        """Tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
+        tips, wrists = np.empty((2, len(poses), 3))
+        last, (tip, wrist) = self._pin_data.oMi[self.n], self._offsets[:2]
+        for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
+            pin.forwardKinematics(self._pin, self._pin_data, q)
+            tips[k], wrists[k] = last.act(tip), last.act(wrist)
+        return tips, wrists
+
+    def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
+        """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
+        return np.array(
+            pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
+        )
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """Gravity torque g (n,) [Nm]."""
+        return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
+
+    def tool_pose(self, q: ArrayLike) -> Array:
+        """Compute where the tool is: (4,3) its x, y and z axes and its tip [m], in world axes.
+
+        z runs along the shaft from wrist to tip; these are the axes of the wrench sensor at the tool's mount.
+        """
+        pose = np.empty((4, 3))
+        _forward(self._pin, self._side_data, self._vector("q", q))
+        self._tool_pose(self._last_place, self._mount, self._tip_offset, pose)
+        return pose
+
+    @property
+    def mount(self) -> Array:
+        """(3,3) rows: the tool's axes x, y, z in the last joint's frame."""
+        return self._mount
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(2,n) which joints can move the tip (first row) and the wrist (second row) at all."""
+        return self._moves
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Joint placements and axes as plain numbers."""
+        neutral = self._pin.createData()
+        pin.computeJointJacobians(self._pin, neutral, np.zeros(self.n))
+        turned = [neutral.oMi[j + 1].rotation.T @ neutral.J[3:, j] for j in range(self.n)]
+        prismatic = np.array([np.linalg.norm(axis) < 0.5 for axis in turned])
+        axes = [
+            neutral.oMi[j + 1].rotation.T @ neutral.J[:3, j] if prismatic[j] else turned[j]
+            for j in range(self.n)
+        ]
+        placements = [self._pin.jointPlacements[j + 1] for j in range(self.n)]
+        return Chain(
+            rotations=np.array([placement.rotation for placement in placements]),
+            origins=np.array([placement.translation for placement in placements]),
+            axes=np.array(axes),
+            prismatic=prismatic,
+            offsets=self._offsets,
+        )
+
+    def kinematics(self) -> Kinematics:
+        """CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
+        if self._kinematics is None:
+            self._kinematics = build_kinematics(self.data.name, self.chain)
+        return self._kinematics
+
+    def random_regular_pose(
+        self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05
+    ) -> Array:
+        """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`.
+
+        Raises:
+            RobotError: none found in 1000 draws.
+        """
+        room = margin * (self.q_max - self.q_min)
+        for _ in range(1000):
+            q = rng.uniform(self.q_min + room, self.q_max - room)
+            if self.state(q).mu > mu_min:
+                return q
+        raise RobotError(f"no pose with mu > {mu_min} in 1000 draws: lower mu_min or margin = {margin}")
+
+    def _vector(self, name: str, value: ArrayLike) -> Array:
+        if (
+            type(value) is np.ndarray
+            and value.shape == self._shape
+            and value.dtype is _DOUBLE
+            and value.strides == _CLOSE
+        ):
+            return value
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise RobotError(f"{name} = {value!r} is not numeric: give {self.n} numbers") from error
+        if array.shape != self._shape:
+            raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give ({self.n},)")
+        return array
+
+    def _find_moves(self) -> NDArray[np.bool_]:
+        """Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis."""
+        rng = np.random.default_rng(0)
+        states = [self.state(rng.uniform(self.q_min, self.q_max)) for _ in range(4)]
+        columns = np.array([np.linalg.norm(s.A.reshape(2, 3, self.n), axis=1) for s in states])
+        return _read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
+
+
+def load_robot(
+    name_or_path: str | os.PathLike[str] = "lwr4",
+    *,
+    tool_length: float | None = None,
+    tool_mass: float | None = None,
+) -> RobotModel:
+    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors."""
+    return RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    # Always, so that the kernels are compiled for one kind of argument only.
+    array.flags.writeable = False
+    return array
+
+
+def _places(data: Any, n: int) -> Array:
+    """One view (n, 12) of the joints' places in the world, which pinocchio keeps side by side; see `fill_state`.
+
+    Raises:
+        RobotError: this pinocchio lays them out in another way.
+    """
+    width = 12
+    first, *others = [place.rotation for place in list(data.oMi)[1:]]
+    begin = first.__array_interface__["data"][0]
+    starts = [rotation.__array_interface__["data"][0] for rotation in others]
+    if starts != [begin + 8 * width * i for i in range(1, n)]:
+        raise RobotError(
+            f"pinocchio {pin.__version__} lays its joints out in another way: install the version in constraints.txt"
+        )
+    return np.lib.stride_tricks.as_strided(first.T.reshape(9), (n, width), (8 * width, 8))
+
+
+def _numbers(body: Any) -> list[float]:
+    inertia = body.inertia
+    return [body.mass, *(body.mass * body.lever), *(inertia[i, j] for i in range(3) for j in range(i + 1))]
+
+
+def _build(data: RobotData) -> Any:
+    try:
+        model = pin.buildModelFromXML(data.urdf)
+    except (ValueError, RuntimeError) as error:
+        raise RobotError(f"urdf of {data.name!r} cannot be read by pinocchio: {error}") from error
+    if tuple(model.names)[1:] != data.joint_names or model.nq != data.n:
+        raise RobotError(
+            f"urdf of {data.name!r} has the joints {list(model.names)[1:]}, the data {data.joint_names}: "
+            "they must be the same serial chain"
+        )
+    model.armature = data.rotor_inertia.copy()
+    return model
+
+
+def _frame(model: Any, name: str) -> Any:
+    """The body frame of that name; it must ride on the last joint."""
+    if not model.existFrame(name, pin.FrameType.BODY):
+        raise RobotError(
+            f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}"
+        )
+    frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
+    if frame.parentJoint != model.njoints - 1:
+        raise RobotError(f"frame {name!r} does not ride on the last joint: fix it to the last link")
+    return frame

@@ -1,0 +1,1 @@
+"""How small dense algebra is compiled."""

@@ -1,0 +1,1 @@
+"""What comes before and around a run: reachability, pre-flight, hands-on."""

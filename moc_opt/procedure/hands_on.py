@@ -1,0 +1,187 @@
+"""Step one of the operative procedure: a hand guides the tip to the incision, and the trocar is registered there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from moc_opt.control.hand_guiding import HandGuiding
+from moc_opt.errors import MocOptError, TaskError
+from moc_opt.inputs.settings import Settings
+from moc_opt.model.inverse_kinematics import pose_with_tip
+from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.sim.hand import Hand, HandSettings
+from moc_opt.sim.plant import Plant
+from moc_opt.trace.trace import Trace
+
+Array = NDArray[np.float64]
+
+_SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
+
+
+class HandsOnSettings(Settings):
+    """The guiding, and when the trocar counts as registered.
+
+    Raises:
+        TaskError: a value is out of range.
+        UnknownNameError: a field does not exist.
+    """
+
+    KIND: ClassVar[str] = "[hands_on]"
+    ERROR: ClassVar[type[MocOptError]] = TaskError
+
+    joint_damping_Nm_s_per_rad: float = Field(3.0, ge=0.0, le=100.0)
+    registration_error_m: float = Field(
+        0.001, ge=0.0, le=0.005, description="added to what the kinematics say, in a seeded direction"
+    )
+    tolerance_m: float = Field(
+        0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near"
+    )
+    rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip rests")
+    rest_s: float = Field(0.4, gt=0.0, le=10.0, description="it has to rest this long")
+    time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
+    distance_max_m: float = Field(
+        0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake"
+    )
+    hand: HandSettings = HandSettings()
+
+
+class HandsOnStatus(Enum):
+    """How the guiding ended; the text is the cure."""
+
+    REGISTERED = "the tip rested at the incision and the trocar is registered"
+    SHORT = "the tip did not reach the incision: raise hand.force_max_N, tolerance_m or time_limit_s"
+    RESTLESS = (
+        "the tip reached the incision and did not rest there: raise joint_damping_Nm_s_per_rad, "
+        "rest_speed_m_per_s or time_limit_s"
+    )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HandsOn:
+    """What the guiding left behind."""
+
+    status: HandsOnStatus
+    trocar: Array
+    """(3,) where the incision truly is [m]"""
+    registered: Array | None
+    """(3,) where the robot believes it to be [m]; None if it was not registered"""
+    q: Array
+    """(n,) the robot's measured pose at the end [rad]"""
+    trace: Trace
+    """one row a tick; `trocar_m` and `trocar_registered_m` (NaN if there is none) are kept apart"""
+
+    @property
+    def error_m(self) -> float:
+        """Distance of the registered trocar from the true one [m]; NaN if it was not registered."""
+        return math.nan if self.registered is None else float(np.linalg.norm(self.registered - self.trocar))
+
+
+def guide_to(
+    incision: ArrayLike,
+    plant: Plant,
+    robot: RobotModel,
+    settings: HandsOnSettings | None = None,
+    *,
+    seed: int = 0,
+) -> HandsOn:
+    """Let a hand pull the tip to the incision while the arm does no more than carry its own weight.
+
+    The hand sees where the tip truly is; the robot registers where its own kinematics put it. The plant goes on
+    from where it is, and is left at the end as it then is.
+
+    Args:
+        incision: (3,) where the trocar truly is, base frame [m].
+        plant: the simulated arm, reset to its start.
+        robot: the model that the robot believes in.
+        settings: see HandsOnSettings.
+        seed: of the registration error.
+
+    Raises:
+        TaskError: the incision is no point, too far away, or out of the arm's reach; nothing has moved then.
+        PlantError: the arm ran away.
+    """
+    settings = HandsOnSettings() if settings is None else settings
+    goal = np.asarray(incision, dtype=np.float64)
+    if goal.shape != (3,) or not np.isfinite(goal).all():
+        raise TaskError(f"incision = {incision!r}: give three finite numbers [m]")
+    away = float(np.linalg.norm(goal - plant.tip))
+    if away > settings.distance_max_m:
+        raise TaskError(
+            f"incision = {np.round(goal, 4).tolist()} m is {away:.2f} m from the tip: give one nearer than "
+            f"distance_max_m = {settings.distance_max_m:g} m, or start the arm nearer to it"
+        )
+    pose_with_tip(robot, plant.measure().q, goal)
+    columns, tips, status, q = _guide(goal, plant, robot, settings)
+    registered = None
+    if status is HandsOnStatus.REGISTERED:
+        direction = np.random.default_rng(seed).standard_normal(3)
+        registered = tips.mean(axis=0) + settings.registration_error_m * direction / np.linalg.norm(direction)
+        registered.setflags(write=False)
+    believed = np.full(3, np.nan) if registered is None else registered
+    ticks = len(columns["t_s"])
+    columns["trocar_m"] = columns["tip_ref_m"] = np.tile(goal, (ticks, 1))
+    columns["trocar_registered_m"] = np.tile(believed, (ticks, 1))
+    columns["tip_error_m"] = np.linalg.norm(columns["tip_ref_m"] - columns["tip_m"], axis=1)
+    meta = {"hands_on": settings.model_dump(mode="json"), "status": status.name.lower(), "seed": seed}
+    return HandsOn(status, goal, registered, q, Trace(columns, {**meta, "period_s": plant.settings.period_s}))
+
+
+def _guide(
+    goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings
+) -> tuple[dict[str, Array], Array, HandsOnStatus, Array]:
+    """The loop; returns the columns, the measured tips of the rest (k, 3), how it ended, and the last pose."""
+    period = plant.settings.period_s
+    law = HandGuiding(robot, settings.joint_damping_Nm_s_per_rad)
+    hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
+    gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
+    needed = max(1, round(settings.rest_s / period))
+    slow, reached = np.zeros(3), False
+    rows: list[dict[str, Array | float]] = []
+    resting: list[Array] = []
+    seen = robot.state(*plant.measure()[:2])
+    while len(resting) < needed and len(rows) < settings.time_limit_s / period:
+        force = hand.pull(plant.tip, _tip_velocity(plant, robot), goal)
+        plant.push("tool", force, point)
+        tau = law.tick(seen)
+        rows.append(_row(plant, tau, force))
+        plant.step(tau)
+        seen = robot.state(*plant.measure()[:2])
+        slow += gain * (seen.J_tip @ seen.v - slow)
+        there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
+        reached = reached or there
+        if there and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
+            resting.append(seen.tip)
+        else:
+            resting.clear()
+    plant.clear_pushes("tool")
+    status = HandsOnStatus.REGISTERED
+    if len(resting) < needed:
+        status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return columns, np.array(resting), status, np.array(seen.q)
+
+
+def _row(plant: Plant, tau: Array, force: Array) -> dict[str, Array | float]:
+    return {
+        "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tau_Nm": tau, "tip_m": plant.tip,
+        "wrist_m": plant.wrist, "hand_force_N": force,
+    }  # fmt: skip
+
+
+def _tip_velocity(plant: Plant, robot: RobotModel) -> Array:
+    """True velocity of the tip (3,) [m/s]: the model has the plant's geometry, and differs in masses only."""
+    state: RobotState = robot.state(plant.q, plant.v)
+    return state.J_tip @ state.v
+
+
+def _tip_on_tool(plant: Plant) -> Array:
+    """The tip in the tool's own frame (3,) [m], where the hand holds it."""
+    tool, tip = plant.mj_data.body("tool"), plant.mj_data.body(plant.data.tip_frame)
+    return np.asarray(tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos))

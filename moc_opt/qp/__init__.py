@@ -1,0 +1,1 @@
+"""The null-space subproblem as data, and the judge of its answers."""

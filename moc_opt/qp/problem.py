@@ -1,0 +1,285 @@
+"""The null-space subproblem of one control tick, as data: no robot and no solver.
+
+    min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + damping/2 |x|^2
+    s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
+
+x is a joint velocity [rad/s]. damping = 0 is the problem of Su et al. 2019; damping > 0 makes it a
+strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, cached_property
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import SubproblemError
+from moc_opt.qp import residuals as optimality
+from moc_opt.qp.residuals import TIED, Residuals
+
+Array = NDArray[np.float64]
+
+LARGEST_WEIGHT = 1e12
+WEIGHTS = ("c0", "c1", "c2", "damping")
+_DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
+
+
+def row_length(n: int) -> int:
+    """Length of the flat record of a subproblem with n joints."""
+    return 10 * n + 10
+
+
+class Fields(NamedTuple):
+    """Views into flat records ``(..., 10 n + 10)``; the order here is the order in the record."""
+
+    A: Array  # (..., 6, n) = [J_tip; J_wrist]
+    b: Array  # (..., 6) = [v_tip; v_wrist]
+    grad_mu: Array  # (..., n)
+    lower: Array  # (..., n)
+    upper: Array  # (..., n)
+    weights: Array  # (..., 4) = c0, c1, c2, damping
+    q: Array  # (..., n), NaN where it was not given
+
+
+def fields(rows: Array) -> Fields:
+    """Name the parts of one record or of a batch of them, without copying."""
+    n = (rows.shape[-1] - 10) // 10
+    if n < 1 or row_length(n) != rows.shape[-1]:
+        raise SubproblemError(f"row: length {rows.shape[-1]} is not 10 n + 10; use NullSpaceQP(...).row")
+    if rows.ndim == 1:  # in the control loop: five microseconds less
+        A, *parts = (rows[place] for place in _places(n))
+    else:
+        A, *parts = (rows[..., place] for place in _places(n))
+    return Fields(A.reshape(*rows.shape[:-1], 6, n), *parts)
+
+
+@cache
+def _places(n: int) -> tuple[slice, ...]:
+    """Where each field lies in a record."""
+    stops = np.cumsum([6 * n, 6, n, n, n, 4, n]).tolist()
+    return tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True))
+
+
+def judge(rows: Array, x: Array, y: Array | None = None) -> Residuals:
+    """Residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
+    return optimality.residuals(optimality.Problem(*fields(rows)[:6]), x, y)
+
+
+class Reduced(NamedTuple):
+    """The equalities without their dependent row: ``A5 x = b5``, and ``y6 = lift.T @ y5``."""
+
+    A: Array
+    b: Array
+    lift: Array
+
+
+class NullSpaceQP:
+    """One subproblem: frozen, validated, read-only arrays.
+
+    Args:
+        J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
+        v_tip, v_wrist: (3,) reference velocities [m/s]; u^T (v_tip - v_wrist) = 0 is the caller's part.
+        grad_mu: (n,) gradient of the manipulability.
+        lower, upper: (n,) bounds on the joint velocity [rad/s].
+        c0, c1, c2: weights of the paper; damping: rho, 0 for the paper's problem.
+        q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
+
+    Raises:
+        SubproblemError: naming the field, its value and the cure.
+    """
+
+    row: Array
+    n: int
+
+    def __init__(
+        self,
+        J_tip: ArrayLike,
+        J_wrist: ArrayLike,
+        v_tip: ArrayLike,
+        v_wrist: ArrayLike,
+        grad_mu: ArrayLike,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        c0: float = 0.01,
+        c1: float = 0.01,
+        c2: float = 0.001,
+        damping: float = 1e-5,
+        q: ArrayLike | None = None,
+    ) -> None:
+        jacobian = _array("J_tip", J_tip)
+        if jacobian.ndim != 2 or jacobian.shape[0] != 3 or jacobian.shape[1] < 1:
+            raise SubproblemError(
+                f"J_tip: shape {jacobian.shape} is not (3, n); pass world-axes rows x, y, z"
+            )
+        n = jacobian.shape[1]
+        arrays = [
+            jacobian,
+            _array("J_wrist", J_wrist, (3, n)),
+            _array("v_tip", v_tip, (3,)),
+            _array("v_wrist", v_wrist, (3,)),
+            _array("grad_mu", grad_mu, (n,)),
+            _array("lower", lower, (n,)),
+            _array("upper", upper, (n,)),
+        ]
+        weights = []
+        for name, value in zip(WEIGHTS, (c0, c1, c2, damping), strict=True):
+            weight = float(_array(name, value, ()))
+            if weight < 0.0:
+                raise SubproblemError(f"{name}: {weight} is negative; a weight must be 0 or larger")
+            if weight > LARGEST_WEIGHT:
+                raise SubproblemError(
+                    f"{name}: {weight} is above {LARGEST_WEIGHT:g}: products of it overflow; scale all weights down"
+                )
+            weights.append(weight)
+        crossed = np.flatnonzero(arrays[5] > arrays[6])
+        if crossed.size:
+            i = int(crossed[0])
+            raise SubproblemError(
+                f"lower: lower[{i}] = {arrays[5][i]} is above upper[{i}] = {arrays[6][i]}; "
+                "swap them, or check that the joint is inside its limits"
+            )
+        where = np.full(n, np.nan) if q is None else _array("q", q, (n,))
+        self._adopt(np.concatenate([*(a.ravel() for a in arrays), weights, where]), n)
+
+    @classmethod
+    def from_row(cls, row: Array) -> NullSpaceQP:
+        """Adopt a flat record without copying or checking its values; the record becomes read-only.
+
+        The controller's and the recordings' way in: their records were made by this package.
+        """
+        self = object.__new__(cls)
+        self._adopt(row, (row.shape[0] - 10) // 10)
+        return self
+
+    def copy(self) -> NullSpaceQP:
+        """The same subproblem in memory of its own: what is done to one leaves the other as it is."""
+        return NullSpaceQP.from_row(self.row.copy())
+
+    def _adopt(self, row: Array, n: int) -> None:
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code takes both for granted
+            row = np.array(row, dtype=np.float64).ravel()
+        row.setflags(write=False)
+        own = self.__dict__  # around our own __setattr__, which refuses everybody else
+        own["row"], own["n"] = row, n
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(f"NullSpaceQP is frozen: make a new one to change {name}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickle, (np.array(self.row),)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, NullSpaceQP) and np.array_equal(self.row, other.row, equal_nan=True)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        c0, c1, c2, damping = self.fields.weights
+        return f"NullSpaceQP(n={self.n}, c0={c0:g}, c1={c1:g}, c2={c2:g}, damping={damping:g})"
+
+    @cached_property
+    def fields(self) -> Fields:
+        """Read-only views of all parts."""
+        return fields(self.row)
+
+    J_tip = property(lambda self: self.fields.A[:3], doc="(3, n) [m/rad]")
+    J_wrist = property(lambda self: self.fields.A[3:], doc="(3, n) [m/rad]")
+    v_tip = property(lambda self: self.fields.b[:3], doc="(3,) [m/s]")
+    v_wrist = property(lambda self: self.fields.b[3:], doc="(3,) [m/s]")
+    grad_mu = property(lambda self: self.fields.grad_mu, doc="(n,)")
+    lower = property(lambda self: self.fields.lower, doc="(n,) [rad/s]")
+    upper = property(lambda self: self.fields.upper, doc="(n,) [rad/s]")
+    c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
+    c1 = property(lambda self: float(self.fields.weights[1]), doc="weight of the wrist rows")
+    c2 = property(lambda self: float(self.fields.weights[2]), doc="weight of the manipulability")
+    damping = property(lambda self: float(self.fields.weights[3]), doc="rho")
+    A = property(lambda self: self.fields.A, doc="(6, n): J_tip over J_wrist")
+    b = property(lambda self: self.fields.b, doc="(6,): v_tip over v_wrist")
+
+    @property
+    def q(self) -> Array | None:
+        """(n,) joint position [rad], or None where it was not given."""
+        return None if np.isnan(self.fields.q[0]) else self.fields.q
+
+    @cached_property
+    def P(self) -> Array:
+        """(n, n) Hessian: c0 J_T^T J_T + c1 J_W^T J_W + damping I."""
+        A = self.fields.A
+        P = (A.T * np.repeat(self.fields.weights[:2], 3)) @ A
+        P.flat[:: self.n + 1] += self.fields.weights[3]
+        return _frozen(P)
+
+    @cached_property
+    def p(self) -> Array:
+        """(n,) linear cost: -c0 J_T^T v_T - c1 J_W^T v_W - c2 grad_mu."""
+        part = self.fields
+        return _frozen(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
+
+    def objective(self, x: ArrayLike) -> float:
+        """1/2 x^T P x + p^T x, without the constant."""
+        x = np.asarray(x, dtype=float)
+        return float(0.5 * x @ self.P @ x + self.p @ x)
+
+    @cached_property
+    def _reduced(self) -> Reduced:
+        # u^T (J_T - J_W) = 0: u is the left null vector of the difference, and the wrist row along u
+        # repeats the tip row along u. Two rows across u remain of the wrist's three.
+        difference = self.J_tip - self.J_wrist
+        u = np.linalg.eigh(difference @ difference.T)[1][:, 0]
+        u = u * np.sign(u[np.argmax(np.abs(u))])
+        lift = np.eye(6)
+        # [u; -u] / sqrt(2) is then the left singular vector of A that belongs to its sixth singular value.
+        sixth = np.sqrt(0.5) * np.linalg.norm(u @ difference)
+        if self.n >= 3 and sixth <= TIED * np.linalg.norm(self.A):
+            k = int(np.argmin(np.abs(u)))
+            across = np.cross(u, np.eye(3)[k])
+            across /= np.linalg.norm(across)
+            lift = np.zeros((5, 6))
+            lift[:3, :3], lift[3, 3:], lift[4, 3:] = np.eye(3), across, np.cross(u, across)
+        return Reduced(_frozen(lift @ self.A), _frozen(lift @ self.b), _frozen(lift))
+
+    def reduced(self) -> Reduced:
+        """Five independent rows, or the six where tip and wrist are not rigidly tied."""
+        return self._reduced
+
+    def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:
+        """Judge an answer x (n,) with its duals y (6,); see ``moc_opt.qp.residuals.Residuals``.
+
+        Raises:
+            SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
+        """
+        x = np.asarray(x, dtype=float)
+        if x.shape != (self.n,):
+            raise SubproblemError(f"x: shape {x.shape} is not ({self.n},)")
+        if y is not None and np.shape(y) != (6,):
+            raise SubproblemError(
+                f"y: shape {np.shape(y)} is not (6,); lift five duals with reduced().lift.T"
+            )
+        found = judge(self.row, x, None if y is None else np.asarray(y, dtype=float))
+        return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
+
+
+def _unpickle(row: Array) -> NullSpaceQP:
+    return NullSpaceQP.from_row(row)
+
+
+def _frozen(array: Array) -> Array:
+    array.flags.writeable = False
+    return array
+
+
+def _array(name: str, value: ArrayLike | float, shape: Sequence[int] | None = None) -> Array:
+    """A finite float array of the given shape, or a SubproblemError that names the field."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise SubproblemError(f"{name}: {value!r} is not an array of numbers") from error
+    if shape is not None and array.shape != tuple(shape):
+        raise SubproblemError(f"{name}: shape {array.shape} is not {tuple(shape)}")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise SubproblemError(f"{name}: entry {where} is {array[where]}; every entry must be finite")
+    return array

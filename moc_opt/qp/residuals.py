@@ -1,0 +1,300 @@
+"""How an answer to the null-space subproblem is judged: one set of residuals for every solver.
+
+All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
+a single tick or a whole recording. None of them uses the status that the solver reports.
+
+On A x = b the tracking terms of the cost are constant. What is left, damping/2 |x|^2 - c2 grad_mu^T x, is a sum over
+independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
+their part of ker A. With one freedom that is an interval too; with more ``moc_opt.qp.extremes`` finds best and worst.
+
+The stationarity measure is the natural residual of the box-constrained Lagrangian,
+``x - clip(x - (P x + p + A^T y), lower, upper)`` (Facchinei & Pang 2003, section 1.5.2): it is zero
+exactly at a KKT point and needs no multipliers of the box.
+"""
+
+from __future__ import annotations
+
+import itertools
+from functools import lru_cache
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.qp.extremes import extremes
+
+Array = NDArray[np.float64]
+
+# One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
+# TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
+# Jacobians rounded to 7 decimals leave up to 7e-8 of it; what such a row does to tip and wrist stays within the primal
+# tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
+TIED = 1e-7
+RANK_TOLERANCE = 1e-12
+# Singular values that may be divided by to bring x onto A x = b: near a straight elbow the smallest would
+# blow a residual of rounding size up to a rad/s.
+PROJECTION_TOLERANCE = 1e-6
+GRADIENT_ROUNDING = 1e-9  # a reduced gradient below this fraction of |grad_mu|_inf is zero
+A_POINT = 1e-9  # a feasible interval no longer than this [rad/s] has no ends: rounding decides where on it x is
+FEASIBLE = 1e-6  # box violation up to which a feasible set that x only touches is that point [rad/s]
+STILL = 1e-9  # a joint that moves less than this along a unit vector of self-motion does not bound it
+MOST_FACETS = 300  # 10 joints with 5 freedoms have 210
+
+
+class Residuals(NamedTuple):
+    """How far an answer is from optimal; each entry is a float or has the batch shape.
+
+    Attributes:
+        primal: max(|A x - b|_inf, box violation) [m/s or rad/s].
+        natural: natural residual with the solver's own y (the best y where it gave none).
+        natural_best: natural residual with the best y for that x: a good x with bad duals is
+            told from a bad x by ``natural >> natural_best``. With more than ``MOST_FACETS`` facets the
+            optimum's y stands for the best one: never too small, and zero at an optimum.
+        relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
+            gradient: max(c2 |Z Z^T grad_mu|_inf, damping times 1 rad/s), Z a basis of ker A; idle joints
+            have one of their own. A gradient of which almost nothing is left on ker A hides nothing [rad/s].
+        loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
+            1 the worst point. Of independent parts the one that loses most counts. Never too small; where the
+            worst is not known (see ``moc_opt.qp.extremes``) it may be too large.
+        distance: |x - x*|_inf to the nearest optimum x* [rad/s]; to the one nearest in the Euclidean norm where
+            it is not unique. Infinite where no x* is found: the box leaves nothing of A x = b.
+    """
+
+    primal: Array
+    natural: Array
+    natural_best: Array
+    relative: Array
+    loss: Array
+    distance: Array
+
+    def verified(self, primal: float = 1e-6, relative: float = 1e-3, loss: float = 1e-2) -> NDArray[np.bool_]:
+        """Decide whether the answer is optimal to these tolerances (bool, batch shape).
+
+        Feasible within ``primal``, and either that near to an optimum, or good by ``relative`` and ``loss``.
+        """
+        near = np.less_equal(self.distance, primal)
+        good = np.less_equal(self.relative, relative) & np.less_equal(self.loss, loss)
+        return np.less_equal(self.primal, primal) & (near | good)
+
+
+class Problem(NamedTuple):
+    """The arrays of a subproblem that the residuals need; every one may carry a batch shape."""
+
+    A: Array  # (..., 6, n)
+    b: Array  # (..., 6)
+    grad_mu: Array  # (..., n)
+    lower: Array  # (..., n)
+    upper: Array  # (..., n)
+    weights: Array  # (..., 4): c0, c1, c2, damping
+
+
+def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
+    """Judge answers ``x`` (..., n) with their duals ``y`` (..., 6), or None where there are none.
+
+    Rows of ``x`` that are not finite are infinitely wrong (loss 1); rows of ``y`` that are not
+    finite count as "no dual given".
+    """
+    shape = x.shape[:-1]
+    n = x.shape[-1]
+    flat = Problem(
+        *(
+            np.broadcast_to(f, shape + f.shape[-k:]).reshape(-1, *f.shape[-k:])
+            for f, k in zip(problem, (2, 1, 1, 1, 1, 1), strict=True)
+        )
+    )
+    x = x.reshape(-1, n)
+    finite = np.all(np.isfinite(x), axis=-1)
+    x = np.where(finite[:, None], x, 0.0)
+    slack = np.einsum("kij,kj->ki", flat.A, x) - flat.b
+    outside = np.maximum(np.maximum(flat.lower - x, x - flat.upper), 0.0)
+    primal = np.maximum(np.abs(slack).max(-1), outside.max(-1))
+
+    size = np.abs(flat.grad_mu).max(-1)
+    best, relative, loss, distance = figures = np.zeros((4, len(x)))
+    for rows, joints in _idle_patterns(flat.A):
+        figures[:, rows] = _idle_joints(_some(flat, rows, ~joints), x[np.ix_(rows, ~joints)], size[rows])
+        for _, these, Z in null_spaces(flat.A[rows][:, :, joints]):
+            chosen = rows[these]
+            one = _some(flat, chosen, joints)
+            judged = _moving_joints(one, x[np.ix_(chosen, joints)], Z, slack[chosen], size[chosen])
+            figures[:, chosen] = np.maximum(figures[:, chosen], judged)
+
+    natural = best.copy()
+    if y is not None:
+        y = np.broadcast_to(y, (*shape, 6)).reshape(-1, 6)
+        given = np.all(np.isfinite(y), axis=-1)
+        c0, c1, c2, damping = flat.weights.T
+        rows6 = slack * np.repeat(np.stack([c0, c1], -1), 3, axis=-1) + np.where(given[:, None], y, 0.0)
+        full = np.einsum("kij,ki->kj", flat.A, rows6) + damping[:, None] * x - c2[:, None] * flat.grad_mu
+        own = np.abs(x - np.clip(x - full, flat.lower, flat.upper)).max(-1)
+        natural = np.where(given, own, best)
+    for figure in (primal, natural, best, relative, distance):
+        figure[~finite] = np.inf
+    loss[~finite] = 1.0
+    return Residuals(*(f.reshape(shape) for f in (primal, natural, best, relative, loss, distance)))
+
+
+def null_spaces(A: Array) -> list[tuple[int, NDArray[np.intp], Array]]:
+    """Compute orthonormal bases of ker A for a batch ``A`` (k, 6, n), grouped by rank.
+
+    Returns:
+        (rank, row indices (m,), Z (m, n, n - rank)) for every rank that occurs.
+    """
+    _, s, vh = np.linalg.svd(A, full_matrices=True)
+    ranked = ranks(s)
+    groups = []
+    for rank in np.unique(ranked):
+        rows = np.flatnonzero(ranked == rank)
+        groups.append((int(rank), rows, np.swapaxes(vh[rows, rank:, :], 1, 2)))
+    return groups
+
+
+def ranks(s: Array) -> NDArray[np.intp]:
+    """Decide the ranks of matrices with six rows from their singular values (..., 6 or fewer), in descending order."""
+    least = np.where(np.arange(s.shape[-1]) < 5, RANK_TOLERANCE, TIED)
+    return (s > least * np.linalg.norm(s, axis=-1, keepdims=True)).sum(-1)
+
+
+def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
+    """Rows (m,) of a batch ``A`` (k, 6, n) whose same joints (n,) move tip or wrist, for every pattern that occurs."""
+    moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
+    patterns, which = np.unique(moves, axis=0, return_inverse=True)
+    return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
+
+
+def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:
+    """Some rows of a batch with some of their joints."""
+    A, b, grad_mu, lower, upper, weights = (f[rows] for f in problem)
+    return Problem(A[:, :, joints], b, grad_mu[:, joints], lower[:, joints], upper[:, joints], weights)
+
+
+def _gradient(grad_mu: Array, size: Array) -> Array:
+    """``grad_mu`` (k, n), zero in the rows that are rounding of a gradient of the given size (k,)."""
+    largest = np.abs(grad_mu).max(-1, initial=0.0)
+    return np.where((largest > GRADIENT_ROUNDING * size)[:, None], grad_mu, 0.0)
+
+
+def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
+    """natural_best, relative, loss and distance (4, k) of joints that move neither tip nor wrist: the worst of them."""
+    _, _, c2, damping = problem.weights.T
+    worst = np.zeros((4, len(x)))
+    for j in range(x.shape[1]):
+        here, low, high = x[:, j], problem.lower[:, j], problem.upper[:, j]
+        push = c2 * _gradient(problem.grad_mu[:, j : j + 1], size)[:, 0]
+        slope, scale = damping * here - push, np.maximum(np.abs(push), damping)
+        natural, relative = (np.abs(here - np.clip(here - s, low, high)) for s in (slope, slope / _or_one(scale)))
+        step, loss = _on_an_interval(slope, damping, low - here, high - here)
+        worst = np.maximum(worst, [natural, relative, loss, np.abs(step)])
+    return worst
+
+
+def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Array) -> Array:
+    """natural_best, relative, loss and distance (4, k) of the joints that move tip or wrist, along Z (k, n, r)."""
+    _, _, c2, damping = problem.weights.T
+    n, r = Z.shape[1:]
+    # Onto A x = b: what is missing there is judged by `primal`.
+    on = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=PROJECTION_TOLERANCE), slack)
+    if r == 0:
+        nothing = np.zeros(len(x))
+        return np.stack([nothing, nothing, nothing, np.abs(on - x).max(-1, initial=0.0)])
+    along = _gradient(np.einsum("kni,kmi,km->kn", Z, Z, problem.grad_mu), size)
+    slope = np.einsum("kni,kn->ki", Z, damping[:, None] * on - c2[:, None] * along)
+    scale = np.maximum(c2 * np.abs(along).max(-1), damping)
+    low, high = problem.lower - on, problem.upper - on
+    if r == 1:
+        moved, loss = _along_a_line(Z[:, :, 0], slope[:, 0], damping, low, high)
+        pull = slope * Z[:, :, 0]
+    else:
+        moved, loss, pull = _in_a_polytope(Z, slope, damping, low, high)
+    both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
+    if comb(n, r - 1) <= MOST_FACETS:
+        natural = _best_natural(problem, x, Z, both * slope)
+    else:
+        natural = np.abs(x - np.clip(x - both * pull, problem.lower, problem.upper)).max(-1)
+    return np.stack([*natural, loss, np.abs(on + moved - x).max(-1)])
+
+
+def _or_one(scale: Array) -> Array:
+    """Scales, and 1 where there is nothing to scale."""
+    return np.where(scale > 0.0, scale, 1.0)
+
+
+def _on_an_interval(slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Step to the optimum of slope s + damping/2 s^2 on [low, high], and the share of its range lost at s = 0: (k,)."""
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        free = np.where(slope == 0.0, 0.0, -slope / damping)  # without damping to the end: division by zero
+    best = np.clip(free, low, high)
+    least, *ends = (s * (slope + 0.5 * damping * s) for s in (best, low, high))
+    spread = np.where(high - low > A_POINT, np.maximum(*ends) - least, 0.0)
+    return best, np.where(spread > 0.0, np.clip(-least / _or_one(spread), 0.0, 1.0), 0.0)
+
+
+def _along_a_line(z: Array, slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Way to the optimum (k, n) along the unit vector z (k, n) within low <= s z <= high, and the loss (k,)."""
+    moving = np.abs(z) > STILL
+    per_step = np.where(moving, z, 1.0)
+
+    def interval(beyond: float) -> tuple[Array, Array]:
+        ends = np.stack([(low - beyond) / per_step, (high + beyond) / per_step])
+        first, last = np.where(moving, ends.min(0), -np.inf), np.where(moving, ends.max(0), np.inf)
+        return first.max(-1), last.min(-1)
+
+    (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
+    empty, point = wide_first > wide_last, 0.5 * (wide_first + wide_last)
+    step, loss = _on_an_interval(
+        slope, damping, np.where(first > last, point, first), np.where(first > last, point, last)
+    )
+    return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss)
+
+
+def _in_a_polytope(Z: Array, slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+    """Way to the optimum (k, n) along Z (k, n, r) within low <= Z w <= high, the loss (k,), and the pull (k, n) there.
+
+    The pull is the gradient of the cost with the optimum's y.
+    """
+    moved, loss, pull = np.zeros(low.shape), np.zeros(len(low)), np.einsum("kni,ki->kn", Z, slope)
+    for i in np.flatnonzero((slope != 0.0).any(-1) | (damping > 0.0)):
+        found = extremes(Z[i], low[i], high[i], slope[i], damping[i])
+        point = found is None
+        if found is None:
+            found = extremes(Z[i], low[i] - FEASIBLE, high[i] + FEASIBLE, slope[i], damping[i])
+        if found is None:
+            moved[i], loss[i] = np.inf, 1.0
+            continue
+        moved[i], pull[i] = Z[i] @ found.w, found.pull
+        loss[i] = 0.0 if point else np.clip(-found.least / (found.most - found.least), 0.0, 1.0)
+    return moved, loss, pull
+
+
+def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array:
+    """Smallest natural residual over all y, in closed form, for several costs ``reduced`` (c, k, r): (c, k).
+
+    y moves w = P x + p + A^T y freely but for Z^T w = reduced. A residual of t allows
+    w_i in [-t, t], without the upper end where x_i is within t of its lower bound and without
+    the lower end near its upper bound. By support functions, such a w exists if and only if
+    d.reduced <= max_w d.(Z^T w) for every facet normal d of that polytope; these are the
+    directions orthogonal to r - 1 rows of Z.
+    """
+    below, above = np.maximum(x - problem.lower, 0.0), np.maximum(problem.upper - x, 0.0)
+    worst = np.zeros(reduced.shape[:2])
+    for d in _facets(np.ascontiguousarray(Z).tobytes(), Z.shape):
+        for side in (d, -d):
+            push = np.einsum("ki,cki->ck", side, reduced)
+            s = np.einsum("kni,ki->kn", Z, side)
+            free_at = np.where(s > STILL, below, np.where(s < -STILL, above, np.inf)).min(-1)
+            worst = np.maximum(worst, np.minimum(push / np.abs(s).sum(-1), free_at))
+    return worst
+
+
+@lru_cache(maxsize=8)
+def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
+    """Directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
+
+    Remembered, as every solver of a comparison is judged on the same problems.
+    """
+    k, n, r = shape
+    Z = np.frombuffer(null_spaces).reshape(shape)
+    if r == 1:
+        return [np.ones((k, 1))]
+    return [np.linalg.svd(Z[:, list(rows), :])[2][:, -1, :] for rows in itertools.combinations(range(n), r - 1)]

@@ -1,0 +1,1 @@
+"""The self-motion: its curve, its continuation, the arm angle, and manipulability along it."""

@@ -1,0 +1,133 @@
+"""The swivel of the elbow: one angle for the one freedom that tip and wrist leave to an arm.
+
+It is the angle of the elbow about the line from the shoulder to the wrist centre, counted from the plane through
+that line and a fixed direction (Kreutz-Delgado, Long and Seraji 1992). It depends on the pose alone, and
+continuously, so that poses of different times and runs can be compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import RobotError
+from moc_opt.model.frames import link_frames
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.self_motion import SelfMotion
+
+Array = NDArray[np.float64]
+
+NO_LIMIT_RAD = 20.0
+REACHED_M = 1e-9
+
+
+class Elbow:
+    """The swivel angle of an arm: second joint, elbow and wrist centre span the plane that turns."""
+
+    def __init__(self, robot: RobotModel, wrists: Array) -> None:
+        """Choose elbow and reference direction.
+
+        Args:
+            robot: the arm.
+            wrists: (k, 3) the wrist centres that will occur [m].
+        """
+        self._chain = robot.chain
+        origins, _ = link_frames(robot.chain, robot.data.q_home[None])
+        shoulder, wrist = origins[0, min(1, robot.n - 1)], robot.state(robot.data.q_home).wrist
+        away = np.linalg.norm(np.cross(origins[0] - shoulder, unit(wrist - shoulder)), axis=1)
+        self.joint = int(np.argmax(away))
+        # The direction that the shoulder-wrist line stays farthest from: upwards, unless the arm does.
+        lines = unit(wrists - shoulder)
+        sideways = np.sqrt(1.0 - lines**2).min(axis=0)
+        axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
+        self._reference = np.eye(3)[axis]
+
+    def swivel(self, q: Array) -> Array:
+        """(k,) [rad] in (-pi, pi], of poses (k, n)."""
+        origins, rotations = link_frames(self._chain, q)
+        shoulder, elbow = origins[:, min(1, q.shape[1] - 1)], origins[:, self.joint]
+        wrist = origins[:, -1] + rotations[:, -1] @ self._chain.offsets[1]
+        line = unit(wrist - shoulder)
+        side = np.cross(line, self._reference)
+        out = elbow - shoulder
+        angles: Array = np.arctan2((out * side).sum(axis=1), (out * np.cross(side, line)).sum(axis=1))
+        return angles
+
+    def direction(self, q: Array) -> Array:
+        """(3,) unit vector in which the elbow of the pose q (n,) goes as its swivel grows, tip and wrist at rest."""
+        origins, rotations = link_frames(self._chain, q[None])
+        shoulder, elbow = origins[0, min(1, len(q) - 1)], origins[0, self.joint]
+        wrist = origins[0, -1] + rotations[0, -1] @ self._chain.offsets[1]
+        return unit(np.cross(wrist - shoulder, elbow - shoulder))
+
+
+class SwivelCurve:
+    """One self-motion, addressed by swivel.
+
+    Raises:
+        RobotError: the swivel does not grow or fall steadily along it.
+    """
+
+    def __init__(self, curve: SelfMotion, elbow: Elbow) -> None:
+        self._curve, self._elbow = curve, elbow
+        self._angles = np.unwrap(elbow.swivel(curve.q))
+        steps = np.diff(self._angles)
+        if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+            raise RobotError(
+                "the arm's elbow goes to and fro on its self-motion, so no swivel angle tells its poses apart: "
+                "the map is for arms whose shoulder, elbow and wrist form a triangle"
+            )
+        self._sign = 1.0 if len(steps) and steps[0] > 0.0 else -1.0
+        self._along = (curve.s - curve.s[0]) / max(curve.s[-1] - curve.s[0], 1e-300)
+
+    def poses(self, swivels: Array) -> Array:
+        """(m, n) at swivels (m,); NaN where the curve has none."""
+        start = self._angles[0]
+        turned = start + self._sign * np.mod(self._sign * (swivels - start), 2.0 * np.pi)
+        known = self._sign * (self._angles[-1] - turned) >= 0.0
+        found = np.full((len(swivels), self._curve.q.shape[1]), np.nan)
+        wish, aim = turned[known], turned[known]
+        poses = found[known]
+        for _ in range(3):  # the spline between samples is straight: aim again by what it missed
+            fractions = np.interp(self._sign * np.asarray(aim), self._sign * self._angles, self._along)
+            poses = np.array([self._curve.at(float(f)) for f in fractions]).reshape(poses.shape)
+            missed = wish - self._elbow.swivel(poses)
+            aim = aim + np.mod(missed + np.pi, 2.0 * np.pi) - np.pi
+        found[known] = poses
+        return found
+
+
+def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
+    """The pose with that tip and wrist nearest to q, by Newton's method; None where it finds none."""
+    pose = np.array(q)
+    for _ in range(30):
+        state = robot.state(pose)
+        error = np.concatenate([tip - state.tip, wrist - state.wrist])
+        if np.abs(error).max() < REACHED_M:
+            return pose
+        step = np.linalg.pinv(state.A, rcond=1e-6) @ error
+        pose = pose + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
+    return None
+
+
+def without_limits(robot: RobotModel) -> RobotModel:
+    """The same arm, its revolute joints free to turn."""
+    slides, data = robot.chain.prismatic, robot.data
+    low, high = (
+        np.where(slides, limit, turn)
+        for limit, turn in ((data.q_min, -NO_LIMIT_RAD), (data.q_max, NO_LIMIT_RAD))
+    )
+    return RobotModel(replace(data, q_min=low, q_max=high))
+
+
+def nearest_turns(robot: RobotModel, q: Array) -> Array:
+    """The same poses, every revolute joint whole turns nearer to the middle of its range."""
+    turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
+    return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
+
+
+def unit(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / lengths

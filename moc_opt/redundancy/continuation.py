@@ -1,0 +1,249 @@
+"""Compiled kernels that follow a self-motion: forward kinematics, Newton correction, continuation.
+
+They work on the plain numbers of a `Chain`, several hundred poses a scan. Loops are written out where numpy
+would do: on matrices this small that is faster to run, and several times faster to compile.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.model.kinematics_kernels import manipulability, point_in_world, point_jacobian
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-10  # on tip and wrist [m]
+LIMIT, CLOSED, SINGULAR, LENGTH = range(4)
+
+
+class Constraint(NamedTuple):
+    """An arm (see `Chain` and `RobotModel`) and the tip and wrist it has to keep."""
+
+    rotations: Array
+    origins: Array
+    joint_axes: Array
+    prismatic: NDArray[np.bool_]
+    offsets: Array
+    moves: NDArray[np.bool_]
+    q_min: Array
+    q_max: Array
+    active: NDArray[np.int64]
+    """(m,) the joints that may move, m - 1 of them fixed by tip and wrist"""
+    target: Array
+    """(2,3) tip and wrist [m]"""
+
+
+@njit(cache=True)
+def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
+    """Spatial axes (n,6), as in model_kernels, and the points (2,3) tip and wrist of the chain at q."""
+    r_t, turned = np.eye(3), np.empty((3, 3))  # transposed rotations
+    origin, axis = np.zeros(3), np.empty(3)
+    for j in range(q.shape[0]):
+        point_in_world(r_t, origin, arm.origins[j], origin)
+        for c in range(3):
+            for i in range(3):
+                turned[c, i] = (
+                    r_t[0, i] * arm.rotations[j, 0, c]
+                    + r_t[1, i] * arm.rotations[j, 1, c]
+                    + r_t[2, i] * arm.rotations[j, 2, c]
+                )
+        for i in range(3):
+            axis[i] = (
+                turned[0, i] * arm.joint_axes[j, 0]
+                + turned[1, i] * arm.joint_axes[j, 1]
+                + turned[2, i] * arm.joint_axes[j, 2]
+            )
+        if arm.prismatic[j]:
+            for i in range(3):
+                origin[i] += axis[i] * q[j]
+                axes[j, i], axes[j, 3 + i] = axis[i], 0.0
+            r_t[:, :] = turned
+            continue
+        ax, ay, az = axis[0], axis[1], axis[2]
+        # Linear velocity of the world origin for a turn about an axis through `origin`.
+        axes[j, 0] = origin[1] * az - origin[2] * ay
+        axes[j, 1] = origin[2] * ax - origin[0] * az
+        axes[j, 2] = origin[0] * ay - origin[1] * ax
+        axes[j, 3], axes[j, 4], axes[j, 5] = ax, ay, az
+        cos, sin = math.cos(q[j]), math.sin(q[j])
+        for c in range(3):  # Rodrigues' formula on each column of the rotation
+            x, y, z = turned[c, 0], turned[c, 1], turned[c, 2]
+            along = (1.0 - cos) * (ax * x + ay * y + az * z)
+            r_t[c, 0] = cos * x + sin * (ay * z - az * y) + along * ax
+            r_t[c, 1] = cos * y + sin * (az * x - ax * z) + along * ay
+            r_t[c, 2] = cos * z + sin * (ax * y - ay * x) + along * az
+    point_in_world(r_t, origin, arm.offsets[0], points[0])
+    point_in_world(r_t, origin, arm.offsets[1], points[1])
+
+
+@njit(cache=True)
+def evaluate(arm: Constraint, q: Array, error: Array, a: Array) -> float:
+    """Fill the error (6,) of tip and wrist and A (6,m) of the active joints; returns mu."""
+    n = q.shape[0]
+    axes, points, full, grad = np.empty((n, 6)), np.empty((2, 3)), np.empty((6, n)), np.empty(n)
+    forward(arm, q, axes, points)
+    point_jacobian(axes, points[0], arm.moves[0], full[0:3])
+    point_jacobian(axes, points[1], arm.moves[1], full[3:6])
+    for row in range(6):
+        error[row] = arm.target[row // 3, row % 3] - points[row // 3, row % 3]
+        for i in range(arm.active.shape[0]):
+            a[row, i] = full[row, arm.active[i]]
+    return float(manipulability(axes, full[0:3], grad))
+
+
+@njit(cache=True)
+def bordered(a: Array, t: Array, b: Array, c: float, x: Array) -> None:
+    """Least-squares solution x (m,) of [A; t^T] x = [b; c], by Cholesky on its normal equations.
+
+    Near a singularity the added 1e-14 keeps the matrix positive; a poor step is found out by its residual.
+    """
+    m = t.shape[0]
+    low = np.empty((m, m))
+    for i in range(m):
+        x[i] = t[i] * c
+        for row in range(6):
+            x[i] += a[row, i] * b[row]
+        for j in range(i + 1):
+            total = t[i] * t[j] + (1e-14 if i == j else 0.0)
+            for row in range(6):
+                total += a[row, i] * a[row, j]
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            low[i, j] = math.sqrt(max(total, 1e-16)) if i == j else total / low[j, j]
+    for i in range(m):
+        for k in range(i):
+            x[i] -= low[i, k] * x[k]
+        x[i] /= low[i, i]
+    for i in range(m - 1, -1, -1):
+        for k in range(i + 1, m):
+            x[i] -= low[k, i] * x[k]
+        x[i] /= low[i, i]
+
+
+@njit(cache=True)
+def outside(arm: Constraint, q: Array) -> bool:
+    """Whether any joint is beyond a limit."""
+    beyond = False
+    for i in range(q.shape[0]):
+        beyond = beyond or q[i] < arm.q_min[i] or q[i] > arm.q_max[i]
+    return beyond
+
+
+@njit(cache=True)
+def distance(p: Array, q: Array) -> float:
+    """|p - q|."""
+    total = 0.0
+    for i in range(p.shape[0]):
+        total += (p[i] - q[i]) ** 2
+    return math.sqrt(total)
+
+
+@njit(cache=True)
+def correct(arm: Constraint, q: Array, h: float, tangent: Array, out: Array) -> tuple[bool, float]:
+    """Go h along the tangent (n,) from q, then by Newton's method across it onto the curve, into `out`.
+
+    Returns whether it converged, and mu there.
+    """
+    m = arm.active.shape[0]
+    error, a, t, dq = np.empty(6), np.empty((6, m)), np.empty(m), np.empty(m)
+    for i in range(q.shape[0]):
+        out[i] = q[i] + h * tangent[i]
+    for i in range(m):
+        t[i] = tangent[arm.active[i]]
+    for _ in range(10):
+        mu = evaluate(arm, out, error, a)
+        worst = 0.0
+        for row in range(6):
+            worst = max(worst, abs(error[row]))
+        if worst < TOLERANCE:
+            return True, mu
+        bordered(a, t, error, 0.0, dq)
+        for i in range(m):
+            out[arm.active[i]] += dq[i]
+    return False, 0.0
+
+
+@njit(cache=True)
+def turn_tangent(arm: Constraint, q: Array, tangent: Array) -> None:
+    """Replace the unit tangent (n,) by the one at q that points the same way: A t = 0, t_old . t > 0."""
+    m = arm.active.shape[0]
+    error, a, t, new = np.empty(6), np.empty((6, m)), np.empty(m), np.empty(m)
+    evaluate(arm, q, error, a)
+    for i in range(m):
+        t[i] = tangent[arm.active[i]]
+    error[:] = 0.0
+    bordered(a, t, error, 1.0, new)
+    length = 0.0
+    for i in range(m):
+        length += new[i] * new[i]
+    for i in range(m):
+        tangent[arm.active[i]] = new[i] / math.sqrt(length)
+
+
+@njit(cache=True)
+def follow(
+    arm: Constraint,
+    q_start: Array,
+    tangent_start: Array,
+    step: float,
+    s: Array,
+    poses: Array,
+    mus: Array,
+) -> tuple[int, int]:
+    """Fill s, poses, mus from q_start on along the tangent; returns how many, and why it stopped.
+
+    At a joint limit the last step is bisected, so that the last pose lies on the limit to 1e-10 rad. A curve
+    that comes back to its start, up to whole turns of a joint, is closed with that pose.
+    """
+    n = q_start.shape[0]
+    q, tangent, trial = q_start.copy(), tangent_start.copy(), np.empty(n)
+    _, mu = correct(arm, q, 0.0, tangent, trial)
+    s[0], mus[0] = 0.0, mu
+    poses[0, :] = q
+    count, h = 1, step
+    low, high = 0.0, -1.0  # the bracket of the limit, once one has been crossed
+    while count < s.shape[0]:
+        ok, mu = correct(arm, q, h, tangent, trial)
+        if high < 0.0 and (not ok or distance(trial, q) > 2.0 * h):
+            h *= 0.5
+            if h < 1e-3 * step:
+                return count, SINGULAR
+            continue
+        if high >= 0.0 or outside(arm, trial):
+            if not ok or outside(arm, trial):
+                high = h
+            else:
+                low = h
+                poses[count, :] = trial
+                mus[count] = mu
+            if high - low > 1e-10:
+                h = 0.5 * (low + high)
+                continue
+            if low < 1e-9:  # it stood on the limit already
+                return count, LIMIT
+            s[count] = s[count - 1] + distance(poses[count], q)
+            return count + 1, LIMIT
+        s[count], mus[count] = s[count - 1] + distance(trial, q), mu
+        poses[count, :] = trial
+        count += 1
+        q[:] = trial
+        turn_tangent(arm, q, tangent)
+        ahead = 0.0
+        for i in range(n):
+            turns = 0.0 if arm.prismatic[i] else round((q[i] - q_start[i]) / (2.0 * math.pi))
+            trial[i] = q_start[i] + 2.0 * math.pi * turns
+            ahead += (trial[i] - q[i]) * tangent[i]
+        gap = distance(trial, q)
+        back = gap <= 1.01 * step and ahead > 0.0 and not outside(arm, trial)
+        if back and count > 3 and count < s.shape[0]:
+            last = count if gap > 0.1 * step else count - 1  # no two samples on top of each other
+            s[last], mus[last] = s[count - 1] + gap, mus[0]
+            poses[last, :] = trial
+            return last + 1, CLOSED
+        h = min(step, 2.0 * h)
+    return count, LENGTH

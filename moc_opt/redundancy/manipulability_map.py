@@ -1,0 +1,207 @@
+"""The manipulability map: mu over time along the path and elbow swivel, with the courses that runs took on it.
+
+At every time the path asks for one tip and, through the trocar, one wrist centre; what is left to the arm is one
+number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it.
+
+The scan that finds the poses ignores joint limits; they are judged afterwards, each joint taken whole turns nearer
+to the middle of its range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import ReportError, RobotError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, unit, without_limits
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.redundancy.showable import check
+from moc_opt.trace.trace import Trace
+
+Array = NDArray[np.float64]
+
+UNREACHABLE, FEASIBLE = -1, 0
+COURSE_POINTS = 500
+STEP_RAD = 0.05
+SAME_PATH_M = 1e-6
+OTHER_BRANCH_RAD = 0.5
+"""A course with a larger gap belongs to an arm that is folded another way than the map."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Where a run went on the map; arrays (c,)."""
+
+    t_s: Array
+    swivel_rad: Array
+    """Nearest to the map's axis; it may jump by a turn."""
+    mu: Array
+    gap_rad: float
+    """Median distance of its joints from the map's poses at the same time and swivel: large where the arm is
+    folded another way than the run that the map was scanned from, and the map does not hold for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SwivelMap:
+    """k times, m swivels, n joints."""
+
+    t_s: Array
+    """(k,)"""
+    swivel_rad: Array
+    """(m,) evenly over one turn"""
+    mu: Array
+    """(k, m) [m^3], of forbidden poses too; NaN where there is no pose"""
+    q_rad: Array
+    """(k, m, n) the poses; NaN where there is none"""
+    limit: NDArray[np.int64]
+    """(k, m) `FEASIBLE` (0), the joint (from 1) that is farthest beyond a limit, or `UNREACHABLE` (-1)"""
+    best_swivel_rad: Array
+    """(k,) of the largest feasible mu; NaN where nothing is feasible"""
+    best_mu: Array
+    """(k,)"""
+    courses: Mapping[str, Course]
+
+
+def manipulability_map(
+    robot: RobotModel, traces: Mapping[str, Trace], *, times: int = 100, swivels: int = 180
+) -> SwivelMap:
+    """Scan the self-motion along the path that the runs were given.
+
+    Args:
+        robot: their arm.
+        traces: name -> run; all on the same path.
+        times, swivels: columns and rows of the map.
+
+    Raises:
+        ReportError: no runs, too few columns or rows, runs of different paths, or a trace without a trocar.
+        RobotError: the arm has no elbow whose angle tells its poses apart.
+    """
+    if not traces or times < 2 or swivels < 8:
+        raise ReportError(f"{len(traces)} runs, {times} times, {swivels} swivels: give 1, 2 and 8 or more")
+    for name, trace in traces.items():
+        check(name, trace, robot)
+    guide = max(traces.values(), key=len)
+    ticks = np.linspace(0, len(guide) - 1, times).round().astype(int)
+    tips, wrists = _targets(robot, traces, guide, ticks)
+    elbow = Elbow(robot, wrists)
+    free = without_limits(robot)
+    swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
+    q = np.full((times, swivels, robot.n), np.nan)
+    best = np.full((2, times), np.nan)
+    for k, tick in enumerate(ticks):
+        pose = reach(robot, guide.q_rad[tick], tips[k], wrists[k])
+        if pose is None:
+            continue
+        try:
+            curve = self_motion(free, pose, STEP_RAD)
+        except RobotError:
+            continue  # a singular pose: no single curve leads through it, the column stays empty
+        column = SwivelCurve(curve, elbow)
+        q[k] = nearest_turns(robot, column.poses(swivel))
+        best[:, k] = _best(robot, column, swivel, q[k])
+    mu, limit = _judged(robot, q)
+    turn = _cut(limit == FEASIBLE)
+    swivel = np.roll(swivel, -turn)
+    swivel[swivels - turn :] += 2.0 * np.pi
+    if swivel.mean() >= np.pi:  # what lies about the middle of the map is counted from -180 to 180 degrees
+        swivel -= 2.0 * np.pi
+    q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
+    best[0] = _onto(best[0], swivel)
+    courses = {
+        name: _course(robot, elbow, trace, guide.t_s[ticks], swivel, q) for name, trace in traces.items()
+    }
+    for array in (swivel, q, mu, limit, best):
+        array.flags.writeable = False
+    return SwivelMap(
+        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(courses)
+    )  # fmt: skip
+
+
+def _targets(
+    robot: RobotModel, traces: Mapping[str, Trace], guide: Trace, ticks: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Tip X_d and wrist N_d = X_d + L e that the path asks for, (k, 3) each."""
+    column = "trocar_registered_m" if "trocar_registered_m" in guide.columns else "trocar_m"
+    for name, trace in traces.items():
+        if column not in trace.columns:
+            raise ReportError(f"run {name!r} has no column {column!r}: give a trace as `run` leaves it")
+        shared = ticks[ticks < len(trace)]
+        apart = np.abs(trace.tip_ref_m[shared] - guide.tip_ref_m[shared]).max()
+        if apart > SAME_PATH_M:
+            raise ReportError(
+                f"run {name!r} was given another path (up to {apart:.3g} m apart): make a map for each path"
+            )
+    # In double precision whatever the trace has: tip and wrist must be as far apart as the arm's are, to REACHED_M.
+    tips, trocars = (
+        np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column)
+    )
+    span = robot.state(robot.data.q_home).tool_span
+    return tips, tips + span * unit(trocars - tips)
+
+
+def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
+    """mu and `limit` of poses (..., n)."""
+    known = np.isfinite(q).all(axis=-1)
+    mu, limit = np.full(known.shape, np.nan), np.full(known.shape, UNREACHABLE, dtype=np.int64)
+    mu[known] = robot.mu_along(q[known])
+    beyond = np.maximum(q[known] - robot.q_max, robot.q_min - q[known])
+    limit[known] = np.where(beyond.max(axis=1) > 1e-9, 1 + beyond.argmax(axis=1), FEASIBLE)
+    return mu, limit
+
+
+def _best(robot: RobotModel, column: SwivelCurve, swivel: Array, q: Array) -> Array:
+    """Swivel and mu of the best feasible pose of a column, refined by a parabola; NaN where none is feasible."""
+    mu, limit = _judged(robot, q)
+    feasible = np.where(limit == FEASIBLE, mu, -np.inf)
+    j, count = int(np.argmax(feasible)), len(swivel)
+    if not np.isfinite(feasible[j]):
+        return np.full(2, np.nan)
+    found = np.array([swivel[j], mu[j]])
+    before, after = feasible[j - 1], feasible[(j + 1) % count]
+    bend = before + after - 2.0 * mu[j]
+    if np.isfinite(bend) and bend < 0.0:
+        finer = swivel[j] + 0.5 * (before - after) / bend * (2.0 * np.pi / count)
+        pose = nearest_turns(robot, column.poses(np.array([finer])))
+        (higher,), (allowed,) = _judged(robot, pose)
+        if allowed == FEASIBLE and higher > mu[j]:
+            found = np.array([finer, higher])
+    return found
+
+
+def _cut(feasible: NDArray[np.bool_]) -> int:
+    """The row at which the circle is best cut open: in the middle of the widest run of forbidden rows."""
+    forbidden: NDArray[np.bool_] = np.logical_not(feasible.any(axis=0))
+    count = len(forbidden)
+    if not forbidden.any() or forbidden.all():
+        return 0
+    first = int(np.argmin(forbidden))  # begin at a row that is allowed somewhere, so that no run is split
+    longest, place, length = 0, 0, 0
+    for j in range(first, first + count + 1):
+        length = length + 1 if forbidden[j % count] else 0
+        if length > longest:
+            longest, place = length, j
+    return (place - longest // 2) % count
+
+
+def _onto(angles: Array, swivel: Array) -> Array:
+    """The same angles within the turn that begins half a row below the map's first."""
+    low = swivel[0] - 0.5 * (swivel[1] - swivel[0])
+    return low + np.mod(angles - low, 2.0 * np.pi)
+
+
+def _course(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Course:
+    ticks = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), COURSE_POINTS)).round().astype(int))
+    poses = trace.q_rad[ticks]
+    angles = _onto(elbow.swivel(poses), swivel)
+    columns = np.abs(times[None] - trace.t_s[ticks][:, None]).argmin(axis=1)
+    rows = np.abs(swivel[None] - angles[:, None]).argmin(axis=1)
+    moving = robot.moves.any(axis=0) & ~robot.chain.prismatic
+    apart = np.mod(q[columns, rows] - poses + np.pi, 2.0 * np.pi) - np.pi
+    gaps = np.abs(apart[:, moving]).max(axis=1)
+    gap = float(np.median(gaps[np.isfinite(gaps)])) if np.isfinite(gaps).any() else float("nan")
+    return Course(trace.t_s[ticks], angles, robot.mu_along(poses), gap)

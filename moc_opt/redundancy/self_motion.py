@@ -1,0 +1,191 @@
+"""The poses an arm can take while tip and wrist stay where they are: a curve between joint limits, scanned.
+
+The largest mu on this curve is what no controller can beat at that tip and wrist. The curve is followed by
+pseudo-arclength continuation: a step along the null vector of A, then Newton corrections across it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import RobotError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy import continuation as kernels
+
+Array = NDArray[np.float64]
+
+_REASONS = {
+    kernels.LIMIT: "limit",
+    kernels.CLOSED: "closed",
+    kernels.SINGULAR: "singular",
+    kernels.LENGTH: "length",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SelfMotion:
+    """Samples along the feasible self-motion; read-only arrays, in the order of the curve."""
+
+    s: Array
+    """(k,) arc length in joint space [rad], 0 at the pose the scan began with, negative behind it"""
+    q: Array
+    """(k,n) [rad]"""
+    mu: Array
+    """(k,) [m^3]"""
+    ends: tuple[str, str]
+    """Why the curve ends: at a "limit", "closed" (a full turn), "singular", "length" (gave up), "point"."""
+    held: tuple[int, ...]
+    """Joints (from 0) that stand still: they move neither tip nor wrist, or would make it a surface."""
+    _curve: _Curve = field(repr=False)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the curve is a loop: its last pose is its first, up to whole turns of a joint."""
+        return "closed" in self.ends
+
+    def at(self, fraction: float) -> Array:
+        """The pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
+
+        Raises:
+            RobotError: the fraction is outside [0, 1].
+        """
+        if not 0.0 <= fraction <= 1.0:
+            raise RobotError(f"fraction = {fraction!r}: give a number from 0 (first pose) to 1 (last pose)")
+        s = self.s[0] + fraction * (self.s[-1] - self.s[0])
+        i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, max(len(self.s) - 2, 0)))
+        if len(self.s) == 1 or s <= self.s[i]:
+            return self._sample(i)
+        weight = min(float((s - self.s[i]) / (self.s[i + 1] - self.s[i])), 1.0)
+        if weight == 1.0:
+            return self._sample(i + 1)
+        chord = self.q[i + 1] - self.q[i]
+        pose = self._curve.correct(self.q[i] + weight * chord, chord)
+        # Only where the curve grazes a limit or a singularity between two good samples.
+        return self._sample(i + round(weight)) if pose is None else pose
+
+    @property
+    def best(self) -> Array:
+        """The pose (n,) of the largest mu, refined between the samples by a parabola."""
+        i = int(np.argmax(self.mu))
+        if not 0 < i < len(self.mu) - 1:
+            return self._sample(i)
+        (back, ahead), (rise, fall) = np.diff(self.s[i - 1 : i + 2]), np.diff(self.mu[i - 1 : i + 2])
+        bend = fall / ahead - rise / back  # below zero at a peak between unequal steps
+        peak = self.s[i] - (rise / back * ahead + fall / ahead * back) / (2 * bend) if bend < 0 else self.s[i]
+        pose = self.at(float(np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)))
+        return pose if self._curve.mu(pose) > self.mu[i] else self._sample(i)
+
+    def _sample(self, i: int) -> Array:
+        pose: Array = self.q[i].copy()
+        return pose
+
+    @property
+    def mu_best(self) -> float:
+        """mu of `best` [m^3]."""
+        return self._curve.mu(self.best)
+
+
+def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
+    """Scan the feasible self-motion through q at fixed tip and wrist.
+
+    Joints that move neither tip nor wrist are held. If more than one freedom is left (a tool off the last
+    axis), the joints nearest the tip are held too until one is: the result is then a curve on a larger set of
+    poses, and its largest mu no bound. If none is left, the curve is one pose.
+
+    Args:
+        robot: the arm.
+        q: (n,) a pose inside the joint limits [rad].
+        step: spacing of the samples in joint space [rad].
+
+    Raises:
+        RobotError: q is outside the limits or singular, or the step is not positive.
+    """
+    if not (np.isfinite(step) and step > 0):
+        raise RobotError(f"step = {step!r}: it must be a positive number of radians")
+    state = robot.state(q)
+    outside = np.flatnonzero((state.q < robot.q_min) | (state.q > robot.q_max))
+    if outside.size:
+        raise RobotError(f"q = {state.q.tolist()}: joints {(outside + 1).tolist()} are outside their limits")
+    active = _active_joints(robot, state.A)
+    held = tuple(j for j in range(robot.n) if j not in active)
+    curve = _Curve(robot, active, np.array([state.tip, state.wrist]), step)
+    if len(active) <= _rank(state.A[:, active]):
+        return _frozen(np.zeros(1), state.q[None], np.array([state.mu]), ("point", "point"), held, curve)
+    tangent = np.zeros(robot.n)
+    tangent[active] = np.linalg.svd(state.A[:, active])[2][-1]
+    tangent *= np.sign(tangent[np.argmax(np.abs(tangent))])
+    s_up, q_up, mu_up, why_up = curve.follow(state.q, tangent)
+    if why_up == "closed":
+        return _frozen(s_up, q_up, mu_up, ("closed", "closed"), held, curve)
+    s_down, q_down, mu_down, why_down = curve.follow(state.q, -tangent)
+    join = [np.concatenate([b[:0:-1], a]) for a, b in ((s_up, -s_down), (q_up, q_down), (mu_up, mu_down))]
+    return _frozen(join[0], join[1], join[2], (why_down, why_up), held, curve)
+
+
+class _Curve:
+    """The constraint that defines one curve, as the kernels want it."""
+
+    def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
+        chain = robot.chain
+        self._arm = kernels.Constraint(
+            chain.rotations,
+            chain.origins,
+            chain.axes,
+            chain.prismatic,
+            chain.offsets,
+            robot.moves,
+            robot.q_min,
+            robot.q_max,
+            np.array(active, dtype=np.int64),
+            target,
+        )
+        self._step = step
+        # Far longer than any real curve; it only bounds the memory of one that never ends.
+        self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
+
+    def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
+        """Samples s, q, mu from q on along the tangent, q itself first, and why they end."""
+        s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
+        count, reason = kernels.follow(self._arm, q, tangent, self._step, s, poses, mu)
+        return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[reason]
+
+    def correct(self, q: Array, along: Array) -> Array | None:
+        """The pose on the curve across the direction `along` from q; None if none is inside the limits."""
+        pose = np.empty(len(q))
+        ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose)
+        return pose if ok and not kernels.outside(self._arm, pose) else None
+
+    def mu(self, q: Array) -> float:
+        """Manipulability at q."""
+        m = len(self._arm.active)
+        return float(kernels.evaluate(self._arm, q, np.empty(6), np.empty((6, m))))
+
+
+def _frozen(
+    s: Array, q: Array, mu: Array, ends: tuple[str, str], held: tuple[int, ...], curve: _Curve
+) -> SelfMotion:
+    for array in (s, q, mu):
+        array.flags.writeable = False
+    return SelfMotion(s, q, mu, ends, held, curve)
+
+
+def _rank(matrix: Array) -> int:
+    return int(np.linalg.matrix_rank(matrix, tol=1e-9))
+
+
+def _active_joints(robot: RobotModel, a: Array) -> list[int]:
+    """Joints that take part: those that move tip or wrist, less the last ones where two freedoms are left."""
+    active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
+    rng = np.random.default_rng(0)
+    draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]
+    usual = max(_rank(draw[:, active]) for draw in draws)
+    active = active[: usual + 1]
+    rank = _rank(a[:, active])
+    if rank < min(usual, len(active)):
+        raise RobotError(
+            f"q is singular (tip and wrist Jacobians have rank {rank}, not {usual}): move it slightly"
+        )
+    return active

@@ -1,0 +1,204 @@
+"""What a run is, as a validated table: every key of a scenario's TOML."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import BaseModel, Field, field_validator, model_validator
+
+from moc_opt.control import ControlSettings
+from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
+from moc_opt.inputs.settings import Name, Settings
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.sim.faults import FaultSettings
+from moc_opt.sim.settings import PlantSettings
+
+Vector = tuple[float, float, float]
+MOST_S = 100_000.0
+"""Longest time of a run or of a part of it [s]."""
+
+
+class RobotTable(Settings):
+    """Which arm, and which tool on it."""
+
+    KIND: ClassVar[str] = "[robot]"
+    name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
+    tool_length_m: float | None = Field(default=None, gt=0.0, le=10.0)
+    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
+
+    def arm(self) -> RobotModel:
+        """A model of it.
+
+        Raises:
+            MocOptError: no such robot, or something is wrong with its files.
+        """
+        return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
+
+
+class StartTable(Settings):
+    """The pose of the arm at t = 0; tip and wrist are those of q whatever the swivel."""
+
+    KIND: ClassVar[str] = "[start]"
+    pose: Literal["home", "random"] = Field(
+        default="home", description="'random': drawn by the seed until the whole task can be done from it"
+    )
+    q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
+    swivel: float | Literal["given", "random"] = Field(
+        default="given",
+        description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
+    )
+
+    check_path: bool = Field(
+        default=True,
+        description="refuse a path that kinematics alone cannot follow; the search may miss a way that exists",
+    )
+
+    @field_validator("swivel")
+    @classmethod
+    def _a_fraction(cls, value: float | str) -> float | str:
+        if isinstance(value, float) and not 0.0 <= value <= 1.0:
+            raise ValueError("a swivel is a fraction from 0 to 1")
+        return value
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        if self.pose == "random" and self.q_rad is not None:
+            raise ValueError("pose = 'random' and q_rad exclude each other: leave one of them out")
+        return self
+
+
+class TrocarTable(Settings):
+    """Where the shaft enters: a point on it at t = 0, then fixed or breathing."""
+
+    KIND: ClassVar[str] = "[trocar]"
+    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="of the tip below the trocar at t = 0")
+    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5)
+    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S)
+    breathing_direction: Vector = (0.0, 0.0, 1.0)
+    breathing_known: bool = Field(
+        default=True, description="whether the registered trocar follows the breathing"
+    )
+
+
+class TaskTable(Settings):
+    """The path of the tip."""
+
+    KIND: ClassVar[str] = "[task]"
+    path: Name = "circle"
+    sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
+        default_factory=dict, description="of the path [m]; see moc_opt.tasks"
+    )
+    normal: Vector = (0.0, 0.0, 1.0)
+    heading: Vector = (1.0, 0.0, 0.0)
+    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3)
+    a_max_m_per_s2: float = Field(default=0.2, gt=0.0, le=1e6)
+    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path")
+    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after it")
+
+    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
+        "line": {"length": 0.04},
+        "circle": {"radius": 0.03},
+        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
+        "spiral": {"turns": 2.0, "radius": 0.03},
+    }
+
+
+class SolverTable(Settings):
+    """Which solver the third level asks."""
+
+    KIND: ClassVar[str] = "[solver]"
+    name: Name = "exact"
+    settings: dict[Name, Any] = Field(default_factory=dict)
+    replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
+        default=None,
+        description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
+        "budget, over and over: a run with deadlines can then be repeated exactly",
+    )
+
+
+class Scenario(Settings):
+    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
+
+    KIND: ClassVar[str] = "scenario:"
+    name: Name = "circle"
+    seed: int = Field(
+        default=0, ge=0, le=LARGEST_INTEGER, description="of starting pose and swivel, mismatch and noise"
+    )
+    robot: RobotTable = RobotTable()
+    start: StartTable = StartTable()
+    trocar: TrocarTable = TrocarTable()
+    task: TaskTable = TaskTable()
+    control: ControlSettings = ControlSettings()
+    solver: SolverTable = SolverTable()
+    plant: PlantSettings = PlantSettings.realistic()
+    duration_s: float | None = Field(default=None, gt=0.0, le=MOST_S, description="stop early; None: the whole path")
+    deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
+    guard: GuardSettings = GuardSettings()
+    faults: FaultSettings = FaultSettings()
+    judge: bool = Field(default=True, description="judge every answer after the run")
+    bound_samples: int = Field(
+        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
+    )
+
+    @field_validator("control", mode="before")
+    @classmethod
+    def _control_preset(cls, value: Any) -> Any:
+        if isinstance(value, Mapping) and "preset" in value:
+            table = dict(value)
+            return ControlSettings.preset(str(table.pop("preset")), **table)
+        return value
+
+    @field_validator("plant", mode="before")
+    @classmethod
+    def _preset(cls, value: Any) -> Any:
+        if isinstance(value, Mapping) and "preset" in value:
+            table = dict(value)
+            presets = {"realistic": PlantSettings.realistic, "nominal": PlantSettings.nominal}
+            name = table.pop("preset")
+            if name not in list(presets):
+                raise UnknownNameError("plant preset", str(name), presets)
+            return presets[name](**table)
+        return value
+
+    @model_validator(mode="after")
+    def _box_before_the_wall(self) -> Self:
+        """The third level must not press where the guard pushes back: the arm would stand between the two."""
+        box, wall = self.control.limit_margin_rad, self.guard.position_margin_rad
+        if 0.0 < box < wall and self.control.law == "moc":
+            raise ValueError(
+                f"guard.position_margin_rad = {wall}: the wall would stand inside the box of the third level, which "
+                f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
+            )
+        return self
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a TOML file.
+
+        Raises:
+            ScenarioError: no such file, no TOML, or a value out of range; names file and field.
+            UnknownNameError: a key or preset that does not exist.
+        """
+        file = Path(path)
+        table = read_toml(file, "scenario", ScenarioError)
+        try:
+            return cls(**table)
+        except MocOptError as error:
+            error.args = (f"{file}: {error}",)  # of whichever kind it is
+            raise
+
+    def change(self, **tables: Any) -> Self:
+        """A copy with some fields changed; a mapping changes fields inside a table."""
+        values: dict[str, Any] = {}
+        for name in type(self).model_fields:
+            old = getattr(self, name)
+            new = tables.pop(name, old)
+            if isinstance(old, BaseModel) and isinstance(new, Mapping) and "preset" not in new:
+                new = type(old)(**{**{f: getattr(old, f) for f in type(old).model_fields}, **new})
+            values[name] = new
+        return type(self)(**values, **tables)

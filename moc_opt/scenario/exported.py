@@ -1,0 +1,99 @@
+"""A scenario's controller as a folder of C, with recorded ticks that its self-tests run again."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.control import Controller
+from moc_opt.embedded import check_supported, export, record
+from moc_opt.embedded.export import safe_files
+from moc_opt.embedded.operations import worst_path
+from moc_opt.embedded.source import SafeRecording
+from moc_opt.embedded.support import check_guard
+from moc_opt.errors import ScenarioError
+from moc_opt.scenario import Safe, Scenario, Setup, make_guard
+from moc_opt.scenario.driver import Driver
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+
+TICKS = 50
+"""so many from the middle of the run for each self-test"""
+
+
+class Exported(NamedTuple):
+    """What was written."""
+
+    files: list[Path]
+    operations: dict[str, int]
+    """floating-point operations of the longest step, by part and in all"""
+
+
+def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported:
+    """Write the whole controller of a scenario as C: tick, supervisor, fallback and guard.
+
+    Raises:
+        MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.
+    """
+    if scenario.solver.replay_us is not None:
+        raise ScenarioError(
+            f"[solver] replay_us = {scenario.solver.replay_us!r:.60}: an exported controller has the clock of its own "
+            "machine; leave it out"
+        )
+    setup = Setup(
+        scenario.change(judge=False, bound_samples=0, control={"backend": "python"}, faults={"solver": "none"})
+    )
+    law = (setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
+    check_supported(*law)
+    check_guard(scenario.guard)
+    trace, t = setup.trace(), setup.times()
+    begin = min(len(trace), len(t)) // 2
+    part = slice(begin, begin + TICKS)
+    tip_ref, trocar = (np.stack(source.at(t[part]), axis=1) for source in (setup.reference, setup.registered))
+    q, v = trace.q_rad[part], trace.v_rad_per_s[part]
+    tip_ref, trocar = tip_ref[: len(q)], trocar[: len(q)]
+    wrench = np.hstack([trace.columns["force_N"], trace.columns["torque_Nm"]])[part]
+    recording = record(*law, q, v, tip_ref, trocar)
+    safe = record_with_faults(setup, q, v, tip_ref, trocar, wrench)
+    files = export(*law, recording, out, scenario.guard, safe)
+    return Exported(files, worst_path(safe_files(*law, scenario.guard)[0]))
+
+
+def record_with_faults(
+    setup: Setup, q: Array, v: Array, tip_ref: Array, trocar: Array, wrench: Array
+) -> SafeRecording:
+    """Let the Python controller in its guard answer k consecutive measurements, some of which are bad.
+
+    As many ticks as the guard bears are no numbers, a joint jumps for one, references are infeasible for some, a joint
+    is too fast for one; at the end the measurements are lost for good.
+
+    Args:
+        setup: of the scenario.
+        q, v: (k,n) sound measurements [rad], [rad/s]; tip_ref (k,3,3), trocar (k,2,3), wrench (k,6).
+    """
+    scenario, k = setup.scenario, len(q)
+    q, v, tip_ref = q.copy(), v.copy(), tip_ref.copy()
+    borne = min(scenario.guard.patience_ticks, k // 10)
+    q[k // 5 : k // 5 + borne] = np.nan
+    if borne > 0:
+        q[2 * k // 5, 0] += 4.0 * scenario.guard.jump_rad
+    tip_ref[3 * k // 5 : 7 * k // 10, 1] += 10.0  # [m/s]
+    v[4 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]
+    q[9 * k // 10 :] = np.nan
+    controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
+    sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
+    safe = Safe(Driver(controller), make_guard(setup.robot, scenario), sent)
+    tau, solve_us, stopped_at = np.empty_like(q), np.zeros(k), -1
+    stamp = np.arange(float(k))
+    stamp[3 * k // 10] -= min(borne, 1)  # a packet comes again
+    safe.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
+    for i in range(k):
+        tau[i] = safe.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
+        solve_us[i] = 0.0 if np.isnan(controller.solve_us) else controller.solve_us
+        stopped_at = i if safe.lost and stopped_at < 0 else stopped_at
+    return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)

@@ -1,0 +1,99 @@
+"""What a scenario's task amounts to from one start: the registered trocar, the reference of the tip, the duration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import ScenarioError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.procedure import preflight
+from moc_opt.procedure.reachability import Reach
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.scenario.config import Scenario, TaskTable
+from moc_opt.tasks import Reference, Trocar, make_path
+from moc_opt.trace.parquet import MOST_ROWS
+
+Array = NDArray[np.float64]
+
+MOST_TICKS = MOST_ROWS
+"""Of a run: almost three hours at 500 Hz. More would not fit into memory."""
+
+_POSE_STREAM = (1,)
+"""Spawn key of the random pose's seed: its draws leave those of swivel, plant and faults as they are."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A start and the task from there, checked."""
+
+    q: Array
+    """(n,) [rad]"""
+    trocar: Array
+    """(3,) at rest, as registered [m]"""
+    registered: Trocar
+    """What the controller is told."""
+    reference: Reference
+    duration_s: float
+
+
+def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generator) -> Layout:
+    """Choose the start, lay the task out from it, and check that the arm can do it.
+
+    Raises:
+        ScenarioError: the start is outside the limits or singular, no random start can do the task, the trocar is not
+            on the tool, or the run would be too long.
+        UnreachableError: the arm cannot do the task from there.
+        TaskError: there is no such path.
+    """
+    start = scenario.start
+    fraction = swivel_rng.uniform(0.05, 0.95) if start.swivel == "random" else start.swivel
+
+    def swivelled(q: Array) -> Array:
+        return q if fraction == "given" else self_motion(robot, q).at(float(fraction))
+
+    if start.pose == "random":
+        rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))
+        return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf))
+    q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
+    preflight.check_start(robot, q)  # of a singular pose there is no swivel
+    q = swivelled(q)
+    if not start.check_path:
+        return _task(scenario, robot, q)
+    return _checked(scenario, robot, q, scenario.duration_s or np.inf)[0]
+
+
+def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Reach]:
+    """The task from q, and how it is followed; a random start is asked for all of it, however short the run."""
+    found = _task(scenario, robot, q)
+    return found, preflight.check_path(robot, q, found.reference, found.registered, until_s)
+
+
+def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
+    state, trocar, task = robot.state(q), scenario.trocar, scenario.task
+    if not trocar.depth_m < state.tool_span:
+        raise ScenarioError(
+            f"[trocar] depth_m = {trocar.depth_m}: wrist and tip are {state.tool_span:.3f} m apart; "
+            "the trocar must lie between them"
+        )
+    point = state.tip - trocar.depth_m * state.tool_direction
+    registered = Trocar(point, *(breathing(scenario) if trocar.breathing_known else (0.0,)))
+    sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
+    path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
+    reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
+    duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
+    if not duration_s / scenario.plant.period_s <= MOST_TICKS:
+        raise ScenarioError(
+            f"{duration_s:.3g} s (duration_s, or the [task] with its v_max_m_per_s, a_max_m_per_s2, wait_s, "
+            f"hold_s) in [plant] period_s = {scenario.plant.period_s:.3g} s: more than {MOST_TICKS} ticks; "
+            "give a shorter duration_s"
+        )
+    return Layout(q, point, registered, reference, duration_s)
+
+
+def breathing(scenario: Scenario) -> tuple[float, float, tuple[float, float, float]]:
+    """Return how the trocar moves: amplitude [m], period [s], direction."""
+    trocar = scenario.trocar
+    return trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction

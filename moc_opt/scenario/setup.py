@@ -1,0 +1,331 @@
+"""How a scenario is put together and run: the only place that knows every room."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt import solvers
+from moc_opt.control import Controller
+from moc_opt.control.safety_filter import Guard
+from moc_opt.errors import MocOptError, RobotError, ScenarioError, describe
+from moc_opt.inputs.files import read_arrays
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.qp.problem import judge
+from moc_opt.qp.residuals import Residuals
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.scenario.agreement import check_engines
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.driver import Driver
+from moc_opt.scenario.layout import breathing, lay_out
+from moc_opt.scenario.rows import Timed, check_room
+from moc_opt.sim.faults import Faults
+from moc_opt.sim.log import Sink, Touched
+from moc_opt.sim.loop import BLOCK, RunAway, Stop, simulate
+from moc_opt.sim.plant import Plant
+from moc_opt.sim.safe import Brain, Safe
+from moc_opt.solvers.base import Solver, Status
+from moc_opt.solvers.faulty import Faulty, draw
+from moc_opt.solvers.registry import accepts
+from moc_opt.tasks import Trocar
+from moc_opt.tasks.trocar import shaft_distance
+from moc_opt.trace.oscillation import judged_for_oscillation
+from moc_opt.trace.trace import Trace
+from moc_opt.trace.writer import TraceWriter
+
+Array = NDArray[np.float64]
+
+JUDGED = 5000
+"""Answers that are judged together."""
+
+
+class Setup:
+    """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Build and check everything before anything moves.
+
+        Raises:
+            MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
+                start and the path.
+        """
+        self.scenario = scenario
+        start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
+        self.robot = scenario.robot.arm()
+        check_engines(self.robot)
+        self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
+        layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
+        self.duration_s = layout.duration_s
+        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
+            self.plant.push(scenario.faults.bump_link, np.zeros(3))
+        self.plant.reset(self.q_start)
+        self.touched = self._touch(layout.trocar, scenario.trocar.depth_m)
+        entry = layout.trocar + self.touched.trocar
+        self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
+        self._fault_seed = fault_seed
+        self._replayed_us = _recorded_times(scenario)
+
+    def _touch(self, entry: Array, depth: float) -> Touched:
+        """Lay the task where the arm's own tip is; ``entry`` (3,) [m] is where its model puts the incision.
+
+        The incision lies on the shaft as it truly stands, and the path begins at the true tip.
+        """
+        plant = self.plant
+        if not (plant.mismatch.displaces or plant.settings.elastic):
+            return Touched.nothing()  # equal but for rounding
+        shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
+        return Touched(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
+
+    def solver(self) -> Solver | None:
+        """The solver that the scenario asks for; None under DCAC."""
+        if self.scenario.control.law != "moc":
+            return None
+        solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+        faults = self.scenario.faults
+        if faults.solver == "none" or faults.solver == "hang":
+            return solver
+        return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
+
+    def controller(self) -> Controller:
+        """The law and solver that the scenario asks for."""
+        settings, times = self.scenario.control, self._replay()
+        if self.scenario.faults.solver == "hang" and settings.law == "moc":
+            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+            watch = settings.supervisor
+            budget = watch.budget_us or self.scenario.deadline_us
+            settings = settings.model_copy(
+                update={"supervisor": watch.model_copy(update={"budget_us": budget})}
+            )
+            # one more in front, because a tick is run for nothing before the loop
+            times = itertools.chain([0.0], np.where(self.spoilt(), 10.0 * budget, 0.0))
+        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
+
+    def _replay(self) -> Iterator[float] | None:
+        """The recorded solve times from the start, their first one twice: a tick is run for nothing before the loop."""
+        times = self._replayed_us
+        return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
+
+    def spoilt(self) -> NDArray[np.bool_]:
+        """At which ticks the solver's answer is spoilt on purpose, (N,)."""
+        faults, ticks = self.scenario.faults, self.ticks
+        if faults.solver == "none" or self.scenario.control.law != "moc":
+            return np.zeros(ticks, dtype=np.bool_)
+        return draw(self._fault_seed, faults.solver_share, ticks)
+
+    def brain(self) -> Brain:
+        """The controller as the loop wants it, in Python or compiled."""
+        if self.scenario.control.backend == "c":
+            if self.scenario.faults.solver != "none":
+                raise ScenarioError(
+                    f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
+                    "take [control] backend = 'python'"
+                )
+            from moc_opt.embedded import NativeController  # late: nobody else needs CasADi and a compiler
+
+            return NativeController(
+                self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s
+            )
+        return Driver(self.controller())
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks of the whole run."""
+        return max(1, round(self.duration_s / self.scenario.plant.period_s))
+
+    def times(self) -> Array:
+        """Start of every tick [s]."""
+        return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
+
+    def trace(
+        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = BLOCK
+    ) -> Trace:
+        """Run, judge, and return what is left behind.
+
+        Args:
+            watch: called with the number of every tick before it.
+            to: a Parquet file that the trace goes into while it grows, ``block`` ticks at a time; what is returned
+                then stays in the file (`Trace.open`). None: the whole trace is kept in memory.
+            block: see ``to``.
+
+        Raises:
+            MocOptError: the run does not fit into the memory or onto the disk; or the arm ran away, and the error
+                holds the trace. Where a run into a file ends by any exception, the rows so far are in it.
+        """
+        if self.plant.time > 0.0:
+            self.plant.reset(self.q_start)
+        check_room(self.scenario, self.ticks, to)
+        meta = {
+            "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
+            "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
+        }  # fmt: skip
+        if to is not None:
+            return self._streamed(Path(to), meta, watch, block)
+        found = self._simulate(watch, meta)
+        trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
+        trace = judged_for_oscillation(trace, self.robot.data.joint_names)
+        return trace.with_columns(mu_bound=self._mu_bound(trace.q_rad))
+
+    def _simulate(
+        self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
+    ) -> Trace:
+        period, wrong, ticks = self.scenario.plant.period_s, self.scenario.faults, self.ticks
+        faults = Faults(wrong, self.robot.n, period, self._fault_seed)
+
+        def trocar(t: Array) -> Array:
+            return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
+
+        return simulate(
+            self.plant, self.brain(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+            Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
+            guard=make_guard(self.robot, self.scenario), faults=faults if wrong.around_the_arm else None,
+            stop=make_stop(self.scenario), touched=self.touched, watch=watch, meta=meta, sink=sink, block=block,
+        )  # fmt: skip
+
+    def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
+        """A run whose rows go to the disk as they come; judged block by block."""
+        period, broken = self.scenario.plant.period_s, None
+        with TraceWriter(to, {**meta, "period_s": period, "ticks_planned": self.ticks}) as writer:
+
+            if writer.kept is not None:
+                meta["earlier_run"] = f"one that had been killed is kept in {writer.kept}"
+
+            def sink(first: int, columns: dict[str, NDArray[Any]]) -> None:
+                writer.write(first, {**columns, **self._row_by_row(columns, first)})
+
+            try:
+                found = self._simulate(watch, meta, sink, block)
+            except RunAway as error:
+                found, broken = error.trace, error
+            except BaseException as error:
+                rows = writer.rows()
+                if rows:
+                    ended = f"interrupted: {describe(error)} (t = {rows * period:.3f} s)"
+                    told = {"period_s": period, "ended": ended, "ticks": rows, "ticks_planned": self.ticks}
+                    writer.finish({**told, **meta})
+                    error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
+                raise
+            run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
+            writer.finish(run.meta, {"mu_bound": self._mu_bound(run.q_rad)})
+        trace = Trace.open(to)
+        if broken is not None:
+            raise RunAway(str(broken), trace) from broken
+        return trace
+
+    def _row_by_row(self, columns: Mapping[str, NDArray[Any]], first: int = 0) -> dict[str, NDArray[Any]]:
+        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, judgement."""
+        found: dict[str, NDArray[Any]] = {}
+        rows = len(columns["t_s"])
+        if self.scenario.faults.solver != "none":
+            found["injected"] = self.spoilt()[first : first + rows]
+        found |= self._model_error(columns)
+        found["mu"] = self.robot.mu_along(columns["q_rad"])
+        return found | self._judged(columns)
+
+    def _model_error(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Tip and RCM error as the robot's own kinematics have them; none where its encoders see no links."""
+        plant = self.scenario.plant
+        if plant.elastic and plant.encoder_side == "motor":
+            return {}
+        if not self.plant.mismatch.displaces:
+            return {
+                "tip_error_model_m": columns["tip_error_m"],
+                "rcm_error_model_m": columns["rcm_error_registered_m"],
+            }
+        tips, wrists = self.robot.tool_along(columns["q_rad"] + self.plant.mismatch.encoder_bias)
+        told = columns["trocar_registered_m"] - self.touched.trocar
+        return {
+            "tip_error_model_m": np.linalg.norm(columns["tip_ref_m"] - tips, axis=1),
+            "rcm_error_model_m": shaft_distance(tips, wrists, told),
+        }
+
+    def _mu_bound(self, poses: Array) -> Array:
+        """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""
+        bound = np.full(len(poses), np.nan)
+        samples = min(self.scenario.bound_samples, len(poses))
+        for k in np.linspace(0, len(poses) - 1, samples).astype(int):
+            inside = np.clip(poses[k], self.robot.q_min, self.robot.q_max)
+            try:
+                bound[k] = self_motion(self.robot, inside).mu_best
+            except RobotError:
+                continue  # no single curve leads through a singular pose
+        return bound
+
+    def _judged(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        if "subproblem" not in columns or not self.scenario.judge:
+            return {}
+        x = columns["x_rad_per_s"]
+        parts = [slice(first, first + JUDGED) for first in range(0, len(x), JUDGED)]
+        judged = [judge(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+        found = Residuals(*map(np.concatenate, zip(*judged, strict=True)))
+        silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
+        figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
+        return {"verified": found.verified(), **figures}
+
+
+def _recorded_times(scenario: Scenario) -> list[float] | None:
+    """The times of ``[solver] replay_us``, read and checked; None where the clock decides.
+
+    Raises:
+        ScenarioError: a file that holds no such times, or a controller that cannot take them.
+    """
+    given = scenario.solver.replay_us
+    if given is None:
+        return None
+    if scenario.control.backend == "c":
+        raise ScenarioError(
+            "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
+        )
+    try:
+        if isinstance(given, str):
+            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
+        else:
+            times = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ScenarioError):
+            raise
+        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
+    if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
+        raise ScenarioError(
+            f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
+        )
+    return [float(time) for time in times]
+
+
+def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
+    """Create a solver, giving it the arm's kinematics where it can use them."""
+    if "kinematics" not in settings and accepts(name, "kinematics"):
+        settings = {**settings, "kinematics": robot.kinematics()}
+    return solvers.create(name, **settings)
+
+
+def make_guard(robot: RobotModel, scenario: Scenario) -> Guard:
+    """The guard of an arm in its incision, with all that it can know."""
+    return Guard(robot.data, scenario.guard, scenario.plant.period_s, robot.gravity, robot.tool_pose, robot.state)
+
+
+def make_stop(scenario: Scenario) -> Stop:
+    """How the guard's settings break a run off."""
+    return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
+
+
+def run(
+    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
+) -> Trace:
+    """Run one scenario; arguments as `Setup.trace`.
+
+    Raises:
+        MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
+    """
+    return Setup(scenario).trace(watch, to)
+
+
+__all__ = [
+    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_guard", "make_solver", "make_stop", "run",
+]  # fmt: skip

@@ -1,0 +1,138 @@
+"""What the closed loop writes down, a block of ticks at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.sim.plant import Plant
+from moc_opt.sim.safe import Brain
+from moc_opt.tasks.trocar import shaft_distance
+
+Array = NDArray[np.float64]
+Columns = dict[str, NDArray[Any]]
+Sink = Callable[[int, Columns], None]
+"""Takes the columns of a block and the number of its first tick; the same block may come twice."""
+
+
+class Course(Protocol):
+    """A reference of every tick: an array (N, rows, 3), or what makes the part that is asked for."""
+
+    def __len__(self) -> int:
+        """Number of ticks, N."""
+        ...
+
+    def __getitem__(self, ticks: slice, /) -> Array:
+        """Rows of consecutive ticks, (k, rows, 3)."""
+        ...
+
+
+class Courses(NamedTuple):
+    """Where tip and trocar have to be, are, and are believed to be; see ``sim.loop.simulate``."""
+
+    tip_refs: Course
+    trocars: Course
+    registered: Course
+
+
+class Touched(NamedTuple):
+    """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
+
+    The robot's own frame lies off the true one by calibration error, encoder bias and bending joints. What it touches
+    it registers in its own frame, so that the offset at that point is of no consequence to it; only how the offset
+    changes on the way from there is.
+    """
+
+    tip: Array
+    """Where the path begins."""
+    trocar: Array
+    """Where the shaft enters, the error of the registration left out."""
+
+    @classmethod
+    def nothing(cls) -> Touched:
+        """The robot's frame is the true one."""
+        return cls(np.zeros(3), np.zeros(3))
+
+
+class Block:
+    """Rows of consecutive ticks, filled one by one.
+
+    Args:
+        plant: tells joints and period.
+        brain: makes columns of its own.
+        courses: references of all ticks.
+        touched: see `Touched`.
+        first, ticks: number of the first tick, and how many there are.
+        begin_s: time of tick 0 [s].
+    """
+
+    def __init__(
+        self, plant: Plant, brain: Brain, courses: Courses, touched: Touched, first: int, ticks: int, begin_s: float
+    ) -> None:
+        n, self._touched = plant.data.n, touched
+        self.first, self.ticks, self.done = first, ticks, 0
+        self.tip_refs, self.trocars, self.registered = (course[first : first + ticks] for course in courses)
+        self.kept: Columns = {
+            "t_s": begin_s + plant.settings.period_s * np.arange(first, first + ticks),
+            "tip_ref_m": np.array(self.tip_refs[:, 0]), "trocar_m": np.array(self.trocars[:, 0]),
+            "trocar_registered_m": self.registered[:, 0] + touched.trocar, "tau_Nm": np.empty((ticks, n)),
+            "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **brain.columns(ticks),
+        }  # fmt: skip
+        self.truth, self.wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
+        self._places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
+
+    def columns(self) -> Columns:
+        """The columns of the rows that are done, errors included."""
+        rows, widths = slice(self.done), np.cumsum([*self._places.values()])[:-1]
+        kept: Columns = {name: column[rows] for name, column in self.kept.items()}
+        kept |= dict(zip(self._places, np.split(self.truth[rows], widths, axis=1), strict=True))
+        kept["force_N"], kept["torque_Nm"] = self.wrench[rows, :3], self.wrench[rows, 3:]
+        tip, wrist, tip_ref = kept["tip_m"], kept["wrist_m"], kept["tip_ref_m"]
+        kept["tip_error_m"] = np.linalg.norm(tip_ref - tip, axis=1)
+        kept["tip_error_registered_m"] = np.linalg.norm(tip_ref + self._touched.tip - tip, axis=1)
+        kept["rcm_error_m"] = shaft_distance(tip, wrist, kept["trocar_m"])
+        kept["rcm_error_registered_m"] = shaft_distance(tip, wrist, kept["trocar_registered_m"])
+        return kept
+
+
+class Log:
+    """The rows of a run: one block of all, or several that go to a sink as they are full.
+
+    Args:
+        plant, brain, courses, touched: see `Block`.
+        sink: takes each full block; None keeps all of them in one.
+        most: ticks of a block for the sink.
+    """
+
+    def __init__(
+        self, plant: Plant, brain: Brain, courses: Courses, touched: Touched, sink: Sink | None, most: int
+    ) -> None:
+        self._make = partial(Block, plant, brain, courses, touched)
+        self._sink, self._begin_s, self.total = sink, plant.time, len(courses.tip_refs)
+        self._most = self.total if sink is None else most
+        self.block = self._open(0)
+
+    def _open(self, first: int) -> Block:
+        return self._make(first, min(self._most, self.total - first), self._begin_s)
+
+    def at(self, tick: int) -> Block:
+        """The block that holds a tick, the next one where the last is full."""
+        if tick - self.block.first >= self.block.ticks:
+            self._hand_over()
+            self.block = self._open(tick)
+        return self.block
+
+    def close(self) -> Mapping[str, NDArray[Any]]:
+        """The columns so far; none where a sink has them all."""
+        if self._sink is None:
+            return self.block.columns()
+        self._hand_over()
+        return {}
+
+    def _hand_over(self) -> None:
+        if self._sink is not None and self.block.done:
+            self._sink(self.block.first, self.block.columns())

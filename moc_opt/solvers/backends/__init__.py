@@ -1,0 +1,1 @@
+"""Adapters of libraries, one file each."""

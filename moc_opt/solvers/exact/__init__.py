@@ -1,0 +1,1 @@
+"""`exact`: null-space elimination."""

@@ -1,0 +1,247 @@
+"""Several freedoms: the best point of a box cut by the plane A x = b, as a projection.
+
+Pi is the orthogonal projector on ker A, x_p the shortest point of the plane, s = x - x_p. Over the box,
+damping/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / damping. The dual active-set method of
+Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) goes there from that unconstrained optimum, adding
+violated bounds one by one; it needs no feasible start and proves infeasibility. All it has to know is Pi swept on
+the active joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when
+joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
+(finite for linear programs: Ferris 1991) repeats the projection.
+
+Pi and all else lie in one matrix M, see ``moc_opt.solvers.exact.projector``. Kernels are compiled into their caller,
+as in ``moc_opt.solvers.exact.elimination``; the proximal point iteration is not.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from moc_opt.numerics.simd import (
+    above,
+    first,
+    larger,
+    largest,
+    least,
+    load,
+    magnitude,
+    part,
+    stack,
+    store,
+    unit,
+)
+from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK, Plane, X, direction
+from moc_opt.solvers.exact.elimination import FORCE as TOTAL
+from moc_opt.solvers.exact.projector import (
+    BEFORE,
+    FORCE,
+    HIGH,
+    LOW,
+    PI,
+    PULL,
+    SIDE,
+    SIZE,
+    STEP,
+    TARGET,
+    S,
+    along,
+    onto_basis,
+    orthogonalise,
+    projector,
+    sweep,
+)
+
+Array = NDArray[np.float64]
+
+NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
+FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps
+UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of length one: below it, it does not
+DELICATE = 1e-6  # of Pi[j, j]: pushing a joint with less than that left by the active ones makes rounding show
+DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
+
+ON_STACK = 64  # joints whose matrices go there: some hundred kilobytes
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def settle(M: Array, n: int, m: int, r: int) -> None:
+    """Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds."""
+    onto_basis(M, n, m, r, S, STEP, 1.0)
+    for c in range(0, m, 8):
+        store(M, S, c, load(M, STEP, c))
+    for a in range(n):
+        if M[SIDE, a] != 0.0:
+            bound = M[LOW, a] if M[SIDE, a] > 0.0 else M[HIGH, a]
+            gap = bound - M[STEP, a]
+            for c in range(0, m, 8):
+                yielding = (1.0 - magnitude(load(M, SIDE, c))) * load(M, PI + a, c)
+                store(M, S, c, load(M, S, c) + gap * yielding)
+            M[S, a] = bound
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def furthest_out(M: Array, m: int, tolerance: float) -> int:
+    """The joint that is furthest beyond its bounds; -1 where none is by more than the tolerance."""
+    joint, most = -1, tolerance
+    for c in range(0, m, 8):
+        s = load(M, S, c)
+        beyond = larger(load(M, LOW, c) - s, s - load(M, HIGH, c))
+        worst = largest(beyond)
+        joint = c + first(beyond, worst) if worst > most else joint
+        most = max(worst, most)
+    return joint
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def first_to_let_go(M: Array, m: int, p: int, side: float) -> tuple[int, float]:
+    """The active bound whose multiplier is the first to vanish when joint p is pushed, and after how much push."""
+    joint, step = -1, np.inf
+    for c in range(0, m, 8):
+        fading = side * load(M, SIDE, c) * load(M, PI + p, c)
+        until = above(fading, 1e-12, magnitude(load(M, FORCE, c)) / fading, np.inf)
+        shortest = least(until)
+        joint = c + first(until, shortest) if shortest < step else joint
+        step = min(shortest, step)
+    return joint, step
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> int:
+    """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi, which is not swept yet.
+
+    Afterwards s - s_start = Pi FORCE; FORCE is above zero at a lower bound, below at an upper one, zero elsewhere.
+    Where the start is ``far``, the rounding of the way is taken out at the end.
+    Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
+    """
+    count = 0
+    for c in range(0, m, 8):
+        store(M, FORCE, c, 0.0)
+        store(M, SIDE, c, 0.0)
+    for _ in range(20 * n):
+        p = furthest_out(M, m, tolerance)
+        if p < 0:
+            if far:
+                settle(M, n, m, r)
+            return OK
+        side = 1.0 if M[S, p] < M[LOW, p] else -1.0
+        bound = M[LOW, p] if side > 0.0 else M[HIGH, p]
+        while True:
+            # How far joint p can be pushed: until an active bound lets go (step), or until it is there (full).
+            drop, step = first_to_let_go(M, m, p, side)
+            full, gives = np.inf, M[PI + p, p]
+            if count < r and gives > DEPENDENT * M[SIZE, p]:
+                full = side * (bound - M[S, p]) / gives
+            elif drop < 0:
+                return EMPTY
+            length = side * min(step, full)
+            move = length if full < np.inf else 0.0
+            for c in range(0, m, 8):
+                push, active = load(M, PI + p, c), magnitude(load(M, SIDE, c))
+                force = load(M, FORCE, c) - length * active * push + length * unit(p - c)
+                store(M, FORCE, c, force)
+                store(M, S, c, load(M, S, c) + move * (1.0 - active) * push)
+            if full <= step:
+                far |= gives < DELICATE * M[SIZE, p]
+                sweep(M, n, m, p, 1.0)
+                M[S, p], M[SIDE, p] = bound, side
+                count += 1
+                break
+            M[FORCE, drop] = M[SIDE, drop] = 0.0
+            count -= 1
+            sweep(M, n, m, drop, -1.0)
+    return STUCK
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def nearest(M: Array, n: int, m: int, r: int, slack: float, tolerance: float, far: bool) -> int:
+    """``project`` to within the slack; where rounding decides whether there is such a point, a tenth of the tolerance.
+
+    The plane may touch the box in one point only.
+    """
+    for c in range(0, m, 8):
+        store(M, TARGET, c, load(M, S, c))
+    while True:
+        status = project(M, n, m, r, slack, far)
+        if status != EMPTY or slack >= 0.1 * tolerance:
+            return status
+        slack = 0.1 * tolerance
+        projector(M, n, m, r)
+        for c in range(0, m, 8):
+            store(M, S, c, load(M, TARGET, c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def approach(
+    M: Array, n: int, m: int, r: int, rho: float, slack: float, tolerance: float, base: float
+) -> tuple[int, float]:
+    """The proximal point iteration, from a point of the box: status, and the weight of the multipliers."""
+    # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
+    # at the vertex and takes the rounding of the long ones out.
+    status, weight = OK, 0.0
+    for scale in (1e8, 1e4, 1.0):
+        step = scale * base
+        for _ in range(50):
+            for c in range(0, m, 8):
+                s = load(M, S, c)
+                store(M, BEFORE, c, s)
+                store(M, S, c, (s + step * load(M, PULL, c)) / (1.0 + rho * step))
+            projector(M, n, m, r)
+            status = nearest(M, n, m, r, slack * max(1.0, 1e-3 * scale), tolerance, True)
+            weight = rho + 1.0 / step
+            moved = 0.0
+            for c in range(0, m, 8):
+                if status != OK:  # there is a point in the box, but its rounding is too large from here
+                    store(M, S, c, load(M, BEFORE, c))
+                moved = max(moved, largest(magnitude(load(M, S, c) - load(M, BEFORE, c))))
+            if moved <= slack * scale:
+                break
+    return OK if status == OK else STUCK, weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tolerance: float) -> int:
+    """Move row X of V along the plane to the optimum; the active bounds' multipliers are added to row TOTAL.
+
+    Args:
+        plane: eliminated; its r free joints move tip or wrist.
+        V: X is any point of the plane; joints that do not move along it stay.
+        row: flat record (10 n + 10,).
+        tolerance: violation of the box that still counts as feasible [rad/s].
+    """
+    n, m = plane.n, plane.m
+    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
+    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    M = stack(PI + n + r, m) if m <= ON_STACK else np.empty((PI + n + r, m))
+    for k in range(r):
+        direction(plane, rank, plane.order[rank + k], M, PI + n + k)
+    orthogonalise(M, n, m, r)
+    projector(M, n, m, r)
+    for c in range(0, m, 8):
+        store(M, S, c, load(V, X, c))
+        store(M, STEP, c, part(row, g + c, n - c))
+        store(M, SIZE, c, 0.0)
+    onto_basis(M, n, m, r, S, BEFORE, 1.0)
+    onto_basis(M, n, m, r, STEP, PULL, c2)
+    for j in range(n):
+        M[SIZE, j] = M[PI + j, j]
+    pull, room = np.sqrt(along(M, m, PULL, PULL)), 0.0
+    for c in range(0, m, 8):
+        x, size = load(V, X, c) - load(M, BEFORE, c), load(M, SIZE, c)
+        lower, upper = part(row, lo + c, n - c), part(row, up + c, n - c)
+        store(V, X, c, x)
+        store(M, LOW, c, above(size, UNMOVED, lower - x, -np.inf))
+        store(M, HIGH, c, above(size, UNMOVED, upper - x, np.inf))
+        room = max(room, largest(above(size, UNMOVED, upper - lower, 0.0)))
+    direct = rho > 0.0 and pull <= FAR * room * rho
+    slack = 1e-14 * max(1.0, room)
+    for c in range(0, m, 8):
+        store(M, S, c, load(M, PULL, c) / (rho if direct else np.inf))
+    status, weight = nearest(M, n, m, r, slack, tolerance, not direct or pull > NEAR * room * rho), rho
+    if not direct:
+        weight = 0.0
+        if status == OK and pull > 0.0:
+            status, weight = approach(M, n, m, r, rho, slack, tolerance, 10.0 * max(room, 1e-6) / pull)
+    for c in range(0, m, 8):
+        store(V, X, c, load(V, X, c) + load(M, S, c))
+        store(V, TOTAL, c, load(V, TOTAL, c) + weight * load(M, FORCE, c))
+    return status

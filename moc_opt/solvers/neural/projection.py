@@ -1,0 +1,261 @@
+"""The recurrent neural network of Su et al. 2019 as a solver, in its consistent sign.
+
+With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
+
+    eps dx/dt = -x + clip(x - k (c0 J_T^T (J_T x - v_T) + c1 J_W^T (J_W x - v_W) + rho x - c2 grad_mu
+                                 + J_T^T l1 + J_W^T l2), lower, upper)
+    eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
+
+integrated by Euler steps of size h = dt/eps. A network cannot tell that a problem is infeasible: its
+multipliers then grow without bound, it says MAX_ITER, and it needs as long again to unwind them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import SolverError
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers import checks
+from moc_opt.solvers.base import Solution, Status, no_answer
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def integrate(
+    row: Array,
+    x: Array,
+    y: Array,
+    steps: int,
+    h_x: float,
+    h_y: float,
+    k: float,
+    scale: float,
+    implicit: bool,
+    eps: float,
+) -> tuple[int, float]:
+    """Advance the state x (n,), y (6,) in place by at most ``steps`` Euler steps on one flat record.
+
+    x steps by h_x, the multipliers by h_y. Stops early where the state moves slower than ``eps``.
+    implicit: the multipliers see the new x.
+
+    Returns:
+        The steps made, and the size |[F_x, F_y]|_inf of the last right-hand side; infinite where the
+        state is not finite any more.
+    """
+    n = x.shape[0]
+    o = 6 * n
+    b, grad_mu = row[o : o + 6], row[o + 6 : o + 6 + n]
+    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
+    w = scale * row[o + 6 + 3 * n : o + 10 + 3 * n]  # c0, c1, c2, damping
+    slack, old = np.empty(6), np.empty(n)
+    speed, made = np.inf, 0
+    while made < steps and speed > eps:
+        made += 1
+        speed = 0.0
+        for i in range(6):
+            s = -b[i]
+            for j in range(n):
+                s += row[i * n + j] * x[j]
+            slack[i] = s
+        for j in range(n):
+            old[j] = x[j]
+        for j in range(n):
+            force = w[3] * old[j] - w[2] * grad_mu[j]
+            for i in range(6):
+                force += row[i * n + j] * ((w[0] if i < 3 else w[1]) * slack[i] + y[i])
+            wish = min(max(old[j] - k * force, lower[j]), upper[j])
+            move = wish - old[j]
+            speed = max(speed, abs(move))
+            x[j] = wish if h_x == 1.0 else old[j] + h_x * move
+        for i in range(6):
+            speed = max(speed, k * abs(slack[i]))
+            if implicit:
+                s = -b[i]
+                for j in range(n):
+                    s += row[i * n + j] * x[j]
+                slack[i] = s
+            y[i] += h_y * k * slack[i]
+    # max() above ignores NaN, a sum does not
+    return made, speed if np.isfinite(np.sum(x) + np.sum(y)) else np.inf
+
+
+def unstable(
+    qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None
+) -> str | None:
+    """Why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
+
+    On a singular value s of A, away from the bounds, one step has the characteristic polynomial
+    of an oscillator with damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit
+    steps keep both roots inside the unit circle only where h k < c and (2 h k c - h^2 k^2) s^2 < 4;
+    with the multipliers on the new x only (2 h k c + h^2 k^2) s^2 < 4 remains. Where x steps by h_x and the
+    multipliers by h, h k < c stays and h h_x takes the place of h^2, h_x that of h before k c.
+    """
+    c0, c1 = scale * qp.c0, scale * qp.c1
+    weak, strong, hk = min(c0, c1), max(c0, c1), h * k
+    if not implicit and not hk < weak:
+        return (
+            f"h k = {hk:g} is not below {'scale ' if scale != 1.0 else ''}min(c0, c1) = {weak:g}: "
+            "the explicit steps diverge; lower h or k, or raise the weights"
+        )
+    if weak <= 0.0:
+        return "c0 and c1 must be above 0: nothing else damps the multipliers"
+    largest = float(np.linalg.norm(qp.A, 2))
+    # a product, which may become infinite, where a power would raise
+    hk_x = hk if h_x is None else h_x * k
+    stiff = (2.0 * hk_x * strong + (hk * hk_x if implicit else -hk * hk_x)) * largest * largest
+    if not stiff < 4.0:
+        return f"h k max(c0, c1) |A|^2 is too large ({stiff:.2f} of 4): the steps diverge; lower h or k"
+    return None
+
+
+@dataclass(frozen=True)
+class RNN:
+    """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
+
+    The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
+    obey h k < c0. Multiplying all of c0, c1, c2 and damping by ``scale`` leaves the solution as it is
+    and lets the step grow with it: scale = 100, k = 0.5, h = 1 need about 1.4e3.
+
+    Args:
+        steps: inner steps a tick; it ends earlier where the state has come to rest.
+        h: step size dt/eps, in (0, 1]: x then never leaves the box.
+        k: the paper's gain.
+        scale: multiplies c0, c1, c2 and damping; the multipliers are scaled back.
+        method: "explicit" Euler, or "semi-implicit": the multipliers see the new x.
+        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+        warm: False forgets the state before each tick.
+
+    Raises:
+        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+    """
+
+    steps: int = 10
+    h: float = 1.0
+    k: float = 0.5
+    scale: float = 100.0
+    method: Literal["explicit", "semi-implicit"] = "explicit"
+    eps: float = 1e-7
+    warm: bool = True
+    name: ClassVar[str] = "rnn"
+
+    def __post_init__(self) -> None:
+        _check_step(self.name, self.h, self.k, 0.5)
+        checks.like_defaults(self, method=("explicit", "semi-implicit"))
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Stable steps only."""
+        return unstable(qp, self.h, self.k, self.scale, self.method == "semi-implicit")
+
+    def start(self, qp: NullSpaceQP) -> RNNSession:
+        """A network at rest: x = 0 (clipped), multipliers 0."""
+        _refuse(self.name, self.supports(qp))
+        RNNSession(self, qp.n).solve(qp)  # warms up the compiler
+        return RNNSession(self, qp.n)
+
+
+class RNNSession:
+    """The state of one network."""
+
+    def __init__(self, settings: RNN, n: int) -> None:
+        self._settings = settings
+        self._implicit = settings.method == "semi-implicit"
+        self._rest(n)
+
+    def _rest(self, n: int) -> None:
+        self._x, self._y = np.zeros(n), np.zeros(6)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Go on from the last tick's state."""
+        s = self._settings
+        if not s.warm or qp.n != len(self._x):
+            self._rest(qp.n)
+        x, y = self._x, self._y
+        steps, speed = integrate(qp.row, x, y, s.steps, s.h, s.h, s.k, s.scale, self._implicit, s.eps)
+        if not np.isfinite(speed):
+            self._rest(qp.n)
+            return no_answer(qp.n, Status.NUMERICAL, steps)
+        status = Status.SOLVED if speed <= s.eps else Status.MAX_ITER
+        return Solution(x.copy(), y / s.scale, status, steps)
+
+
+@dataclass(frozen=True)
+class RNNPrinted:
+    """Equation (2) of the paper to the letter, with the measured joint velocity v as its qd.
+
+    The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
+    of which the third level takes x - v. The multipliers, 0 at first, integrate dlambda/dt = k (J v - v_ref) / eps
+    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, damping 0) its
+    modes are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
+    joint velocity over before a tick; without it the network goes on from its own last x.
+
+    Args:
+        k: the paper's gain.
+        h: step of the multipliers, dt/eps. The paper prints no time constant: 0.002 is eps = 1 s at 500 Hz.
+            h k < c0 or the steps diverge.
+        eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
+
+    Raises:
+        SolverError: a setting is out of range; from ``start`` where the steps would diverge.
+    """
+
+    k: float = 0.1
+    h: float = 0.002
+    eps: float = 1e-9
+    name: ClassVar[str] = "rnn-printed"
+
+    def __post_init__(self) -> None:
+        _check_step(self.name, self.h, self.k, 0.1, 0.002)
+        checks.positive(self.name, "eps", self.eps, 1e-9)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Stable steps only."""
+        return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)
+
+    def start(self, qp: NullSpaceQP) -> RNNPrintedSession:
+        """A network at rest."""
+        _refuse(self.name, self.supports(qp))
+        RNNPrintedSession(self, qp.n).solve(qp)  # warms up the compiler
+        return RNNPrintedSession(self, qp.n)
+
+
+class RNNPrintedSession:
+    """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
+
+    def __init__(self, settings: RNNPrinted, n: int) -> None:
+        self._settings = settings
+        self._x, self._y = np.zeros(n), np.zeros(6)
+
+    def observe(self, v: ArrayLike) -> None:
+        """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
+        self._x = np.array(v, dtype=float)
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
+        s = self._settings
+        if qp.n != len(self._x):
+            self._x, self._y = np.zeros(qp.n), np.zeros(6)
+        steps, speed = integrate(qp.row, self._x, self._y, 1, 1.0, s.h, s.k, 1.0, False, s.eps)
+        if not np.isfinite(speed):
+            self._x, self._y = np.zeros(qp.n), np.zeros(6)
+            return no_answer(qp.n, Status.NUMERICAL, steps)
+        status = Status.SOLVED if speed <= s.eps else Status.MAX_ITER
+        return Solution(self._x.copy(), self._y.copy(), status, steps)
+
+
+def _check_step(solver: str, h: float, k: float, usual_k: float, usual_h: float = 1.0) -> None:
+    checks.positive(solver, "h", h, usual_h)
+    if h > 1.0:
+        raise SolverError(f"{solver}: h = {h!r} is above 1, where x leaves the box; {usual_h:g} is usual")
+    checks.positive(solver, "k", k, usual_k)
+
+
+def _refuse(solver: str, reason: str | None) -> None:
+    if reason is not None:
+        raise SolverError(f"{solver}: {reason}")

@@ -1,0 +1,1 @@
+"""The nonlinear program of the same tick."""

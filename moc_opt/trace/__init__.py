@@ -1,0 +1,1 @@
+"""What a run leaves behind: its columns, its file, its ending, its metrics."""

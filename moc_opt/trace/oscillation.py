@@ -1,0 +1,119 @@
+"""Oscillation: joints that shake faster than any task asks for, found in a trace after the run.
+
+Chatter and limit cycles of a torque loop lie above 8 Hz; a task, its time law and a push on the arm lie below. So
+each joint's velocity and torque are taken above that (a centred mean over 1/8 s is subtracted), and their largest root
+mean square over a second counts, the first half second aside, in which an arm starts with a jerk. Largest values over
+the joints, measured on the LWR4+ in the realistic plant, every start swivel drawn. "80" are gains of one size for every
+joint, K_N2 = 80 and D_N2 = 1, the rest as in the robot's `default`:
+
+| runs | velocity [rad/s] | torque [Nm] |
+|---|---|---|
+| sound: 84 (80, `tuned`, `robust`, DCAC, `rnn`, noise, 60 N bumps, breathing) | 0.0009 to 0.038 | 0.004 to 3.2 |
+| sound: 10 of DCAC with the paper's parameters, some of them at a joint limit | 0.003 to 0.080 | 0.08 to 3.6 |
+| the idle joint 7 without friction, 80: a limit cycle at 47 Hz | 0.49 to 0.51 | 28 to 29 |
+| two ticks of delay, 80: chatter at 24 Hz | 2.7 | 119 |
+| rho = 0, 80: the linear problem's bang-bang answer | 2.6 to 2.7 | 119 |
+| rho = 0, `paper`: the same, milder | 0.05 to 1.1 | 5 to 67 |
+| the default scenario, its gains unchanged, with one, two and three ticks of delay: sound | 0.012 to 0.013 | 0.5 |
+| the same with rho = 0 | 0.48 | 26 |
+
+Both limits lie near the geometric middle of sound and unsound. With the paper's rho = 0 the answer jumps between
+vertices: where that shakes the arm it is chatter like any other, and is called so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TraceError
+from moc_opt.trace.trace import MissingDataError, Trace
+
+Floats = NDArray[np.float64]
+
+LIMIT_RAD_PER_S = 0.2
+LIMIT_NM = 10.0
+ABOVE_HZ = 8.0
+WINDOW_S = 1.0
+START_S = 0.5
+
+
+class Shaking(NamedTuple):
+    """What shakes most."""
+
+    joint: int
+    """its number, from 0"""
+    rms: float
+    """root mean square above ABOVE_HZ, of the worst window, in the column's unit"""
+    frequency_Hz: float
+    """at which its spectrum is largest there"""
+
+
+def shaking(trace: Trace, column: str) -> Shaking:
+    """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
+
+    A run shorter than two windows is cut in half: what comes before is its start, the rest one window.
+
+    Args:
+        trace: of consecutive ticks.
+        column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
+
+    Raises:
+        MissingDataError: no such column, no time, ticks that lie apart, or fewer than four of them.
+        TraceError: time does not increase.
+    """
+    values, time = np.asarray(getattr(trace, column), dtype=np.float64), np.asarray(trace.t_s, dtype=np.float64)
+    if len(trace) < 4:
+        raise MissingDataError(f"the trace has {len(trace)} ticks: an oscillation shows in four or more")
+    if "tick" in trace.columns and (np.diff(trace.tick) != 1).any():
+        raise MissingDataError("the ticks lie apart: an oscillation shows in consecutive ones")
+    period = float(time[-1] - time[0]) / (len(time) - 1)
+    if not period > 0.0:
+        raise TraceError("column 't_s' does not increase from tick to tick: give the time of each tick")
+    first = min(round(START_S / period), len(time) // 2)
+    window = min(round(WINDOW_S / period), len(time) - first)
+    fast = above(values, max(1, round(1.0 / (ABOVE_HZ * period))))[first:]
+    total = np.concatenate([np.zeros((1, fast.shape[1])), np.cumsum(fast * fast, axis=0)])
+    squares = np.maximum(total[window:] - total[:-window], 0.0) / window
+    row, joint = (int(i) for i in np.unravel_index(np.argmax(squares), squares.shape))
+    worst = fast[row : row + window, joint]
+    spectrum = np.abs(np.fft.rfft((worst - worst.mean()) * np.hanning(window)))
+    frequency = float(np.argmax(spectrum)) / (window * period)
+    return Shaking(joint, float(np.sqrt(squares[row, joint])), frequency)
+
+
+def above(values: Floats, width: int) -> Floats:
+    """Return the rows (N, k) less their centred mean over about ``width`` of them, over fewer at both ends."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    place, half = np.arange(len(values)), width // 2
+    begin, end = np.maximum(place - half, 0), np.minimum(place + half + 1, len(values))
+    return np.asarray(values - (total[end] - total[begin]) / (end - begin)[:, None])
+
+
+def describe(trace: Trace, joint_names: Sequence[str]) -> str:
+    """Say which joint oscillates, how fast and how much; empty where none does.
+
+    Raises:
+        MissingDataError: see ``shaking``.
+    """
+    v, tau = shaking(trace, "v_rad_per_s"), shaking(trace, "tau_Nm")
+    if v.rms > LIMIT_RAD_PER_S:
+        return f"{joint_names[v.joint]} at {v.frequency_Hz:.0f} Hz, {v.rms:.2f} rad/s"
+    if tau.rms > LIMIT_NM:
+        return f"{joint_names[tau.joint]} at {tau.frequency_Hz:.0f} Hz, {tau.rms:.0f} Nm"
+    return ""
+
+
+def judged_for_oscillation(trace: Trace, joint_names: Sequence[str]) -> Trace:
+    """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
+
+    In a run that ends within half a window after its start nothing is told from a jerk: it stays as it is.
+    """
+    brief = len(trace) < 4 or trace.t_s[-1] - trace.t_s[0] < START_S + 0.5 * WINDOW_S
+    if brief or trace.meta.get("ended") != "completed":
+        return trace
+    found = describe(trace, joint_names)
+    return trace.with_meta(ended=f"oscillated: {found}") if found else trace

@@ -1,0 +1,1 @@
+"""Camera, board, pose and overlay: the paper's augmented reality."""

@@ -1,0 +1,212 @@
+"""A marker board and the virtual tasks defined on it: geometry only, no picture and no camera.
+
+The board's frame: origin in the middle of the board, x to the right along its rows of markers, y upwards, z out
+of the printed side, towards whoever looks at it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.tasks.checks import Vector, direction3, number, positive, vector3
+from moc_opt.tasks.paths import Path, make_path
+from moc_opt.vision.pose import Pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Board:
+    """A grid of square markers, numbered row by row from the top left.
+
+    Args:
+        columns: markers in a row.
+        rows: rows of markers.
+        marker_m: side of a marker [m].
+        gap_m: white space between two markers, and around all of them [m].
+        first_id: number of the top left marker in its dictionary.
+
+    Raises:
+        TaskError: a count is not a whole number above zero, or a size is not positive and finite.
+    """
+
+    columns: int = 5
+    rows: int = 4
+    marker_m: float = 0.020
+    gap_m: float = 0.005
+    first_id: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("columns", 1), ("rows", 1), ("first_id", 0)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+                raise TaskError(f"{name} = {value!r}: give a whole number, {least} or more")
+            object.__setattr__(self, name, int(value))
+        for name in ("marker_m", "gap_m"):
+            object.__setattr__(self, name, positive(name, getattr(self, name)))
+
+    @property
+    def ids(self) -> range:
+        """Numbers of the markers in their dictionary."""
+        return range(self.first_id, self.first_id + self.columns * self.rows)
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Width and height of the whole board [m], with a gap all around."""
+        pitch = self.marker_m + self.gap_m
+        return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
+
+    def corners(self, marker: int) -> Array:
+        """Corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen.
+
+        Raises:
+            TaskError: the board has no such marker.
+        """
+        if marker not in self.ids:
+            raise TaskError(f"marker = {marker!r}: this board has {self.ids.start} to {self.ids.stop - 1}")
+        row, column = divmod(marker - self.first_id, self.columns)
+        width, height = self.size_m
+        pitch = self.marker_m + self.gap_m
+        left = -0.5 * width + self.gap_m + column * pitch
+        top = 0.5 * height - self.gap_m - row * pitch
+        right, bottom = left + self.marker_m, top - self.marker_m
+        return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
+
+    def outline(self) -> Array:
+        """Corners (4, 3) of the whole board in its own frame [m]: top left, then clockwise as seen."""
+        x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
+        return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])
+
+    def task_in_base(self, task: BoardTask | str, board_in_base: Pose) -> Path:
+        """Carry a virtual task from the board into the robot's base frame.
+
+        Args:
+            task: what to do, or the name of a preset (see `BOARD_TASKS`).
+            board_in_base: where the board is: camera_in_base @ board_in_camera.
+
+        Raises:
+            UnknownNameError: no preset or no kind of path of that name.
+            TaskError: the task reaches beyond the board, or its sizes are not usable.
+        """
+        wanted = board_task(task) if isinstance(task, str) else task
+        own = wanted.on_board()
+        places = own.at(np.linspace(0.0, own.length, 65))[0]
+        room = 0.5 * np.array(self.size_m)
+        beyond = float((np.abs(places[:, :2]) - room).max())
+        if beyond > 0.0:
+            raise TaskError(
+                f"task {wanted.kind!r} reaches {1e3 * beyond:.1f} mm beyond its board of "
+                f"{1e3 * self.size_m[0]:.0f} x {1e3 * self.size_m[1]:.0f} mm: make its sizes smaller or move start_m"
+            )
+        return make_path(
+            wanted.kind,
+            board_in_base.apply(own.start),
+            normal=board_in_base.turn(own.normal),
+            heading=board_in_base.turn(own.heading),
+            **wanted.sizes,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BoardTask:
+    """A virtual task, defined on a board: a path in a plane parallel to it.
+
+    Args:
+        kind: kind of path, see `moc_opt.tasks.make_path`.
+        sizes: of the path, lengths in m.
+        start_m: where it begins on the board, x and y [m].
+        heading_deg: its first axis, counter-clockwise from the board's x.
+        height_m: of its plane above the board [m], so that the tip does not touch what it follows.
+        depth_m: how far below the trocar the board lies, for placing the phantom [m].
+
+    Raises:
+        UnknownNameError: no such kind of path or size.
+        TaskError: a number is not usable.
+    """
+
+    kind: str
+    sizes: Mapping[str, float]
+    start_m: tuple[float, float] = (0.0, 0.0)
+    heading_deg: float = 0.0
+    height_m: float = 0.005
+    depth_m: float = 0.15
+    _path: Path = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sizes", MappingProxyType(dict(self.sizes)))
+        angle = math.radians(number("heading_deg", self.heading_deg))
+        if number("height_m", self.height_m) < 0.0:
+            raise TaskError(f"height_m = {self.height_m!r} is below the board: give zero or more")
+        if len(self.start_m) != 2:
+            raise TaskError(f"start_m = {self.start_m!r}: give x and y on the board [m]")
+        positive("depth_m", self.depth_m)
+        start = vector3("start_m, height_m", (*self.start_m, self.height_m))
+        heading = (math.cos(angle), math.sin(angle), 0.0)
+        path = make_path(self.kind, start, normal=(0.0, 0.0, 1.0), heading=heading, **self.sizes)
+        object.__setattr__(self, "_path", path)
+
+    def on_board(self) -> Path:
+        """The path in the board's own frame."""
+        return self._path
+
+
+BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType(
+    {
+        # 4 cm across, about the middle of the board.
+        "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
+        # 4 cm long, 2 cm from crest to trough.
+        "sinusoid": BoardTask(
+            "sinusoid",
+            {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
+            start_m=(-0.02, 0.0),
+            depth_m=0.12,
+        ),
+        # 3 cm across, from the middle outwards.
+        "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
+    }
+)
+"""The three virtual tasks: 2 to 4 cm in size, on a board 12 to 20 cm below the trocar."""
+
+
+def board_task(name: str) -> BoardTask:
+    """A preset of `BOARD_TASKS`.
+
+    Raises:
+        UnknownNameError: none of that name.
+    """
+    if name not in BOARD_TASKS:
+        raise UnknownNameError("virtual task", str(name), BOARD_TASKS)
+    return BOARD_TASKS[name]
+
+
+def board_below(
+    trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)
+) -> Pose:
+    """Pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
+
+    Args:
+        trocar: where the shaft enters, in the base's frame, (3,) [m].
+        shaft: into the body, (3,), any length: the board's z points against it.
+        depth_m: from the trocar to the middle of the board [m].
+        x_axis: what the board's x follows, (3,); its part along the shaft is taken out.
+
+    Raises:
+        TaskError: a number is not usable, or `x_axis` is along the shaft.
+    """
+    into: Vector = direction3("shaft", shaft)
+    along = direction3("x_axis", x_axis)
+    inside = along - (along @ into) * into
+    if math.sqrt(float(inside @ inside)) < 1e-6:
+        raise TaskError(f"x_axis = {x_axis!r} is along the shaft {shaft!r}: choose another")
+    x = direction3("x_axis", inside)
+    return Pose(
+        np.stack([x, np.cross(-into, x), -into], axis=1),
+        vector3("trocar", trocar) + positive("depth_m", depth_m) * into,
+    )

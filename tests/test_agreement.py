@@ -1,0 +1,120 @@
+"""Two engines, one arm: an arm that pinocchio and MuJoCo read differently is found, and the loader makes none."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from moc_opt.errors import RobotError
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.robots import loader
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario.agreement import TOLERANCE, check_engines
+from moc_opt.sim.reference import reference_terms
+
+FOLDER = Path(loader.__file__).parent
+URDF, TOML = ((FOLDER / f"lwr4.{kind}").read_text(encoding="utf-8") for kind in ("urdf", "toml"))
+
+
+def edited(text, link, attribute, value):
+    """The text with the first such attribute after the link's opening replaced."""
+    place = text.index(f'<link name="{link}">')
+    return text[:place] + re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', text[place:], count=1)
+
+
+def test_both_engines_agree_to_rounding(robot, odd_robot):
+    for arm in (robot, odd_robot):
+        check_engines(arm)
+        q, v = arm.data.q_home + 0.1, np.linspace(-1.0, 1.0, arm.n)
+        (theirs,) = reference_terms(arm.data, q[None], v[None])
+        ours = arm.state(q, v)
+        for name in ("M", "h", "tip", "wrist"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=0, atol=1e-12)
+
+
+# What pinocchio drops and MuJoCo keeps, in a text that no loader of ours has seen.
+@pytest.mark.parametrize(("attribute", "value"), [("rpy", ""), ("rpy", "0x0 0 0"), ("xyz", ""), ("xyz", "0 0 0x1p-3")])
+def test_an_inertia_that_one_engine_drops_is_seen(robot, attribute, value):
+    other = RobotModel(replace(robot.data, urdf=edited(robot.data.urdf, "link_3", attribute, value)))
+    with pytest.raises(RobotError, match=r"robot 'lwr4': pinocchio and MuJoCo differ in M by .*1e-06 is allowed"):
+        check_engines(other)
+
+
+@pytest.mark.parametrize("change", ["M", "h", "tip", "wrist"])
+def test_every_term_is_compared(robot, monkeypatch, change):
+    """Thirty times the tolerance in one term is found, a tenth of it is let go."""
+    scale = 1.0
+    true = reference_terms
+
+    def shifted(data, q, v):
+        return [t._replace(**{change: getattr(t, change) * (1.0 + scale * TOLERANCE)}) for t in true(data, q, v)]
+
+    monkeypatch.setattr("moc_opt.scenario.agreement.reference_terms", shifted)
+    scale = 0.1
+    check_engines(robot)
+    scale = 30.0
+    with pytest.raises(RobotError, match=rf"differ in {change} by"):
+        check_engines(robot)
+
+
+def test_a_run_is_refused_before_anything_moves(monkeypatch):
+    arm = load_robot()
+    odd = RobotModel(replace(arm.data, urdf=edited(arm.data.urdf, "link_5", "rpy", "")))
+    monkeypatch.setattr("moc_opt.scenario.config.load_robot", lambda *given, **more: odd)
+    with pytest.raises(RobotError, match="pinocchio and MuJoCo differ"):
+        Setup(Scenario())
+
+
+@given(
+    a=st.floats(1e-4, 0.1), b=st.floats(1e-4, 0.1), beyond=st.sampled_from([0.0, 1e-15, 1e-12, 1e-9, 5e-7]),
+    seed=st.integers(0, 2**32 - 1),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None, derandomize=True)
+def test_a_flat_body_in_any_axes_is_one_for_both_engines(a, b, beyond, seed, tmp_path_factory):
+    """A plate lies on the edge of the triangle inequality, where rounding alone decides; MuJoCo bears no rounding."""
+    Q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    I = Q @ np.diag([a, b, (a + b) * (1.0 + beyond)]) @ Q.T  # noqa: E741
+    urdf = URDF
+    for key, value in (("ixx", I[0, 0]), ("iyy", I[1, 1]), ("izz", I[2, 2]), ("ixy", I[0, 1]), ("ixz", I[0, 2]),
+                       ("iyz", I[1, 2])):  # fmt: skip
+        urdf = edited(urdf, "link_4", key, repr(float(value)))
+    folder = tmp_path_factory.mktemp("flat")
+    (folder / "lwr4.urdf").write_text(urdf, encoding="utf-8")
+    (folder / "arm.toml").write_text(TOML, encoding="utf-8")
+    arm = load_robot(folder / "arm.toml")
+    check_engines(arm)
+    written = [float(re.findall(rf'{key}="([^"]*)"', arm.data.urdf)[4]) for key in ("ixx", "iyy", "izz", "ixy")]
+    np.testing.assert_allclose(written, [I[0, 0], I[1, 1], I[2, 2], I[0, 1]], rtol=0, atol=2e-6 * (a + b))
+
+
+numbers = st.one_of(
+    st.floats(-0.5, 0.5).map(repr),
+    st.sampled_from(["", "0x1p-2", "1_0", "nan", "inf", "1e999", "1e-310", "٣", "1,5", "1d-1", ".5", "5.", "+.1",
+                     "1E-2", "-0", "0.1f", "1e", "infinity", "0b1", "0.1 ", "\t0.2"]),
+)  # fmt: skip
+attributes = st.lists(numbers, min_size=0, max_size=4).map(" ".join)
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_whatever_the_file_says_it_is_refused_or_both_engines_read_the_same(data, tmp_path_factory):
+    """Strange numbers in any number of places of the file: no arm comes out of it that is two arms."""
+    urdf = URDF
+    for _ in range(data.draw(st.integers(1, 3))):
+        link = f"link_{data.draw(st.integers(0, 7))}"
+        attribute = data.draw(st.sampled_from(["xyz", "rpy", "xyz", "rpy", "value", "ixx", "ixy", "izz"]))
+        value = data.draw(attributes if attribute in ("xyz", "rpy") else numbers)
+        urdf = edited(urdf, link, attribute, value)
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "lwr4.urdf").write_text(urdf, encoding="utf-8")
+    (folder / "arm.toml").write_text(TOML, encoding="utf-8")
+    try:
+        arm = load_robot(folder / "arm.toml")
+    except RobotError as error:
+        assert "link_" in str(error) or "joint_" in str(error)  # noqa: PT017 - refusals are half of the cases
+        return
+    check_engines(arm)
