@@ -79,6 +79,7 @@ class Twin:
         assert guard._incision is not None
         return np.concatenate([
             [guard._square, *guard._incision._means, guard._press], supervisor._good, guard._motion._memory.ravel(),
+            guard._motion._tip, guard._motion._still[:3], guard._motion._still[9:],
         ])  # fmt: skip
 
     def hold(self, seen: Measurement) -> Array | float:
@@ -143,6 +144,8 @@ RUNS: dict[str, dict[str, Any]] = {
     "replayed": {"faults": {"replay_at_s": 0.8}},
     "replayed-forged": {"faults": {"replay_at_s": 0.8, "forged_stamps": True}},
     "drifting": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}},
+    "frozen-whole-at-rest": {"faults": {"frozen_at_s": 0.4, "forged_stamps": True, "frozen_velocity": "zero"},
+                             "task": {"wait_s": 2.0}, "guard": {"repeat_whole_torque": 1.0, "stuck_torque": 1.0}},
     "unwatched": {"faults": {"frozen_at_s": 0.8, "forged_stamps": True}, "guard": {"motion": False}},
     "never-yielding": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8}, "guard": {"stop_yield_N": None}},
     "noise": {"faults": {"encoder_noise_rad": 5e-5}},
@@ -178,6 +181,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "nan": "measurements", "jump": "measurements", "slip": "the trocar's force",
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
         "frozen-forged-still": "all encoders repeat", "frozen-joint": "the torque went",
+        "frozen-whole-at-rest": "all encoders repeat",
         "frozen-joint-heavy": "an encoder repeats", "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip
     if name in stops:

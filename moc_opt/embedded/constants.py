@@ -140,6 +140,8 @@ def _motion(guard: GuardSettings, period: float) -> dict[str, str]:
         "MOC_REPEAT_M": number(guard.repeat_m),
         "MOC_REPEAT_TORQUE": number(guard.repeat_torque),
         "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
+        "MOC_REPEAT_WHOLE_M": number(guard.repeat_whole_m),
+        "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
         "MOC_STUCK_TORQUE": number(guard.stuck_torque),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),

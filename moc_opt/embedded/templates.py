@@ -11,6 +11,8 @@ HEADER = Template(
      *
      * Generated: change the scenario and export again instead of editing. Plain C99; needs libm only.
      * No memory is allocated, nothing is locked, and every tick runs through the same operations.
+     * This is the bare tick: it believes every measurement and holds no limit but the torque's. What may be sent to an
+     * arm is the torque of moc_safe.h, which has supervisor and guard around it.
      *
      * The numbers in the code came from these settings:
     $constants

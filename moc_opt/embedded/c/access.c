@@ -45,7 +45,8 @@ void moc_incision_seen(const moc_safe_state *state, double largest[2], int first
 
 /* What is remembered: mean squares of tip error, RCM error and force, the press in a stop, the supervisor's good
  * answer (n,), and of the motion, one row of n after the other: gap, peak, shown, repeats, torque, integral, residual,
- * mean, at_repeat, unseen, exceeded. */
+ * mean, at_repeat, unseen, exceeded; then where the tip was told to be (3,), still (3,), and of the wrench how often it
+ * was the same, how many first readings were counted, and whether it was ever the same in them. */
 void moc_remembered(const moc_safe_state *state, double *out)
 {
     const moc_motion_state *m = &state->guard.motion;
@@ -64,4 +65,12 @@ void moc_remembered(const moc_safe_state *state, double *out)
         for (int k = 0; k < 11; k++)
             out[4 + MOC_N * (1 + k) + j] = rows[k][j];
     }
+    out += 4 + 12 * MOC_N;
+    for (int i = 0; i < 3; i++) {
+        out[i] = m->told[i];
+        out[3 + i] = m->still[i];
+    }
+    out[6] = m->wrench_repeats;
+    out[7] = m->looked;
+    out[8] = m->wrench_is_still;
 }

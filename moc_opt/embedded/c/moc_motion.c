@@ -6,6 +6,7 @@
 #include "moc_dense.h"
 #include "moc_safe.h"
 
+#define FIRST_TICKS 100 /* in which it shows whether the wrench sensor has noise */
 #define LARGEST_STAMP (INT64_MAX / 4) /* numbers beyond it are no numbers of control periods */
 
 void moc_motion_start(const double *q, const double *v, int64_t stamp, moc_motion_state *state)
@@ -51,6 +52,23 @@ static void compare_wrench(const double *wrench, moc_motion_state *state)
             state->wrench_repeats = 0.0;
         state->wrench[i] = wrench[i];
     }
+    if (state->looked < FIRST_TICKS) {
+        state->looked++;
+        state->wrench_is_still |= state->wrench_repeats > 0.0;
+    }
+}
+
+/* Whether the arm was told to move, or the torque changed, while all encoders repeated themselves. */
+static int moved(const double *tau, const moc_motion_state *state)
+{
+    int whole = state->wrench_repeats > MOC_PATIENCE_TICKS, found = 0;
+    double least = whole ? MOC_REPEAT_WHOLE_TORQUE : MOC_REPEAT_TORQUE, way = whole ? MOC_REPEAT_WHOLE_M : MOC_REPEAT_M;
+
+    for (int i = 0; i < 3; i++)
+        found |= fabs(state->told[i] - state->still[i]) > way;
+    for (int i = 0; i < MOC_N; i++)
+        found |= fabs(tau[i] - state->torque[i]) > least * moc_tau_max[i];
+    return found;
 }
 
 /* Joint i: position against velocity, and whether it repeats itself. Returns whether it runs away from its velocity. */
@@ -77,7 +95,7 @@ static int compare_joint(int i, double q, double v, double elapsed, moc_motion_s
 int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state)
 {
     double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18;
-    int ran_away = 0, moved = 0;
+    int ran_away = 0;
 
     if (!MOC_MOTION)
         return 0;
@@ -94,12 +112,8 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
             state->still[i] = state->told[i];
         return ran_away ? MOC_STOP_RAN_AWAY : 0;
     }
-    double least = state->wrench_repeats > MOC_PATIENCE_TICKS ? MOC_REPEAT_WHOLE_TORQUE : MOC_REPEAT_TORQUE;
-    for (int i = 0; i < 3; i++)
-        moved |= fabs(state->told[i] - state->still[i]) > MOC_REPEAT_M;
-    for (int i = 0; i < MOC_N; i++)
-        moved |= fabs(tau[i] - state->torque[i]) > least * moc_tau_max[i];
-    if (moved)
+    int noisy = state->looked >= FIRST_TICKS && !state->wrench_is_still;
+    if ((noisy && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS) || moved(tau, state))
         return MOC_STOP_REPEATED;
     return ran_away ? MOC_STOP_RAN_AWAY : 0;
 }

@@ -51,7 +51,8 @@ static int intact(const moc_safe_state *s)
     if (s->reason != MOC_RUNNING) /* the law is not asked any more */
         return fine;
     fine &= moc_all_finite(MOC_N, s->law.momentum) && moc_all_finite(MOC_N, s->law.external_torque);
-    fine &= s->guard.motion.weighed >= 0 && plausible(s->guard.motion.now) && plausible(s->guard.motion.newest);
+    fine &= s->guard.motion.weighed >= 0 && s->guard.motion.looked >= 0;
+    fine &= plausible(s->guard.motion.now) && plausible(s->guard.motion.newest);
     fine &= plausible(s->guard.motion.delay) && plausible(s->guard.motion.ticks);
     return fine && moc_all_finite(MOC_N, s->law.torque) && moc_all_finite(1, &s->law.share);
 }
@@ -178,7 +179,7 @@ const char *moc_safe_reason(int reason)
         "the tip has been off its reference",
         "the controller's torque is not finite",
         "measurements are too late",
-        "all encoders repeat one reading while the arm is told to move",
+        "all encoders repeat one reading, as no arm that moves or has noise does",
         "the encoders' positions do not follow their velocities",
         "an encoder repeats one reading while torque acts on its joint",
         "the torque went into a motion that the encoders do not show",

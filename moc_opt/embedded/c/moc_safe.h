@@ -2,7 +2,7 @@
  *
  * One moc_safe_state for each arm. moc_safe_start fills it and forgets all that was; moc_safe_step runs one period.
  * No memory is allocated, nothing is locked, no function calls itself, and every loop has a constant bound.
- * Whatever the inputs and the state hold, the torque is finite and within moc_tau_max. See README.txt.
+ * Whatever the inputs and the state hold, the torque is finite and within moc_tau_max.
  */
 #ifndef MOC_SAFE_H
 #define MOC_SAFE_H
@@ -13,6 +13,10 @@
 #include "moc_supervisor.h"
 #endif
 #include "moc_tick.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 /* Why the arm has to be stopped. */
 enum {
@@ -26,7 +30,7 @@ enum {
     MOC_STOP_TIP,         /* the tip has been too far off its reference */
     MOC_STOP_TORQUE,      /* the controller's torque is not finite */
     MOC_STOP_LATE,        /* measurements are more than MOC_PATIENCE_TICKS late */
-    MOC_STOP_REPEATED,    /* all encoders repeat one reading while the arm is told to move */
+    MOC_STOP_REPEATED,    /* all encoders repeat one reading, as no arm that moves or has noise does */
     MOC_STOP_RAN_AWAY,    /* the encoders' positions do not follow their velocities */
     MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
     MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
@@ -75,5 +79,9 @@ void moc_safe_hold(const double wrench[6], moc_safe_state *state, double frictio
 
 /* A reason in words. */
 const char *moc_safe_reason(int reason);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif
