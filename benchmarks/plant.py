@@ -212,7 +212,8 @@ def study(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str
     else:
         screen = console()
         for table in tables(summary):
-            screen.print(table.to_rich())
+            for piece in table.fitted(screen.width):
+                screen.print(piece)
     return summary
 
 

@@ -64,7 +64,7 @@ def side_by_side(
     """
     names = list(calls)
     found: dict[str, list[Array]] = {name: [] for name in names}
-    for name in names:  # nobody's first round pays for caches and compilers
+    for name in names:  # a first round that is not timed fills caches and compiles
         each_us(calls[name], items[: min(len(items), 50)])
     for r in range(rounds):
         for name in names[r % len(names) :] + names[: r % len(names)]:

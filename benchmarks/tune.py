@@ -208,7 +208,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print((given.out / "summary.json").read_text(), end="")
     else:
         screen = console()
-        screen.print(table.to_rich())
+        for piece in table.fitted(screen.width):
+            screen.print(piece)
         screen.print(preset(winner))
         screen.print(f"written: {given.out}/summary.json rows.parquet environment.json")
     return 0

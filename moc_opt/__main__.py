@@ -101,34 +101,35 @@ def run_scenario(
     from moc_opt.trace.metrics import summarize
 
     scenario = Scenario() if path is None else Scenario.load(path)
+    title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
     if seed is not None:
         scenario = scenario.change(seed=seed)
     if solver is not None:
         scenario = scenario.change(solver={"name": solver, "settings": {}})
     setup = Setup(scenario)
     ticks = len(setup.times())
-    with progress(scenario.name, ticks) as bar:
+    with progress(title, ticks) as bar:
         try:
             trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
         except RunAway as error:
             trace = error.trace
     ended = str(trace.meta["ended"])
     if "earlier_run" in trace.meta:
-        print(f"{scenario.name}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
+        print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
-        print(f"{scenario.name}: {line}", file=sys.stderr)
+        print(f"{title}: {line}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         beside = None if trace_to is None else Path(folder, "dcac.parquet")
-        baseline = _matched_dcac(scenario, len(trace), beside) if scenario.control.law == "moc" else None
+        baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
         metrics = summarize(trace, baseline)
     if as_json:
         print_json(run_json(trace, metrics))
     else:
-        console().print(run_table(scenario.name, trace, metrics).to_rich())
+        console().print(run_table(title, trace, metrics).to_rich())
     return 0 if ended == "completed" else 3
 
 
-def _matched_dcac(scenario: Scenario, ticks: int, to: Path | None) -> Trace | None:
+def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
     """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
     from moc_opt.scenario import RunAway, run
 
@@ -137,7 +138,7 @@ def _matched_dcac(scenario: Scenario, ticks: int, to: Path | None) -> Trace | No
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{scenario.name}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
+        print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
         return None
     return trace.head(ticks)
 

@@ -281,5 +281,5 @@ def test_the_command_line_keeps_the_trace_of_a_run_away(tmp_path, capsys):
         "duration_s = 0.1\nbound_samples = 0\n[plant]\ntrocar_stiffness_N_per_m = 1e6\ntrocar_damping_Ns_per_m = 1e4\n"
     )
     assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is as it should be: the arm is not
-    assert "circle: ran away" in capsys.readouterr().err
+    assert "s: ran away" in capsys.readouterr().err, "a run without a name has its file's"
     assert Trace.load(out).meta["ended"].startswith("ran away")

@@ -55,7 +55,7 @@ ONLY = {
     "trace": {"numpy", "pyarrow"},
     "robots": {"numpy", "pydantic"},
     "control": {"numpy", "numba", "pydantic"},
-    "procedure": {"numpy", "scipy"},
+    "procedure": {"numpy", "pydantic", "scipy"},
     "scenario": {"numpy", "pydantic", "pyarrow"},
     "public": set(),
 }

@@ -31,7 +31,7 @@ def test_words_follow_from_the_readings() -> None:
     ]
     words = in_words(given, {"exact": "exact and 3 more"})
     assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %." in words
-    assert "dcac never gets there: it stays put, though the way up is open." in words
+    assert "dcac never gets there: it stays put in the end, though the map shows a way up (joint" in words
     assert "rnn ends before the grey: the way up leads beyond the limit of joint 4." in words
     two = in_words([reading("a", 1.0, End.RIDGE, from_s=0.0), reading("b", 1.0, End.RIDGE, from_s=0.0)])
     assert "a for 100 %; b for 100 %." in two

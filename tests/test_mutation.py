@@ -17,7 +17,7 @@ from moc_opt.errors import UnknownNameError
 
 ROOT = Path(__file__).resolve().parent.parent
 DENSE = "moc_opt.numerics.dense"
-TEXT = (ROOT / "moc_opt" / "control" / "dense.py").read_text()
+TEXT = (ROOT / "moc_opt" / "numerics" / "dense.py").read_text()
 TESTS = ["tests/test_dense.py"]
 needs_operators = pytest.mark.skipif(
     find_spec("cosmic_ray") is None, reason="cosmic-ray is not installed: pip install 'moc-opt[mutation]'"
@@ -69,7 +69,7 @@ def test_an_error_is_found_although_a_compiled_kernel_is_in_the_cache(old, new, 
     found = judge(changed(old, new), plain)
     assert found.result == "killed"
     assert "test_dense" in found.by
-    assert (ROOT / "moc_opt" / "control" / "dense.py").read_text() == TEXT  # nothing was written
+    assert (ROOT / "moc_opt" / "numerics" / "dense.py").read_text() == TEXT  # nothing was written
 
 
 def test_one_that_never_ends_is_timed_out(plain):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
+import re
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 from moc_opt.errors import MocOptError, ReportError
 from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit, typeset
@@ -196,3 +199,22 @@ def test_only_rows_with_the_flag_compete_for_the_emphasis():
 def test_a_title_ends_with_one_mark(title: str, ends: str) -> None:
     source = Table(title, [Column("name", "name")], [{"name": "a"}]).to_html(1)
     assert ends in source
+
+
+@given(st.integers(30, 200), st.integers(2, 14), st.floats(1e-3, 1e6))
+def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size: float) -> None:
+    columns = [Column("name", "solver"), *(Column(f"c{k}", f"a long heading c{k}", unit="us") for k in range(count))]
+    rows = [{"name": name, **{f"c{k}": size * (k + 1) for k in range(count)}} for name in ("exact", "rnn-printed")]
+    table = Table("Times", columns, rows, "What they mean.")
+    shown = []
+    for part in table.fitted(width):
+        screen = Console(file=io.StringIO(), width=width, color_system=None, highlight=False)
+        screen.print(part)
+        text = screen.file.getvalue()  # type: ignore[attr-defined]
+        assert "exact" in text
+        assert "rnn-printed" in text
+        shown += re.findall(r"c\d+\b", text)
+        assert "…" not in text
+    assert sorted(shown) == sorted(c.key for c in columns[1:]), "every column once"
+    assert [part.caption is not None for part in table.fitted(width)].count(True) == 1
+    assert len(table.fitted(10_000)) == 1

@@ -66,14 +66,14 @@ def written(folder, text):
         ({"control": {"preset": "papre"}}, r"control preset 'papre': did you mean 'paper'"),
         ({"control": {"preset": "paper", "gain": "moc"}}, r"\[control\] 'gain': did you mean 'gains'"),
         ({"solver": {"nane": "exact"}}, r"\[solver\] 'nane': did you mean 'name'"),
-        ({"plant": {"frictoin": 1.0}}, r"plant setting 'frictoin': did you mean 'friction'"),
+        ({"plant": {"frictoin": 1.0}}, r"\[plant\] 'frictoin': did you mean 'friction'"),
         (
             {"plant": {"preset": "nominla"}},
             r"plant preset 'nominla': did you mean 'nominal'.*nominal, realistic",
         ),
         (
             {"plant": {"preset": "nominal", "mass_eror": 0.1}},
-            r"plant setting 'mass_eror': did you mean 'mass_error'",
+            r"\[plant\] 'mass_eror': did you mean 'mass_error'",
         ),
     ],
 )
@@ -131,9 +131,9 @@ def test_unknown_names_list_the_nearest(tables, message):
         ),
         (
             {"plant": {"friction": -1.0}},
-            r"plant setting friction = -1.0: input should be greater than or equal to 0",
+            r"\[plant\] friction = -1.0: input should be greater than or equal to 0",
         ),
-        ({"plant": {"preset": "nominal", "delay_ticks": -1}}, r"plant setting delay_ticks = -1"),
+        ({"plant": {"preset": "nominal", "delay_ticks": -1}}, r"\[plant\] delay_ticks = -1"),
     ],
 )
 def test_wrong_values_name_field_value_and_range(tables, message):
@@ -269,7 +269,7 @@ def test_change_is_validated():
         Scenario().change(colour="red")
     with pytest.raises(UnknownNameError, match=r"\[control\] 'C2'"):
         Scenario().change(control={"C2": 1.0})
-    with pytest.raises(UnknownNameError, match="plant setting 'masses'"):
+    with pytest.raises(UnknownNameError, match=r"\[plant\] 'masses'"):
         Scenario().change(plant={"masses": 1.0})
     with pytest.raises(MocOptError, match=r"c2 = -1.0"):
         Scenario().change(control={"c2": -1.0})

@@ -25,7 +25,7 @@ class Bare(Protocol):
     """A library set up for one stream of subproblems."""
 
     def load(self, qp: NullSpaceQP) -> None:
-        """Put the numbers of ``qp`` where the library wants them."""
+        """Put the numbers of ``qp`` where the library reads them."""
         ...
 
     def solve(self, qp: NullSpaceQP) -> tuple[Array, Array]:

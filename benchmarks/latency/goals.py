@@ -1,4 +1,4 @@
-"""What this project wants to reach, beside what was measured."""
+"""The goals of this project, beside what was measured."""
 
 from __future__ import annotations
 

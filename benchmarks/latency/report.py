@@ -204,7 +204,8 @@ def headline(summary: Summary) -> str:
 def print_tables(console: Console, summary: Summary, out: Path) -> None:
     """The tables on the screen, and where the files are."""
     for table in tables(summary).values():
-        console.print(table.to_rich())
+        for piece in table.fitted(console.width):
+            console.print(piece)
     console.print(headline(summary))
     console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
 

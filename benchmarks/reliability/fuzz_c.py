@@ -1,4 +1,4 @@
-"""The exported C controller under numbers that nobody expects, beside the Python one in its guard."""
+"""The exported C controller under extreme numbers (NaN, infinite, huge), beside the Python one in its guard."""
 
 from __future__ import annotations
 

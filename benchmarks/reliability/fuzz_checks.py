@@ -170,7 +170,7 @@ def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]])
     smallest = np.linalg.svd(part.A, compute_uv=False)
     rank = smallest > 1e-9 * smallest[0]
     if largest > 1e3 or not rank.any() or (smallest[rank].min() < 1e-3 * smallest[0]):
-        return  # ill-conditioned: a residual of rounding errors is no lie
+        return  # ill-conditioned: a residual of rounding errors is no wrong claim
     if 0.0 < part.weights[2] * np.abs(part.grad_mu).max() < 1e-9:
         return
     found = judge(qp.row[None], x[None])

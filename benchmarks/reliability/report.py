@@ -90,7 +90,8 @@ def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
 def print_tables(console: Console, summary: Summary, goals: list[dict[str, Any]], out: Path) -> None:
     """The tables on the screen, and where the files are."""
     for table in tables(summary, goals):
-        console.print(table.to_rich())
+        for piece in table.fitted(console.width):
+            console.print(piece)
     console.print(headline(summary, goals))
     console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
 

@@ -35,7 +35,8 @@ def print_tables(console: Console, study: Study, out: Path) -> None:
     made = tables(study.summary)
     for part in SCREEN:
         if part in made:
-            console.print(made[part].to_rich())
+            for piece in made[part].fitted(console.width):
+                console.print(piece)
     console.print(headline(study.summary, study.words))
     if study.store.reused:
         console.print(f"{study.store.reused} parts are those of an earlier run in {out}/parts")

@@ -17,9 +17,9 @@ NONLINEAR = "nlp-"
 FOOTNOTE = (
     "The solvers nlp-* answer another problem, the nonlinear one of the same tick: a right answer of theirs lies about "
     "1e-3 m/s off A x = b, so the judge of the linear problem does not verify it. Their claims are counted under "
-    "'silently wrong' by the letter of that judge, and are no lies. On the inconsistent sets the answer to the "
-    "five rows is certified; a solver that is given six rows and calls them infeasible is right about its numbers: it "
-    "counts as right, and has a column of its own."
+    "'silently wrong' by the letter of that judge, though they are right about the problem that these solvers solve. "
+    "On the inconsistent sets the answer to the five rows is certified; a solver that is given six rows and calls them "
+    "infeasible is right about its numbers: it counts as right, and has a column of its own."
 )
 
 
@@ -218,7 +218,7 @@ def tables(summary: Summary) -> dict[str, Table]:
     told = troubles(summary)
     if told:
         columns = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
-        found["troubles"] = Table("What solvers raised, and who never came back", columns, told)
+        found["troubles"] = Table("What solvers raised, and which gave no answer in time", columns, told)
     add("not_run", "What could not run here", [Column("solver", "not run"), Column("reason", "reason")])
     return found
 
@@ -310,13 +310,14 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
                 "set"
             )
         parts.append(text)
-        liars = {n: m["silently_wrong"] for n, m in linear.items() if m["silently_wrong"]}
-        if liars:
-            parts.append("claimed success for wrong answers under our settings: " + _listed(liars))
+        wrong = {n: m["silently_wrong"] for n, m in linear.items() if m["silently_wrong"]}
+        if wrong:
+            parts.append("claimed success for wrong answers under our settings (how often): " + _listed(wrong))
     every = {n: m for n, m in summary.get("testsets", {}).items() if not n.startswith(NONLINEAR)}
     default = {n.partition("@")[0]: m["silently_wrong"] for n, m in every.items() if n.endswith("@default")}
     if any(default.values()):
-        parts.append("and as the libraries come: " + _listed({n: k for n, k in default.items() if k}))
+        wrong = {n: k for n, k in default.items() if k}
+        parts.append("claimed success for wrong answers as the libraries come (how often): " + _listed(wrong))
     hung = {n: m["hung"] for n, m in every.items() if m["hung"]}
     if hung:
         parts.append("never returned: " + ", ".join(hung))
@@ -343,7 +344,7 @@ def headline(summary: Summary, words: Mapping[str, str]) -> str:
         trials = closed[best]["runs"]
         parts.append(
             f"in closed loop, over {trials} {'trial' if trials == 1 else 'trials'} from random poses, manipulability "
-            f"rose by {spread(closed[best], 'mu_gain_percent')} % with {best} and by "
+            f"changed by {spread(closed[best], 'mu_gain_percent')} % with {best} and by "
             f"{spread(closed[worst], 'mu_gain_percent')} % with {worst}"
         )
     text = ". ".join(part[0].upper() + part[1:] for part in parts) + "." if parts else "Nothing was run."

@@ -116,7 +116,7 @@ class Worker:
             self.stop()
             raise Crashed(f"the process died ({_reason(code)})") from error
         except GeneratorExit:
-            self.stop()  # nobody wants the rest, and the worker is still making it
+            self.stop()  # the rest is not needed, and the worker is still making it
             raise
 
     def _start(self) -> Connection:
@@ -136,7 +136,7 @@ def beat() -> None:
 
 
 def serve(pipe: Connection) -> None:
-    """The worker's side: run what is asked for until nobody asks any more."""
+    """The worker's side: run what is asked for until the other side closes."""
     global _beat
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     while True:

@@ -26,7 +26,7 @@ class DaskPool:
         patience_s: [s].
 
     Raises:
-        WorkerError: Dask is not installed, nobody answers, or the workers lack this package.
+        WorkerError: Dask is not installed, no scheduler answers, or the workers lack this package.
     """
 
     shared: bool = True

@@ -47,7 +47,7 @@ class LocalPool:
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         if kind is not None:
-            self._alive.close()  # nobody waits for runs whose results nobody takes
+            self._alive.close()  # ends workers whose results are not read any more
         self._executor.shutdown(wait=True, cancel_futures=True)
         self._alive.close()
 

@@ -89,7 +89,8 @@ def headline(summary: Summary) -> str:
 def print_tables(console: Console, summary: Summary, out: Path) -> None:
     """The tables on the screen, and where the files are."""
     for table in tables(summary):
-        console.print(table.to_rich())
+        for piece in table.fitted(console.width):
+            console.print(piece)
     console.print(headline(summary), soft_wrap=True)
     console.print(f"written: {out}/summary.json rows.parquet clock.parquet environment.json report.html")
 

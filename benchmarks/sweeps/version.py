@@ -1,4 +1,4 @@
-"""Which code a run is done with: results of two are not one sweep, even where nobody raised the version."""
+"""Which code a run is done with: results of two are not one sweep, even where the version is the same."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ Four signs, each of which a sound arm stays well below:
 - all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
   enough where the wrench sensor repeats its reading too;
 - one encoder repeats its reading, while the momentum residual says that its joint must have gathered speed;
-- the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that nobody sees.
+- the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that no encoder shows.
 """
 
 from __future__ import annotations

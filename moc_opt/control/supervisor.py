@@ -77,7 +77,7 @@ class SupervisorSettings(Settings):
     )
     opposite_limit: float = Field(
         1e-3, gt=0.0,
-        description="a claim this far from its optimum, and nearer to that of the opposite gradient, is a lie [rad/s]",
+        description="a claim this far from its optimum, and nearer to that of the opposite gradient, is false [rad/s]",
     )  # fmt: skip
     hold_ticks: int = Field(
         10, ge=0, description="how long the last good answer is held, before damping alone"

@@ -18,7 +18,7 @@ from moc_opt.embedded.arm import Arm
 Array = NDArray[np.float64]
 SX = Any
 
-_SINGULAR = 1e-14  # det(J J^T) relative to the cube of its mean diagonal, as in model_kernels.manipulability
+_SINGULAR = 1e-14  # det(J J^T) relative to the cube of its mean diagonal, as in kinematics_kernels.manipulability
 
 
 class Frame(NamedTuple):
@@ -82,7 +82,7 @@ def points(arm: Arm, frames: list[Frame]) -> Points:
 
 
 def manipulability(at: Points) -> tuple[SX, SX]:
-    """mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `model_kernels.manipulability`.
+    """mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `kinematics_kernels.manipulability`.
 
     dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j), P_j = (J J^T)^-1 J_j; zero
     where J J^T is singular.

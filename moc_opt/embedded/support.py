@@ -10,7 +10,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.solver import Exact
 
-# Every field of ControlSettings that the generated tick obeys, `backend` being the choice of C itself; the fields of
+# Every field of ControlSettings that the generated tick follows, `backend` being the choice of C itself; the fields of
 # `supervisor` are below.
 OBEYED = frozenset((
     "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
@@ -19,7 +19,7 @@ OBEYED = frozenset((
 ))  # fmt: skip
 
 
-# Every field of GuardSettings and SupervisorSettings that the C code obeys.
+# Every field of GuardSettings and SupervisorSettings that the C code follows.
 GUARDED = frozenset((
     "torque_rate_Nm_per_s", "position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad",
     "wall_brake_rad_per_s2", "jump_rad", "speed_factor", "patience_ticks", "tip_error_m", "tip_error_s",

@@ -1,1 +1,6 @@
-"""What comes from outside: files, names, numbers and settings, checked where they are read."""
+"""What comes from outside: files, names and settings, checked where they are read.
+
+Read first: ``settings`` (the base of every table of a TOML; errors name field, value and range). ``files``
+reads TOML and JSON within limits of size, ``names`` holds the allow-list of characters, ``memory`` says what
+would fit. Any room but numerics, qp, tasks, model and redundancy may import it; it imports ``errors`` alone.
+"""

@@ -70,16 +70,19 @@ class Settings(BaseModel):
         try:
             super().__init__(**values)
         except ValidationError as error:
-            raise self.ERROR("; ".join(f"{self.KIND} {line}" for line in explain(error))) from error
+            raise self.ERROR("; ".join(explain(error, self.KIND))) from error
 
 
-def explain(error: ValidationError) -> list[str]:
-    """One line per wrong field: name, value, cure."""
+def explain(error: ValidationError, kind: str) -> list[str]:
+    """One line per wrong field: kind of table, name, value, cure; what a table inside raised is not quoted again."""
     lines = []
     for item in error.errors():
         field = repr(".".join(f"{part!s:.80}" for part in item["loc"]))[1:-1]  # a key of a file may hold anything
         message = item["msg"].removeprefix("Value error, ")
-        lines.append(
-            f"{field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}" if field else message
-        )
+        if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
+            lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
+        elif field:
+            lines.append(f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}")
+        else:
+            lines.append(f"{kind} {message}")
     return lines

@@ -1,7 +1,9 @@
-"""A run in real time that one can put a hand to: ``python -m moc_opt live``.
+"""A run in real time whose solver, gains and trocar can be changed while it goes: ``python -m moc_opt live``.
 
 - ``live.run.LiveRun``: the loop in pieces, and what can be changed in it; no page
-- ``live.page.serve``: the page on top of it, on loopback
+- ``live.page.serve``: the page on top of it, on loopback; ``live.access`` decides who may see it
+
+Imported by the command line alone.
 """
 
 from moc_opt.live.orders import LiveError, Moment

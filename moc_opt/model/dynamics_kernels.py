@@ -1,6 +1,6 @@
 """What the links' masses do, from their places alone: the slope of the kinetic energy, and gravity.
 
-`axes` (n,6) as in `model_kernels`; `places` and `bodies` as in `model_kernels.fill_state`.
+`axes` (n,6) as in `kinematics_kernels`; `places` and `bodies` as in `kinematics_kernels.fill_state`.
 """
 
 from __future__ import annotations

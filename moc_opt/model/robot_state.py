@@ -24,7 +24,7 @@ def _layout(n: int) -> dict[str, slice]:
 class RobotState:
     """What is known of the arm at one (q, v): already computed, immutable, sharing memory with nothing.
 
-    All numbers lie in one flat read-only array, `record`, whose layout is `model_kernels.StateViews`; the
+    All numbers lie in one flat read-only array, `record`, whose layout is `kinematics_kernels.StateViews`; the
     attributes are read-only views of it, made when asked for. Kernels take `record` and call
     `state_views(record, n)`.
     """

@@ -1,1 +1,6 @@
-"""What comes before and around a run: reachability, pre-flight, hands-on."""
+"""What comes before and around a run: whether the task can be done, and where the trocar is.
+
+Read first: ``preflight`` (checks a start and a path, draws random starts), then ``reachability`` (follows a
+path by kinematics alone). ``hands_on`` registers the trocar by guiding the tool by hand. Imported by scenario
+and benchmarks; imports control and sim for the guiding, no solver.
+"""

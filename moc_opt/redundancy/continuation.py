@@ -40,7 +40,7 @@ class Constraint(NamedTuple):
 
 @njit(cache=True)
 def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
-    """Spatial axes (n,6), as in model_kernels, and the points (2,3) tip and wrist of the chain at q."""
+    """Spatial axes (n,6), as in kinematics_kernels, and the points (2,3) tip and wrist of the chain at q."""
     r_t, turned = np.eye(3), np.empty((3, 3))  # transposed rotations
     origin, axis = np.zeros(3), np.empty(3)
     for j in range(q.shape[0]):

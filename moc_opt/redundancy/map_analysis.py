@@ -2,7 +2,8 @@
 
 Where a course ends off the ridge, the map is climbed from there at the time of the end: upwards in mu, swivel by
 swivel, poses beyond a joint limit included. A climb that stops close by, on a lower top or before a forbidden pose, is
-what holds the run; where the way up is open, only its own motion can tell why it is not there.
+what holds the run; where the way up is open, only the run itself can tell why it is not there: a controller without
+third level, or the box of the third level, which closes before the joint limits that the map knows.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class End(StrEnum):
     RIDGE = "on the ridge"
     LOWER = "on a lower top"
     GREY = "before a forbidden pose"
-    STILL = "stays put, the way up is open"
+    STILL = "stays put, the map shows a way up"
     RISING = "still going up"
     FALLING = "goes down"
     ELSEWHERE = "folded another way"

@@ -7,6 +7,8 @@ Nothing is loaded here, so that a terminal table does not wait for a plotting li
 - ``report.page``: ``Page``, a self-contained HTML file
 - ``report.export``: ``save_figures``, the same figures as SVG and PDF
 - ``report.console``: the terminal
-- ``report.map``, ``report.courses``, ``report.map_page``: the manipulability map, what it says, and both on a page
+- ``report.map_figure``, ``report.map_page``: the manipulability map as a figure, and on a page with what it says
 - ``report.replay``: runs in 3-D, as a file
+
+Imports trace, model and redundancy; live, the command line and benchmarks import it.
 """

@@ -1,4 +1,4 @@
-"""The terminal: tables in colour, a progress bar for what takes long, nothing of it where nobody watches."""
+"""The terminal: tables in colour, a progress bar for what takes long, no bar where the output is no terminal."""
 
 from __future__ import annotations
 

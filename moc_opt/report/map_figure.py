@@ -147,7 +147,7 @@ def _broken(t: Array, degrees: Array, jump: float = 25.0) -> tuple[Array, Array]
 
 
 def _shown(degrees: Array, allowed: NDArray[np.bool_], step: float) -> list[float]:
-    """The allowed rows and a margin of grey: nobody needs a page of grey."""
+    """The range of swivels to draw: the allowed rows with 15 degrees of grey on either side."""
     rows = np.flatnonzero(allowed.any(axis=0))
     low, high = degrees[rows[0]] - 15.0, degrees[rows[-1]] + 15.0
     return [max(low, degrees[0] - 0.5 * step), min(high, degrees[-1] + 0.5 * step)]

@@ -144,7 +144,8 @@ def end_in_words(reading: Reading) -> str:
         End.RIDGE: "ends on the ridge",
         End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
         End.GREY: f"ends before the grey: the way up leads beyond {limit}",
-        End.STILL: "stays put, though the way up is open",
+        End.STILL: "stays put in the end, though the map shows a way up (joint limits are in it, the narrower "
+        "box of the third level is not)",
         End.RISING: "is still going up when the run ends",
         End.FALLING: "goes down when the run ends",
         End.ELSEWHERE: "folds the arm another way: the map does not hold there",

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
@@ -16,6 +17,9 @@ from rich.text import Text
 from moc_opt.errors import ReportError
 from moc_opt.report import notation, table_html
 from moc_opt.report.notation import Missing, Notation, is_number, printable
+
+EDGE, GAP, TEXT = 2, 3, 24
+"""Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,8 @@ class Table:
             return cells
         return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
 
-    def to_rich(self) -> RichTable:
-        """The table for a terminal."""
+    def to_rich(self, *, stacked: bool = False) -> RichTable:
+        """The table for a terminal; with ``stacked`` headings of several words stand one word below the other."""
         drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left")
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(self.caption)) if self.caption else None
@@ -126,13 +130,48 @@ class Table:
             cells = self.cells(column)
             pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
             columns.append([_rich(cell, pad) for cell in cells])
-            heading = Text(printable(column.title))
+            title = printable(column.title)
+            heading = Text("\n".join(title.split()) if stacked else title)
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
             drawn.add_column(heading, justify=column.align or table_html.alignment(cells))
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn
+
+    def fitted(self, width: int) -> list[RichTable]:
+        """The table in parts that a terminal of this width [characters] can show, the first column in each.
+
+        A column that is wider by itself gets a part of its own. The caption stands below the last part.
+        """
+        widths = [self._width(column) for column in self.columns]
+        parts: list[list[Column]] = [[self.columns[0]]]
+        used = EDGE + widths[0]
+        for column, wide in zip(self.columns[1:], widths[1:], strict=True):
+            if len(parts[-1]) > 1 and used + wide > width:
+                parts.append([self.columns[0]])
+                used = EDGE + widths[0]
+            parts[-1].append(column)
+            used += wide
+        if len(parts) == 1:
+            titles = [GAP + cell_len(printable(column.title)) for column in self.columns]
+            return [self.to_rich(stacked=EDGE + sum(map(max, widths, titles)) > width)]
+        return [
+            replace(
+                self, columns=part, title=self.title if k == 0 else f"{self.title} (continued)",
+                caption=self.caption if k == len(parts) - 1 else "",
+            ).to_rich(stacked=True)
+            for k, part in enumerate(parts)
+        ]  # fmt: skip
+
+    def _width(self, column: Column) -> int:
+        """What a column needs [characters]: its numbers whole, its heading stacked, long texts broken."""
+        cells = self.cells(column)
+        words = [*map(cell_len, printable(column.title).split())]
+        texts = [min(cell_len(cell.text), TEXT) for cell in cells if not cell.numeric]
+        pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
+        numbers = [cell_len(_rich(cell, pad).plain) for cell in cells if cell.numeric]
+        return GAP + max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
 
     def to_text(self) -> str:
         """The table as plain text, as wide as it needs to be."""

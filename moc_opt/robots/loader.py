@@ -162,7 +162,9 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     if path.suffix.lower() == ".toml":
         return path
     if isinstance(name_or_path, str) and os.sep not in name_or_path:
-        raise UnknownNameError("robot", name_or_path, known)
+        error = UnknownNameError("robot", name_or_path, known)
+        error.args = (f"{error}; or give the path of a robot's TOML or URDF file",)
+        raise error
     raise RobotError(
         f"robot file {str(path)!r} is neither .toml nor .urdf: give such a path, or one of {', '.join(known)}"
     )

@@ -1,4 +1,10 @@
-"""A validated scenario, and its run: the only composer."""
+"""A validated scenario, and its run: the only room that puts solver, controller and plant together.
+
+Read first: ``config`` (``Scenario``: every key of the TOML), then ``setup`` (``Setup`` builds the objects,
+``run`` makes a trace). ``layout`` lays the task out from a start, ``driver`` joins controller and loop,
+``agreement`` compares the two engines, ``rows`` prepares references by the block, ``exported`` writes the
+controller as C. Imported by live, the command line and benchmarks.
+"""
 
 from moc_opt.scenario.setup import (
     MocOptError,

@@ -38,7 +38,7 @@ class Driver:
         return self.controller.faults
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """See ``sim.loop.Brain``; one tick is run for nothing, so that no compiler runs in the loop."""
+        """See ``sim.loop.Brain``; run one discarded tick, so that compilation is over before the loop."""
         state = self._robot.state(q, v)
         self.controller.start(state, tip_ref, trocar)
         self.controller.tick(state, tip_ref, trocar)

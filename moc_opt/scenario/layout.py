@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.procedure import preflight
 from moc_opt.procedure.reachability import Reach
@@ -81,7 +81,11 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     point = state.tip - trocar.depth_m * state.tool_direction
     registered = Trocar(point, *(breathing(scenario) if trocar.breathing_known else (0.0,)))
     sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
-    path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
+    try:
+        path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
+    except MocOptError as error:
+        error.args = (f"[task] {error}",)  # of whichever kind it is
+        raise
     reference = Reference(path, task.v_max_m_per_s, task.a_max_m_per_s2, t_start=task.wait_s)
     duration_s = scenario.duration_s or task.wait_s + reference.duration + task.hold_s
     if not duration_s / scenario.plant.period_s <= MOST_TICKS:

@@ -103,12 +103,12 @@ class Setup:
             settings = settings.model_copy(
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
-            # one more in front, because a tick is run for nothing before the loop
+            # one more in front, for the discarded tick before the loop
             times = itertools.chain([0.0], np.where(self.spoilt(), 10.0 * budget, 0.0))
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
 
     def _replay(self) -> Iterator[float] | None:
-        """The recorded solve times from the start, their first one twice: a tick is run for nothing before the loop."""
+        """The recorded solve times from the start, their first one twice: one tick before the loop is discarded."""
         times = self._replayed_us
         return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
 
@@ -127,7 +127,7 @@ class Setup:
                     f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
                     "take [control] backend = 'python'"
                 )
-            from moc_opt.embedded import NativeController  # late: nobody else needs CasADi and a compiler
+            from moc_opt.embedded import NativeController  # late: only C needs CasADi and a compiler
 
             return NativeController(
                 self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s

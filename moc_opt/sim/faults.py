@@ -58,7 +58,7 @@ class FaultSettings(PacketSettings):
 
     @property
     def around_the_arm(self) -> bool:
-        """Whether anything but the solver is disturbed: if not, nobody needs to be asked at every tick."""
+        """Whether anything but the solver is disturbed: if not, the loop need not ask at every tick."""
         solver = {"solver", "solver_share"}
         return any(
             getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver

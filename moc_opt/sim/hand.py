@@ -41,7 +41,7 @@ class Hand:
 
     force = D (wish - velocity) + f, |force| <= force_max, where the wish is a velocity towards the goal,
     (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
-    the hand is content: a person who sees that the tip stops short pulls harder.
+    the hand counts as arrived: a person who sees that the tip stops short pulls harder.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:

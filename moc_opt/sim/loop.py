@@ -56,7 +56,7 @@ def no_collector() -> Iterator[None]:
 
 
 def _blank(columns: Mapping[str, NDArray[Any]], row: int) -> None:
-    """In a damped stop nobody is asked: the third level's last words are not those of this tick."""
+    """Clear the third level's columns of a damped stop: no solver runs, and the last answer is not this tick's."""
     for name, value in _STOPPED.items():
         if name in columns:
             columns[name][row] = value

@@ -1,6 +1,6 @@
 """What goes wrong on the way from the encoders to the controller: frozen, late, repeated and drifting measurements.
 
-Each packet carries the number of the control period in which it was taken. A sensor or a buffer may lie about it
+Each packet carries the number of the control period in which it was taken. A sensor or a buffer may give a wrong one
 (``forged_stamps``): old readings then come with numbers that are up to date.
 """
 

@@ -26,7 +26,7 @@ class PlantSettings(Settings):
         UnknownNameError: a field does not exist; the message lists the nearest ones.
     """
 
-    KIND: ClassVar[str] = "plant setting"
+    KIND: ClassVar[str] = "[plant]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
     period_s: float = Field(0.002, gt=0, le=0.1, description="control period")

@@ -1,4 +1,4 @@
-"""Solvers by name. A new one is a file beside this one and a line in ``BUILT_IN``."""
+"""Solvers by name. A new one is a file in ``backends``, ``neural`` or ``nlp`` and a line in ``BUILT_IN``."""
 
 from __future__ import annotations
 

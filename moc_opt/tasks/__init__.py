@@ -1,4 +1,9 @@
-"""What the tool has to do: paths for its tip, the time law along them, the trocar it must pass through."""
+"""What the tool has to do: paths for its tip, the time law along them, the trocar it must pass through.
+
+Read first: ``curves`` (shapes; add yours to ``CURVES``) and ``paths`` (a shape put into space), then
+``timelaw`` (``Reference``: X_d and its derivatives) and ``trocar``. ``sequence`` joins references,
+``waiting`` lets one wait. Imports ``errors`` and numpy alone.
+"""
 
 from __future__ import annotations
 

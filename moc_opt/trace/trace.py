@@ -69,7 +69,7 @@ class Trace:
             "fault": Column(
                 "",
                 "(N,)",
-                "why the answer was refused, as a control.supervisor.Fault; 'stopped': nobody was asked",
+                "why the answer was refused, as a control.supervisor.Fault; 'stopped': braking, no solver was asked",
                 "text",
             ),
             "injected": Column("", "(N,)", "the answer of this tick was spoilt on purpose", "flag"),

@@ -44,7 +44,7 @@ double moc_clock_us(void)
 }
 #endif
 
-/* A number that nobody expects. */
+/* An extreme number: NaN, infinite, denormal or huge, and ordinary ones between. */
 static double extreme(void)
 {
     static const double strange[] = {0.0, -0.0, 1e300, -1e300, 1e-300, 5e-324, 1.7976931348623157e308, 1e16, -1e16,

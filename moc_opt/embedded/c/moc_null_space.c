@@ -4,7 +4,7 @@
 
 #include "moc_dense.h"
 
-/* Of the first pivot: below LOST a pivot is rounding, above OWN it is one; see solvers/elimination.py. */
+/* Of the first pivot: below LOST a pivot is rounding, above OWN it is one; see moc_opt/solvers/exact/elimination.py. */
 #define LOST 1e-13
 #define OWN 3e-11
 

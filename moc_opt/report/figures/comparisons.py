@@ -108,7 +108,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
-    """Stacked bars, one per solver: how many answers were optimal, how many honest failures, how many wrong.
+    """Stacked bars, one per solver: how many answers were optimal, how many were said to have failed, how many wrong.
 
     Args:
         counts: name -> outcome -> number of answers; the outcomes are the keys of `OUTCOMES`, absent ones are 0.

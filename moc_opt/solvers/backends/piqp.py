@@ -70,7 +70,7 @@ class PIQPSession:
 
     def _build(self, qp: NullSpaceQP) -> None:
         m, n = equalities(qp, self._settings.rows).A.shape
-        # The library wants columns; handed rows it would copy them at every call.
+        # The library stores matrices by columns; rows it would copy at every call.
         self._P, self._A, self._p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         self._b, self._lower, self._upper = np.empty(m), np.empty(n), np.empty(n)
         self._load = Loader(

@@ -103,7 +103,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
     beyond = answer(plane, rank, V, row, x, y)
     if status == OK and beyond > tolerance:
         return EMPTY
-    # Rows that are neither independent nor repeated: nobody can say which velocities they allow.
+    # Rows that are neither independent nor repeated: which velocities they allow cannot be told.
     return STUCK if status == OK and elimination.left_over(plane, x) > LEFT else status
 
 

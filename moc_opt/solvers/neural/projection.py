@@ -120,7 +120,7 @@ class RNN:
     """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
 
     The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
-    obey h k < c0. Multiplying all of c0, c1, c2 and damping by ``scale`` leaves the solution as it is
+    keep h k < c0. Multiplying all of c0, c1, c2 and damping by ``scale`` leaves the solution as it is
     and lets the step grow with it: scale = 100, k = 0.5, h = 1 need about 1.4e3.
 
     Args:

@@ -1,1 +1,6 @@
-"""The nonlinear program of the same tick."""
+"""One control period as a nonlinear program: ``nlp`` has mu itself in the cost instead of its gradient.
+
+Its solvers ``nlp-sqp``, ``nlp-ipopt`` and ``nlp-fatrop`` are given the kinematics as CasADi functions, and
+answer another problem than the linear one: the judge of the linear one does not verify them
+(docs/solvers.md).
+"""
