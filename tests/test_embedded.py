@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.safety_filter import GuardSettings
 from moc_opt.control.settings import PAPER
+from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
 from moc_opt.embedded.layout import layout
-from moc_opt.embedded.support import OBEYED
+from moc_opt.embedded.support import GUARDED, OBEYED, SUPERVISED
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.robot_model import RobotModel
@@ -215,6 +217,12 @@ def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) ->
     build_tick(robot, Later(), Exact(), PERIOD)
     with pytest.raises(ControlError, match=r"sharpness = 2.0 is not known"):
         build_tick(robot, Later(sharpness=2.0), Exact(), PERIOD)
+
+
+def test_every_setting_of_guard_and_supervisor_is_in_c() -> None:
+    """One that is forgotten would be refused by name only where its value is not the default."""
+    assert set(GuardSettings.model_fields) == GUARDED
+    assert set(SupervisorSettings.model_fields) == SUPERVISED
 
 
 # ---- compiled ------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import numpy as np
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.motion import SETTLED
+from moc_opt.control.motion_kernels import FIRST_TICKS
 from moc_opt.control.safety_filter import PRESS_PER_S, GuardSettings
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
@@ -140,6 +141,9 @@ def _motion(guard: GuardSettings, period: float) -> dict[str, str]:
         "MOC_REPEAT_M": number(guard.repeat_m),
         "MOC_REPEAT_TORQUE": number(guard.repeat_torque),
         "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
+        "MOC_REPEAT_WHOLE_M": number(guard.repeat_whole_m),
+        "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
+        "MOC_FIRST_TICKS": str(round(FIRST_TICKS)),
         "MOC_STUCK_TORQUE": number(guard.stuck_torque),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),

@@ -51,6 +51,17 @@ static void compare_wrench(const double *wrench, moc_motion_state *state)
             state->wrench_repeats = 0.0;
         state->wrench[i] = wrench[i];
     }
+    if (state->first_wrenches < MOC_FIRST_TICKS) {
+        state->first_wrenches++;
+        state->wrench_repeated |= state->wrench_repeats > 0.0;
+    }
+}
+
+/* Whether a wrench sensor with noise has repeated itself for too long, at rest too. */
+static int whole_repeats(const moc_motion_state *state)
+{
+    return state->first_wrenches >= MOC_FIRST_TICKS && !state->wrench_repeated &&
+           state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS;
 }
 
 /* Joint i: position against velocity, and whether it repeats itself. Returns whether it runs away from its velocity. */
@@ -94,12 +105,13 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
             state->still[i] = state->told[i];
         return ran_away ? MOC_STOP_RAN_AWAY : 0;
     }
-    double least = state->wrench_repeats > MOC_PATIENCE_TICKS ? MOC_REPEAT_WHOLE_TORQUE : MOC_REPEAT_TORQUE;
+    int whole = state->wrench_repeats > MOC_PATIENCE_TICKS;
+    double least = whole ? MOC_REPEAT_WHOLE_TORQUE : MOC_REPEAT_TORQUE, way = whole ? MOC_REPEAT_WHOLE_M : MOC_REPEAT_M;
     for (int i = 0; i < 3; i++)
-        moved |= fabs(state->told[i] - state->still[i]) > MOC_REPEAT_M;
+        moved |= fabs(state->told[i] - state->still[i]) > way;
     for (int i = 0; i < MOC_N; i++)
         moved |= fabs(tau[i] - state->torque[i]) > least * moc_tau_max[i];
-    if (moved)
+    if (moved || whole_repeats(state))
         return MOC_STOP_REPEATED;
     return ran_away ? MOC_STOP_RAN_AWAY : 0;
 }

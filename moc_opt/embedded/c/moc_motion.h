@@ -28,6 +28,8 @@ typedef struct {
     double still[3];         /* where that was when all encoders had repeated themselves for the patience [m] */
     double wrench[6];        /* the last one */
     double wrench_repeats;   /* ticks in a row in which it was the same */
+    int first_wrenches;      /* counted up to MOC_FIRST_TICKS */
+    int wrench_repeated;     /* whether it ever was the same in them: where it never was, its sensor has noise */
     int weighed;             /* ticks that were weighed; it stays where it cannot count any further */
 } moc_motion_state;
 
