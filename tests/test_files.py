@@ -43,6 +43,13 @@ def test_every_reader_refuses_what_is_no_regular_file(load, error, tmp_path):
             load(tmp_path / name)
 
 
+def test_a_name_that_becomes_that_of_a_pipe_after_the_check_is_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "fifo")
+    monkeypatch.setattr("moc_opt.inputs.files.check_regular", lambda *arguments: 0)
+    with pytest.raises(MocOptError, match="fifo.*no regular file"):
+        read_bytes(tmp_path / "fifo", "scenario", MocOptError)
+
+
 def test_no_writer_puts_a_file_in_the_place_of_a_pipe_or_device(tmp_path):
     """A rename would: `--trace /dev/null` would leave the machine without one."""
     made = Scenario(duration_s=0.02, bound_samples=0)
