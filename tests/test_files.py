@@ -46,7 +46,7 @@ def test_every_reader_refuses_what_is_no_regular_file(load, error, tmp_path):
 def test_a_name_that_becomes_that_of_a_pipe_after_the_check_is_refused(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "fifo")
     monkeypatch.setattr("moc_opt.inputs.files.check_regular", lambda *arguments: 0)
-    with pytest.raises(MocOptError, match="fifo.*no regular file"):
+    with pytest.raises(MocOptError, match=r"fifo.*no regular file"):
         read_bytes(tmp_path / "fifo", "scenario", MocOptError)
 
 
