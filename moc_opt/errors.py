@@ -73,13 +73,24 @@ def shown(value: object, most: int = 200) -> str:
 
 
 def describe(error: BaseException, most: int = 300) -> str:
-    """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code."""
+    """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code.
+
+    Whatever its text raises (but a user's Ctrl-C) is named instead, and no character in it steers a terminal.
+    """
     try:
         said = " ".join(str(error).split())
-    except (Exception, SystemExit) as worse:  # noqa: BLE001 - an exception whose text cannot be had
-        said = f"(its text raised {type(worse).__name__})"
-    text = f"{type(error).__name__}: {said}" if said else type(error).__name__
-    return text if len(text) <= most else text[: most - 3] + "..."
+    except KeyboardInterrupt:
+        raise
+    except BaseException as worse:  # noqa: BLE001 - an exception whose text cannot be had
+        said = f"(its text raised {_type_name(worse)})"
+    text = f"{_type_name(error)}: {said}" if said else _type_name(error)
+    text = text if len(text) <= most else text[: most - 3] + "..."
+    return "".join(c if c.isprintable() else "\ufffd" for c in text)
+
+
+def _type_name(value: object) -> str:
+    # Not value's own word for it: a metaclass may answer anything, or raise.
+    return str(type.__dict__["__name__"].__get__(type(value)))
 
 
 class ReportError(MocOptError, ValueError):

@@ -91,8 +91,8 @@ def test_what_breaks_off_is_a_result(trial):
 
 def test_a_stopped_run_enters_no_mean_and_an_oscillating_one_is_counted(trial):
     """Both are whole rows of rows.parquet, the part marked as one."""
-    whole = trial.change(duration_s=2.0, control={"damping": 0.0, **STIFF})
-    shaken = whole.change(guard={"rcm_error_m": None, "trocar_force_N": None, "tip_error_m": 0.1})
+    whole = trial.change(duration_s=2.0, control=STIFF, plant={"delay_ticks": 2})
+    shaken = whole.change(guard={"rcm_error_m": None, "trocar_force_N": None, "tip_error_m": 0.1, "motion": False})
     stopped = trial.change(guard={"rcm_error_m": 1e-6, "rcm_warning_m": 1e-6})
     with Worker() as worker:
         runs = [run_one(Store(None), worker, case, "a", None) for case in (trial, shaken, stopped)]

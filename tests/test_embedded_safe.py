@@ -135,6 +135,12 @@ RUNS: dict[str, dict[str, Any]] = {
     "frozen": {"faults": {"frozen_at_s": 0.8}},
     "frozen-forged": {"faults": {"frozen_at_s": 0.8, "forged_stamps": True}},
     "frozen-forged-still": {"faults": {"frozen_at_s": 0.3, "forged_stamps": True, "frozen_velocity": "zero"}},
+    "frozen-forged-rest": {"faults": {"frozen_at_s": 0.5, "forged_stamps": True}, "task": {"wait_s": 2.2},
+                           "control": {"law": "dcac", "observer_gain_per_s": 0.0}},
+    "frozen-forged-way": {"faults": {"frozen_at_s": 0.45, "forged_stamps": True},
+                          "control": {"law": "dcac", "observer_gain_per_s": 0.0},
+                          "guard": {"repeat_torque": 10.0, "repeat_whole_torque": 10.0, "repeat_whole_ticks": 10_000,
+                                    "motion_rad": 1.0}},
     "frozen-joint": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 2, "frozen_velocity": "zero"}},
     "frozen-joint-heavy": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 2, "frozen_velocity": "zero"},
                            "guard": {"residual_torque": 10.0}},
@@ -180,7 +186,8 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
     stops = {
         "nan": "measurements", "jump": "measurements", "slip": "the trocar's force",
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
-        "frozen-forged-still": "all encoders repeat", "frozen-joint": "the torque went",
+        "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
+        "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
         "frozen-whole-at-rest": "all encoders repeat",
         "frozen-joint-heavy": "an encoder repeats", "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip

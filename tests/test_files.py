@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import MocOptError, RobotError, ScenarioError, TraceError, shown
+from moc_opt.errors import MocOptError, ReportError, RobotError, ScenarioError, TraceError, shown
 from moc_opt.inputs.files import (
     check_values,
     file_in,
@@ -23,7 +23,8 @@ from moc_opt.inputs.files import (
     to_json,
 )
 from moc_opt.model.robot_model import load_robot
-from moc_opt.scenario import Scenario
+from moc_opt.report.document import save_document
+from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -40,6 +41,32 @@ def test_every_reader_refuses_what_is_no_regular_file(load, error, tmp_path):
         make(tmp_path / name)
         with pytest.raises(error, match=name):
             load(tmp_path / name)
+
+
+def test_a_name_that_becomes_that_of_a_pipe_after_the_check_is_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "fifo")
+    monkeypatch.setattr("moc_opt.inputs.files.check_regular", lambda *arguments: 0)
+    with pytest.raises(MocOptError, match=r"fifo.*no regular file"):
+        read_bytes(tmp_path / "fifo", "scenario", MocOptError)
+
+
+def test_no_writer_puts_a_file_in_the_place_of_a_pipe_or_device(tmp_path):
+    """A rename would: `--trace /dev/null` would leave the machine without one."""
+    made = Scenario(duration_s=0.02, bound_samples=0)
+    trace = Setup(made).trace()
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "folder").mkdir()
+    os.symlink("/dev/null", tmp_path / "null")
+    for name in ("fifo", "folder", "null"):
+        path, before = tmp_path / name, os.lstat(tmp_path / name)
+        with pytest.raises(TraceError, match=f"{name}.*a folder, pipe or device is there"):
+            Setup(made).trace(lambda tick: pytest.fail("it ran first"), path)
+        with pytest.raises(TraceError, match="pipe or device is there"):
+            trace.save(path)
+        with pytest.raises(ReportError, match="pipe or device is there"):
+            save_document(path, "text", "page", str)
+        assert os.lstat(path) == before
+    assert sorted(os.listdir(tmp_path)) == ["fifo", "folder", "null"]
 
 
 def test_a_file_is_measured_before_it_is_read(tmp_path):

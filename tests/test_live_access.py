@@ -82,6 +82,11 @@ def test_no_other_token_opens(token: str) -> None:
     assert refusal(asked("/", Cookie=f"{cookie(PORT + 1)}={TOKEN}"))
 
 
+def test_a_token_of_bytes_that_are_no_text_is_a_wrong_one() -> None:
+    """A server hands them on as lone surrogates."""
+    assert "token" in refusal(asked("/?token=\udcff%ff%00"))
+
+
 def test_a_public_page_is_asked_for_by_its_numbers_or_its_own_name() -> None:
     assert refusal(asked(Host=f"10.1.2.3:{PORT}"), "0.0.0.0", "0.0.0.0") == ""
     assert refusal(asked(Host=f"evil.example:{PORT}"), "0.0.0.0", "0.0.0.0")

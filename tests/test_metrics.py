@@ -264,7 +264,7 @@ def test_registration_refuses_taken_names_and_silence() -> None:
         """Another one."""
         return 0.0
 
-    with pytest.raises(TraceError, match=r"'mu_mean' is there already, from moc_opt\.metrics"):
+    with pytest.raises(TraceError, match=r"'mu_mean' is there already, from moc_opt\.trace\.metrics"):
         metric(mu_mean)
 
     def unexplained(trace: Trace) -> float:

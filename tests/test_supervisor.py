@@ -819,6 +819,37 @@ class Mute(Exception):
         raise ValueError("no text")
 
 
+class Leaving(BaseException):
+    def __str__(self):
+        raise GeneratorExit
+
+
+def nameless(text):
+    """An exception whose class raises where it is asked for its name."""
+
+    class Unnamed(type):
+        @property
+        def __name__(cls):
+            raise ValueError("no name")
+
+    return Unnamed("Nameless", (Exception,), {})(text)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (Leaving, "Leaving: (its text raised GeneratorExit)"),
+        (nameless, "Nameless: boom 1"),
+        (lambda text: ValueError(f"\x1b]0;{text}\x07\u202e"), "ValueError: \ufffd]0;boom 1\ufffd\ufffd"),
+    ],
+    ids=["leaving", "nameless", "control"],
+)
+def test_what_an_exception_says_of_itself_ends_no_run_and_steers_no_terminal(error, said, qp, Z):
+    mine = supervisor()
+    mine.solve(Booms(qp, error), qp, Z)
+    assert mine.firsts["raised"] == (0, said)
+
+
 def test_what_a_solver_raised_first_is_kept_in_its_own_words(qp, Z):
     mine = supervisor()
     mine.solve(Scripted(solved(qp)), qp, Z)

@@ -79,6 +79,21 @@ def test_whatever_ends_a_run_leaves_its_rows(error, tmp_path):
     assert 0.0 < summarize(found)["share_of_run"] < 1.0
 
 
+def test_a_change_of_the_working_directory_loses_no_row(tmp_path, monkeypatch):
+    """As a solver's library may make one."""
+    (tmp_path / "away").mkdir()
+    monkeypatch.chdir(tmp_path)
+
+    def watch(tick):
+        if tick == 70:
+            os.chdir("away")
+
+    found = Setup(Scenario(**SHORT)).trace(watch, "t.parquet", block=50)
+    assert len(Trace.load(tmp_path / "t.parquet")) == len(found) == 200
+    assert sorted(os.listdir(tmp_path)) == ["away", "t.parquet"]
+    assert os.listdir(tmp_path / "away") == []
+
+
 def test_an_arm_that_runs_away_leaves_its_trace(tmp_path, monkeypatch):
     step, calls = Plant.step, iter(range(10**6))
 

@@ -61,6 +61,22 @@ def check_regular(path: Path_, what: str, error: Wrong, most: int = MOST_DATA) -
     return found.st_size
 
 
+def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
+    """Check that a file may be put here: nothing is there yet, or a regular file.
+
+    A rename puts the new file in the place of a pipe or a device too, /dev/null among them.
+
+    Args:
+        path, what, error: as `check_regular`.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return  # nothing there; what else is wrong with the name is found where it is written
+    if not stat.S_ISREG(mode):
+        raise error(f"{what} {_named(path)} cannot be written: a folder, pipe or device is there; give another name")
+
+
 def read_bytes(path: Path_, what: str, error: Wrong, most: int = MOST_TEXT) -> bytes:
     """Read a regular file of at most ``most`` bytes; arguments as `check_regular`."""
     check_regular(path, what, error, most)

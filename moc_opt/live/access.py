@@ -77,7 +77,7 @@ class Access:
             return "another site asks"
         given = [*parse_qs(urlsplit(request.path).query).get("token", []), *_cookies(request, cookie(port))]
         # As bytes: a token of other characters than ASCII is a wrong one, not an error.
-        if not any(hmac.compare_digest(one.encode(), self.token.encode()) for one in given):
+        if not any(hmac.compare_digest(one.encode(errors="replace"), self.token.encode()) for one in given):
             return "open the address that was printed where this page was started; it holds a token"
         return ""
 

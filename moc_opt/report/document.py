@@ -12,6 +12,7 @@ from string import Template
 from urllib.parse import quote
 
 from moc_opt.errors import ReportError
+from moc_opt.inputs.files import check_replaceable
 from moc_opt.report.table_html import escape
 
 MAX_BYTES = 8_000_000
@@ -75,6 +76,7 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
     if len(content) > MAX_BYTES:
         sizes = f"{len(content) / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}"
         raise ReportError(f"{file}: the {what} has {sizes}: {cure()}")
+    check_replaceable(file, what, ReportError)
     unfinished = file.with_name(f".{file.name}.{os.getpid()}.part")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -166,7 +166,8 @@ class Setup:
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
         if to is not None:
-            return self._streamed(Path(to), meta, watch, block)
+            # Absolute: a solver may leave the process in another working directory.
+            return self._streamed(Path(to).absolute(), meta, watch, block)
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import MOST_TEXT, check_regular, parse_json
+from moc_opt.inputs.files import MOST_TEXT, check_regular, check_replaceable, parse_json
 from moc_opt.inputs.memory import available_bytes
 
 Columns = Mapping[str, NDArray[Any]]
@@ -67,6 +67,7 @@ def join(path: str | os.PathLike[str], blocks: Sequence[Columns], types: Types, 
         _TYPES_KEY: json.dumps({name: dtype.str for name, dtype in types.items()}, allow_nan=False),
     }
     target = Path(path)
+    check_replaceable(target, "trace", TraceError)
     # In the same directory, because only there is a rename atomic.
     partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
     writer = None

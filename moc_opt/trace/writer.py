@@ -17,7 +17,7 @@ from typing import Any, Self
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import file_in, read_json
+from moc_opt.inputs.files import check_replaceable, file_in, read_json
 from moc_opt.trace.parquet import Columns, Stored, join, write
 
 KILLED = "interrupted: the process ended before the run did"
@@ -32,7 +32,7 @@ class TraceWriter:
         meta: of the run, as far as it is known before it; JSON values.
 
     Raises:
-        TraceError: another process writes there, or the folder cannot be written.
+        TraceError: another process writes there, something that is no file is there, or the folder cannot be written.
     """
 
     def __init__(self, path: str | os.PathLike[str], meta: Mapping[str, Any]) -> None:
@@ -43,6 +43,7 @@ class TraceWriter:
         self._lock: int | None = None
 
     def __enter__(self) -> Self:
+        check_replaceable(self.path, "trace", TraceError)  # before the run, not after it
         try:
             self.folder.mkdir(exist_ok=True)
             self._lock = os.open(self.folder / _LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)
