@@ -186,7 +186,6 @@ def test_swivel_says_when_rows_repeat(swivel_function: Any) -> None:
         ({}, None, r"\[solver\] name = None"),
         ({}, "rnn", r"\[solver\] name = 'rnn'.*'exact' only"),
         ({"law": "dcac"}, "exact", "'dcac' takes no solver"),
-        ({"fallback": "least-violation"}, "exact", r"\[control\] fallback = 'least-violation'.*'damping' or 'hold'"),
         ({"observer_gain_per_s": 600.0}, "exact", r"observer_gain_per_s = 600.0.*below 500"),
     ],
 )  # fmt: skip

@@ -63,8 +63,10 @@ def counter(library: ctypes.CDLL) -> ctypes.c_ulong:
 
 
 @pytest.mark.parametrize(
-    "control", [{}, {"fallback": "hold", "supervisor": {"hold_ticks": 0}}, {"law": "dcac", "dcac_damping": 3.0}],
-    ids=["default", "hold", "dcac"],
+    "control",
+    [{}, {"fallback": "damping"}, {"fallback": "hold", "supervisor": {"hold_ticks": 0}},
+     {"law": "dcac", "dcac_damping": 3.0}],
+    ids=["default", "damping", "hold", "dcac"],
 )  # fmt: skip
 def test_no_step_does_more_than_is_stated(
     counting: Callable[..., Any], robot: RobotModel, control: dict[str, Any]

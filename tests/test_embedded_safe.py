@@ -160,7 +160,8 @@ RUNS: dict[str, dict[str, Any]] = {
     "slip": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8}},
     "violent": {"control": {"ramp_s": 0.0, "speed_fraction": 1.0, "K_N2": 80.0}, "start": {"swivel": "random"}},
     "rate": {"guard": {"torque_rate_Nm_per_s": 100.0, "tip_error_m": 0.1}},
-    "infeasible-damping": {"control": NARROW},
+    "infeasible-damping": {"control": {**NARROW, "fallback": "damping"}},
+    "infeasible-least": {"control": {**NARROW, "fallback": "least-violation"}},
     "infeasible-hold": {"control": {**NARROW, "fallback": "hold"}},
     "infeasible-hold-short": {"control": {**NARROW, "fallback": "hold", "supervisor": {"hold_ticks": 0}}},
     "infeasible-hold-damping": {
@@ -274,7 +275,8 @@ ELBOWS = {
 @pytest.mark.parametrize(
     "control",
     [
-        {}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}}, {"damping": 0.0},
+        {}, {"fallback": "damping"}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}},
+        {"damping": 0.0},
         {"preset": "paper"}, {"law": "dcac"}, {"law": "dcac", "dcac_damping": 3.0}, {"projector": "static"},
     ],
     ids=lambda control: "-".join(f"{value}" for value in control.values()) or "default",

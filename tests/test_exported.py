@@ -25,6 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 LAWS: dict[str, dict[str, Any]] = {
     "default": {},
+    "damping": {"control": {"fallback": "damping"}},
     "hold": {"control": {"fallback": "hold", "supervisor": {"hold_ticks": 2}}},
     "budget": {"control": {"supervisor": {"budget_us": 1000.0, "late": "iterate"}}},
     "dcac": {"control": {"law": "dcac"}},
@@ -171,7 +172,6 @@ def test_no_heap_no_recursion_and_every_loop_is_bounded(exported: tuple[Path, Ex
     [
         ({"solver": {"replay_us": [10.0]}}, ScenarioError, r"\[solver\] replay_us = \(10.0,\).*leave it out"),
         ({"solver": {"name": "rnn"}}, ControlError, r"\[solver\] name = 'rnn'.*'exact' only"),
-        ({"control": {"fallback": "least-violation"}}, ControlError, r"fallback = 'least-violation'.*'hold'"),
     ],
 )  # fmt: skip
 def test_what_c_cannot_do_is_refused_by_name(tmp_path: Path, tables: Any, kind: Any, words: str) -> None:

@@ -58,12 +58,14 @@ PAPER: dict[str, Any] = {
     "observer_gain_per_s": 0.0,
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
+    "fallback": "damping",
     "ramp_s": 0.0,
 }
 
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
 TUNED: dict[str, Any] = {
     "gains": "default",
+    "fallback": "damping",
     "K_N": 1670.0,
     "D_N": 74.2,
     "K_N2": 22.9,
@@ -120,7 +122,7 @@ class ControlSettings(Settings):
     c2: NotNegative = 0.001
     damping: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
     fallback: Literal["damping", "hold", "least-violation"] = Field(
-        default="damping", description="the answer to an infeasible subproblem"
+        default="least-violation", description="the answer to an infeasible subproblem"
     )
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
         default=0.5, description="of v_max in the box on x: limits how fast the elbow travels; the paper has 1"

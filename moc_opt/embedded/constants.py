@@ -17,6 +17,7 @@ from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.solver import Exact
 
 LATE = ("hold", "zero", "iterate")
+FALLBACKS = ("damping", "hold", "least-violation")
 DEFAULT_GUARD = GuardSettings()
 
 _HEADER = """\
@@ -90,10 +91,15 @@ def _law(tick: Tick, control: ControlSettings, solver: Solver | None, period: fl
     }
 
 
+def _macro(name: str) -> str:
+    return name.upper().replace("-", "_")
+
+
 def _supervisor(control: ControlSettings) -> dict[str, str]:
     watch = control.supervisor
     return {
-        "MOC_HOLDS_INFEASIBLE": str(int(control.fallback == "hold")),
+        **{f"MOC_FALLBACK_{_macro(name)}": str(code) for code, name in enumerate(FALLBACKS)},
+        "MOC_FALLBACK": f"MOC_FALLBACK_{_macro(control.fallback)}",
         "MOC_CHECK": str(int(watch.check)),
         "MOC_PRIMAL_LIMIT": number(watch.primal_limit),
         "MOC_RELATIVE_LIMIT": number(watch.relative_limit),

@@ -68,7 +68,7 @@ def c_files(
         "moc_tick.c": source.implementation(tick),
     }
     texts |= constants(tick, robot, settings, solver, period, guard)
-    return tick, texts | program.read(*program.TICK)
+    return tick, texts | program.bare(tick)
 
 
 def safe_files(

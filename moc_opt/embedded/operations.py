@@ -11,7 +11,7 @@ from __future__ import annotations
 from moc_opt.embedded.symbolic import Tick
 
 SWEEPS = 50
-"""of moc_retreat, as moc_answer.c defines it"""
+"""of moc_retreat and moc_least_violation, as moc_answer.c and moc_fallback.c define it"""
 
 
 def dot(m: int) -> int:
@@ -54,6 +54,11 @@ def retreat(n: int, rows: int) -> int:
     return shortest + 2 * n * rows + SWEEPS * sweep + 1 + n * (2 * rows + 5)
 
 
+def least_violation(n: int) -> int:
+    """moc_least_violation with all its sweeps."""
+    return n * (2 + 12) + 6 * (dot(n) + 1) + SWEEPS * n * (1 + 12 + 4 + 18) + all_finite(n)
+
+
 def orthonormalise(n: int, rows: int) -> int:
     """moc_orthonormalise."""
     return sum(2 * (i * (dot(n) + 2 * n) + dot(n) + 1 + n) for i in range(rows))
@@ -91,7 +96,7 @@ def worst_path(tick: Tick) -> dict[str, int]:
         "generated equations": tick.tick.n_instructions(),
         "third level": third_level(n, rows),
         "supervisor": judge(n, rows) + 12 if solves else 0,
-        "retreat": retreat(n, rows) if solves else 0,
+        "fallback": max(retreat(n, rows), least_violation(n)) if solves else 0,
         "straight elbow": straight_elbow(n) if tick.rows else 0,
         "guard": guard(n, tick.gravity.n_instructions(), tick.tool_pose.n_instructions()),
     }

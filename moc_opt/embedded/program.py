@@ -10,8 +10,10 @@ from moc_opt.embedded.symbolic import Tick
 TICK = ("moc_dense", "moc_level3")
 """What the bare tick needs beside what is generated."""
 GUARDED = ("moc_arm.h", "moc_guard", "moc_incision", "moc_motion", "moc_safe")
+FALLBACK = ("moc_fallback", "moc_subproblem.h")
+"""What it needs beside that where it solves."""
 SINGULAR = ("moc_null_space",)
-SOLVING = ("moc_supervisor", "moc_answer", "moc_singular", "moc_subproblem.h")
+SOLVING = ("moc_supervisor", "moc_answer", "moc_singular")
 
 
 def read(*names: str) -> dict[str, str]:
@@ -23,10 +25,19 @@ def read(*names: str) -> dict[str, str]:
     return {name: (folder / name).read_text(encoding="utf-8") for name in found}
 
 
+def solves(tick: Tick) -> bool:
+    """Whether its law asks for an x at every tick."""
+    return any(field.name == "x" for field in tick.layout.report)
+
+
+def bare(tick: Tick) -> dict[str, str]:
+    """What the bare tick stands on."""
+    return read(*TICK, *(FALLBACK if solves(tick) else ()))
+
+
 def guarded(tick: Tick) -> dict[str, str]:
     """Supervisor, guard and what they stand on, for the law of this tick."""
-    solves = any(field.name == "x" for field in tick.layout.report)
-    return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves else ()))
+    return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))
 
 
 def makefile(names: Iterable[str], flags: str, tested: bool) -> str:

@@ -65,11 +65,6 @@ def check_supported(
         raise ControlError(f"[solver] name = {name!r}: generated C contains 'exact' only; take that one")
     if not moc and solver is not None:
         raise ControlError(f"law: 'dcac' takes no solver, given {solver.name!r}; leave it out")
-    if moc and settings.fallback == "least-violation":
-        raise ControlError(
-            "[control] fallback = 'least-violation' iterates, which generated C does not: "
-            "take 'damping' or 'hold'"
-        )
     _refuse_unknown(settings, OBEYED)
     _refuse_unknown(settings.supervisor, SUPERVISED)
     if not 0.0 <= settings.observer_gain_per_s * period < 1.0:

@@ -115,6 +115,9 @@ IMPLEMENTATION = Template(
 
     #include "moc_dense.h"
     #include "moc_level3.h"
+    #if MOC_SOLVES
+    #include "moc_fallback.h"
+    #endif
 
     $prologue
     $generated
@@ -184,8 +187,10 @@ FOLLOW = {
     "solver": """\
     if (status == MOC_TICK_OK)
         memcpy(next.held_x, seen->x, sizeof seen->x);
+    else if (status == MOC_TICK_INFEASIBLE && MOC_FALLBACK == MOC_FALLBACK_LEAST_VIOLATION)
+        moc_least_violation(seen->subproblem, seen->x);
     else
-        memcpy(seen->x, MOC_HOLDS_INFEASIBLE ? next.held_x : rest, sizeof seen->x);
+        memcpy(seen->x, MOC_FALLBACK == MOC_FALLBACK_HOLD ? next.held_x : rest, sizeof seen->x);
     moc_tick_follow(v, seen->x, seen->null_space, MOC_ROWS, seen, &next, torque);""",
     "damping": "    moc_tick_follow(v, rest, seen->null_space, MOC_ROWS, seen, &next, torque);",
     "levels": "    moc_tick_follow(v, rest, NULL, 0, seen, &next, torque);",

@@ -4,6 +4,7 @@
 #include <math.h>
 
 #include "moc_answer.h"
+#include "moc_fallback.h"
 #include "moc_tick.h"
 
 void moc_supervisor_start(moc_supervisor_state *state)
@@ -50,7 +51,11 @@ void moc_supervise(int status, const double *record, const double *Z, int rows, 
         state->counts[fault]++;
     if (state->age < INT_MAX)
         state->age++;
-    if (fault == MOC_FAULT_INFEASIBLE && !MOC_HOLDS_INFEASIBLE)
+    if (fault == MOC_FAULT_INFEASIBLE && MOC_FALLBACK == MOC_FALLBACK_LEAST_VIOLATION) {
+        moc_least_violation(record, x);
+        return;
+    }
+    if (fault == MOC_FAULT_INFEASIBLE && MOC_FALLBACK == MOC_FALLBACK_DAMPING)
         chosen = rest;
     else if (fault == MOC_FAULT_LATE && MOC_LATE != MOC_LATE_HOLD)
         chosen = MOC_LATE == MOC_LATE_ITERATE ? answer : rest;
