@@ -59,6 +59,8 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
             lines.append(_row([f"`{name}`{star}", *counts, *figures]))
     runs = closed[BASELINE].get("runs", 0)
     trials = f"{runs} {'trial' if runs == 1 else 'trials'} from random poses"
+    cut = environment.get("config", {}).get("closed_loop", {}).get("duration_s")
+    trials += f" (the first {cut:g} s of each)" if cut else ""
     gain = spread(closed.get("exact", {}), "mu_gain_percent") or "not measured"
     wrong = {
         name.removesuffix("@default"): row["silently_wrong"]
