@@ -218,6 +218,7 @@ class Study:
     def _deadline_solvers(self) -> list[str]:
         return [name for name in self.config.sweeps.deadline_solvers if name in self.names]
 
+    @cached_property
     def _sweep_trials(self) -> dict[str, Scenario]:
         part = self.config.sweeps
         seeds = [self.config.seed + i for i in range(part.seeds)]
@@ -225,7 +226,7 @@ class Study:
 
     def run_sweeps(self) -> None:
         """Accuracy, damping, box and deadlines; the accuracy sweeps' points in open loop too."""
-        cases = self._sweep_trials()
+        cases = self._sweep_trials
         store, processes = self.store, self.config.processes
         done = spread(
             list(cases.values()), lambda w, trial: loop.run_baseline(store, w, trial), processes
@@ -283,7 +284,7 @@ class Study:
 
     def _compare(self, opened: dict[str, dict[str, Any]], closed: dict[str, dict[str, Any]]) -> None:
         """Does open loop predict closed loop? Over the points of the accuracy sweeps and the recommended settings."""
-        trials = set(self._sweep_trials())
+        trials = set(self._sweep_trials)
         if self.config.sweeps.duration_s == self.config.closed_loop.duration_s:
             for name, metrics in self.summary.get("open_loop_warm", {}).items():
                 mine = [run for run in self.runs if run.controller == name and run.trial in trials]

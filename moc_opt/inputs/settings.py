@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Any, ClassVar
 
 from pydantic import (
@@ -73,11 +74,16 @@ class Settings(BaseModel):
             raise self.ERROR("; ".join(explain(error, self.KIND))) from error
 
 
+def field_name(keys: Iterable[object]) -> str:
+    """Write the keys that lead to a field with dots between, control characters escaped: a file's key may hold any."""
+    return repr(".".join(f"{key!s:.80}" for key in keys))[1:-1]
+
+
 def explain(error: ValidationError, kind: str) -> list[str]:
     """One line per wrong field: kind of table, name, value, cure; what a table inside raised is not quoted again."""
     lines = []
     for item in error.errors():
-        field = repr(".".join(f"{part!s:.80}" for part in item["loc"]))[1:-1]  # a key of a file may hold anything
+        field = field_name(item["loc"])
         message = item["msg"].removeprefix("Value error, ")
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from moc_opt.errors import RobotError, shown
 from moc_opt.inputs.files import read_toml, wrong_size
-from moc_opt.inputs.settings import Name
+from moc_opt.inputs.settings import Name, field_name
 
 # Strict: a number of TOML, no text or flag that could be read as one.
 Number = Annotated[float, Field(strict=True, ge=-1e9, le=1e9)]
@@ -100,7 +100,7 @@ def read_description(path: Path) -> RobotDescription:
 
 def _explain(item: dict[str, Any]) -> str:
     loc: tuple[Any, ...] = item["loc"]
-    field = repr(".".join(f"{part!s:.80}" for part in loc))[1:-1]  # a key of the file may hold anything
+    field = field_name(loc)
     if item["type"] == "extra_forbidden":
         valid = _keys_of_table(loc[:-1])
         near = difflib.get_close_matches(str(loc[-1])[:100], valid, n=3, cutoff=0.5)
