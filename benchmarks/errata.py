@@ -211,7 +211,7 @@ def page(arm: Arm | None = None) -> str:
         "Su et al., *Manipulability Optimization Control of a Serial Redundant Robot for Robot-assisted Minimally",
         "Invasive Surgery* (2019). Written by `python -m benchmarks.errata`; do not edit by hand. The numbers are",
         f"taken over {len(arm.states)} seeded regular poses of the LWR4+ with its default tool. The same rows are",
-        "tests, in `tests/test_errata.py`.",
+        "tests, in `tests/benchmarks/test_errata.py`.",
         "",
         "| printed | computed here | why | the number that shows it |",
         "|---|---|---|---|",

@@ -23,7 +23,7 @@ PROMISES = (
         "Tip and RCM control never depend on the third level.",
         "The torque of a tick whose answer is refused equals, in the tip and RCM directions, that of the same tick "
         "with a good answer: `J M^-1 tau` is the same to rounding.",
-        "`tests/test_supervisor.py`",
+        "`tests/control/test_supervisor.py`",
     ),
     (
         "An answer that raised, is missing, has not the form of a Solution (an x or duals of another kind, a count "
@@ -33,7 +33,8 @@ PROMISES = (
         "the box, the elbow moves just as far as the box asks for (`keep_off_limits`).",
         "Every kind is injected at a seeded share of the ticks, and every tick of the trace is compared with the draw; "
         "a start from which damping alone ends at a joint limit; the fallback against a bounded least-squares solver.",
-        "`tests/test_supervisor.py`, `tests/test_faulty.py`, `tests/test_manipulability.py`, this benchmark",
+        "`tests/control/test_supervisor.py`, `tests/solvers/test_faulty.py`, `tests/control/test_null_space.py`, "
+        "this benchmark",
     ),
     (
         "No solver grades itself: it sees a copy of the subproblem and of the measured velocity, and its answer is "
@@ -43,19 +44,21 @@ PROMISES = (
         "Ctrl-C ends the run. `run` says in the second row at how many ticks the solver was replaced.",
         "A solver that makes the subproblem writable, widens the box, zeroes A and answers 50 rad/s; Hypothesis over "
         "answers under every status; exceptions of every kind.",
-        "`tests/test_supervisor.py`, `tests/test_study_answers.py`, `tests/test_run_table.py`, this benchmark",
+        "`tests/control/test_supervisor.py`, `tests/benchmarks/solver_study/test_answers.py`, "
+        "`tests/report/test_run_table.py`, "
+        "this benchmark",
     ),
     (
         "An honest answer is taken, also a loose one.",
         "Every registered solver runs in a short closed loop at its default settings.",
-        "`tests/test_supervisor.py`",
+        "`tests/control/test_supervisor.py`",
     ),
     (
         "Torque and torque rate stay within their limits at every tick; a joint that is too fast, or too close to its "
         "limit for its speed, is braked.",
         "Hypothesis over states and torques; a saboteur that asks for twice the largest torques in random directions "
         "does not get a joint of the plant past its position limit.",
-        "`tests/test_guard_runs.py`",
+        "`tests/control/test_safety_filter_runs.py`",
     ),
     (
         "A measurement that cannot be true is bridged for `patience_ticks` ticks; then the drives brake, the torque "
@@ -63,7 +66,7 @@ PROMISES = (
         "`meta[\"ended\"] = \"stopped: ...\"`. The same happens when the controller breaks down, when its torque is no "
         "number, and when the tip has been far from its reference for a while: an unstable loop does not go on.",
         "NaN, jumps, a controller that raises, and five ticks of delay, in the plant.",
-        "`tests/test_guard_runs.py`, this benchmark",
+        "`tests/control/test_safety_filter_runs.py`, this benchmark",
     ),
     (
         "A measurement has an age, and it must show the motion that the torque made. Packets that stop, are lost, "
@@ -75,14 +78,15 @@ PROMISES = (
         "Hypothesis over orders of packets; packets dropped, frozen, late, replayed and forged in the plant, at "
         "poses and moments that no level was chosen on; constant delays of 0 to 3 ticks and gaps of 3, which stop "
         "nothing.",
-        "`tests/test_motion.py`, `tests/test_motion_runs.py`, `tests/test_packets.py`, this benchmark",
+        "`tests/control/test_motion.py`, `tests/control/test_motion_runs.py`, `tests/sim/test_packets.py`, "
+        "this benchmark",
     ),
     (
         "A stop holds the arm where it is: within 25 mm from any swivel with drives of 8 to 100 % of their torque, "
         "within 3 mm under 0.7 kg or masses that are 30 % wrong. While the trocar presses with more than "
         "`stop_yield_N` the brakes open, and the tissue pushes the arm back until the force has halved.",
         "Starts at both ends of the swivel, weak drives, unknown loads, and trocars that slip by 30 and 100 mm.",
-        "`tests/test_stop_runs.py`",
+        "`tests/scenario/test_stop_runs.py`",
     ),
     (
         "The shaft stays near the registered trocar, and the trocar is not pressed hard: each as a root mean square "
@@ -91,7 +95,7 @@ PROMISES = (
         "An arm that its wall keeps 14 mm off goes on without the limit and is stopped with it; a trocar that slips "
         "by 100 mm; under DCAC and MOC, in Python and in C, on the live page and in the procedure; the force against "
         "statics and the plant.",
-        "`tests/test_incision_runs.py`",
+        "`tests/control/test_incision_runs.py`",
     ),
     (
         "A run that oscillates says so: `meta[\"ended\"] = \"oscillated: joint_7 at 47 Hz, 0.51 rad/s\"`. What did "
@@ -99,14 +103,14 @@ PROMISES = (
         "first, figures of a part are marked, and stopped runs enter no mean of a benchmark.",
         "Two ticks of delay and an idle joint without friction, under one gain of 80 for all joints; sound runs of "
         "every preset; synthetic motions of known size and frequency, on both sides of each limit.",
-        "`tests/test_oscillation.py`, `tests/test_guard_runs.py`",
+        "`tests/trace/test_oscillation.py`, `tests/control/test_safety_filter_runs.py`",
     ),
     (
         "Bad input ends in success or in a MocOptError whose message names the field: never a traceback from inside, a "
         "hang or a wrong answer.",
         "Hypothesis over scenario files, robot files (TOML and URDF), subproblems and result files (Parquet and JSON): "
         "`python -m benchmarks.fuzz --cases 10000`.",
-        "`tests/test_fuzz.py`",
+        "`tests/benchmarks/test_fuzz.py`",
     ),
     (
         "Files from strangers run no code, and nothing in them decides where files go. Names of robots, links, joints, "
@@ -118,7 +122,7 @@ PROMISES = (
         "no `ipopt.opt`.",
         "Hypothesis over names, against a C compiler's rules of comments and the tags of a page; over options, with "
         "the folder watched; every allowed option is set once, every option that writes is refused.",
-        "`tests/test_names.py`, `tests/test_options.py`",
+        "`tests/inputs/test_names.py`, `tests/solvers/test_options.py`",
     ),
     (
         "The controller's model and the plant are one arm. Every number of a URDF is read once, strictly (decimal, "
@@ -127,7 +131,7 @@ PROMISES = (
         "poses, to 1e-6.",
         "Hypothesis over the numbers of a URDF; texts that one engine drops and the other keeps; heaps of masses, none "
         "of whose inertias may be refused.",
-        "`tests/test_robot_numbers.py`, `tests/test_agreement.py`",
+        "`tests/robots/test_numbers.py`, `tests/scenario/test_agreement.py`",
     ),
     (
         "Files that come from outside are regular ones, measured before they are read, and bounded in what they can "
@@ -135,7 +139,7 @@ PROMISES = (
         "Pipes, devices, links, sparse files, nesting and integers without end, headers that lie, for every reader; "
         "every numeric field of every table at the ends of its range; each case in a process with 2 GiB of addresses "
         "and 20 s, a death or a hang being a failure.",
-        "`tests/test_files.py`, `tests/test_settings.py`, `tests/test_fuzz.py`",
+        "`tests/inputs/test_files.py`, `tests/inputs/test_settings.py`, `tests/benchmarks/test_fuzz.py`",
     ),
     (
         "A run whose trace goes into a file leaves what there was, whatever ends it: an interrupt, a defect, a full "
@@ -143,7 +147,7 @@ PROMISES = (
         "again only if its own file is damaged.",
         "Exceptions of every kind, SIGKILL and SIGTERM in the middle of runs; bytes of any file of a sweep's, a "
         "study's and an interrupted run's folder changed, cut, inserted or taken away.",
-        "`tests/test_trace_writer.py`, `tests/test_sweep_store.py`, `tests/test_fuzz.py`",
+        "`tests/trace/test_writer.py`, `tests/benchmarks/sweeps/test_store.py`, `tests/benchmarks/test_fuzz.py`",
     ),
 )  # fmt: skip
 

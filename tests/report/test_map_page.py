@@ -14,7 +14,7 @@ from moc_opt.redundancy.map_analysis import End, Reading
 from moc_opt.report.map_page import MOST_LINES, add_map, course_table, end_in_words, in_words, lines, load_map
 from moc_opt.report.page import Page
 from moc_opt.trace.trace import Trace
-from tests.test_courses import hill, made, ramp
+from tests.redundancy.test_map_analysis import hill, made, ramp
 
 NAN = float("nan")
 

@@ -15,10 +15,10 @@ from benchmarks.mutants import make, trial
 from benchmarks.output import default_config
 from moc_opt.errors import UnknownNameError
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 DENSE = "moc_opt.numerics.dense"
 TEXT = (ROOT / "moc_opt" / "numerics" / "dense.py").read_text()
-TESTS = ["tests/test_dense.py"]
+TESTS = ["tests/numerics/test_dense.py"]
 needs_operators = pytest.mark.skipif(
     find_spec("cosmic_ray") is None, reason="cosmic-ray is not installed: pip install 'moc-opt[mutation]'"
 )
@@ -39,7 +39,8 @@ def changed(old, new):
 
 
 def test_kernels_run_as_plain_python_in_every_module_that_could_have_frozen_the_mutated_one(plain):
-    assert {"moc_opt.control.tick", "moc_opt.control.solution_check", "moc_opt.scenario", "tests.test_dense"} <= plain
+    ours = {"moc_opt.control.tick", "moc_opt.control.solution_check", "moc_opt.scenario", "tests.numerics.test_dense"}
+    assert ours <= plain
     assert not {"moc_opt.model.kinematics_kernels", "moc_opt.solvers.exact.solver", "moc_opt.sim.plant"} & plain
 
 
@@ -109,7 +110,7 @@ def test_augmented_assignments_are_mutated_too():
 
 @needs_operators
 def test_the_command(tmp_path, capsys):
-    config = f'sample = 3\nslowest_s = 60.0\n[modules]\n"{DENSE}" = ["tests/test_dense.py"]\n'
+    config = f'sample = 3\nslowest_s = 60.0\n[modules]\n"{DENSE}" = ["tests/numerics/test_dense.py"]\n'
     (tmp_path / "small.toml").write_text(config)
     assert mutation.main([str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--seed", "5"]) == 0
     found = json.loads((tmp_path / "out" / "summary.json").read_text())

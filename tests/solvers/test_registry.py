@@ -117,7 +117,7 @@ def test_missing_packages_are_reasons_not_crashes(monkeypatch):
 
 
 def test_third_parties_add_solvers_without_a_change_here(monkeypatch):
-    publish(monkeypatch, still="tests.test_registry:Still")
+    publish(monkeypatch, still="tests.solvers.test_registry:Still")
     assert available()["still"] is None
     assert "still" in registry.names()
     solver = create("still", eps=0.1)

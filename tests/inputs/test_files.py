@@ -27,7 +27,7 @@ from moc_opt.report.document import save_document
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 
 from moc_opt.inputs import memory
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_limit_of_the_process_counts():

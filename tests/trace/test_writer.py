@@ -19,7 +19,7 @@ from moc_opt.trace.parquet import Stored
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.writer import KILLED, TraceWriter, parts_of
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 CLOCK = ("tick_us", "solve_us")
 SHORT = {"duration_s": 0.4, "bound_samples": 5}
 

@@ -23,7 +23,7 @@ from moc_opt.report.figures.style import Styles
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
-from tests.test_replay import Visit
+from tests.report.test_replay import Visit
 
 TRIAL = Scenario(duration_s=1.0, judge=False, bound_samples=0, start={"swivel": 0.2}, name="circle/0")
 

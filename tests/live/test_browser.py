@@ -28,7 +28,7 @@ pytest.importorskip("viser", reason="the live page needs viser: pip install 'moc
 
 SCENARIO = Scenario(start={"swivel": 0.2})
 PATIENCE_S = 30.0
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
