@@ -47,7 +47,7 @@ class Arm:
         return cls(robot, tuple(robot.state(robot.random_regular_pose(rng)) for _ in range(poses)))
 
     def subproblem(
-        self, state: RobotState, c2: float = PAPER.c2, rho: float = PAPER.damping, weight: float = 1.0,
+        self, state: RobotState, c2: float = PAPER.c2, rho: float = PAPER.regularization, weight: float = 1.0,
         speed: float = 0.0,
     ) -> NullSpaceQP:  # fmt: skip
         """The paper's subproblem at a state; ``weight`` scales c0, c1, c2 and rho together; tip speed [m/s] along x."""

@@ -167,7 +167,7 @@ def test_old_names_are_the_same_objects():
     assert moc_opt.metrics.summarize is metrics.summarize
     assert moc_opt.metrics.metric is metrics.metric
     assert moc_opt.subproblem.NullSpaceQP is problem.NullSpaceQP
-    assert moc_opt.subproblem.judge is problem.judge
+    assert moc_opt.subproblem.judge is problem.compute_residuals
 
 
 def test_no_circle_between_modules():
@@ -217,7 +217,7 @@ def test_no_circle_between_modules():
         ("moc_opt.sim.plant", "import moc_opt.solvers"),
         ("moc_opt.sim.plant", "from moc_opt.model.robot_model import RobotModel"),
         ("moc_opt.sim.plant", "import pinocchio"),
-        ("moc_opt.trace.metrics", "from moc_opt.qp.problem import judge"),
+        ("moc_opt.trace.metrics", "from moc_opt.qp.problem import compute_residuals"),
         ("moc_opt.report.tables", "from moc_opt.scenario import Scenario"),
         ("moc_opt.model.robot_model", "import importlib\nimportlib.import_module('moc_opt.scenario')"),
         ("moc_opt.scenario", "from benchmarks import output"),

@@ -116,7 +116,7 @@ def parts(
         robot.q_min, robot.q_max, robot.v_max,
         margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
     )  # fmt: skip
-    weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
+    weights = np.array([settings.c0, settings.c1, settings.c2, settings.regularization])
     states = [robot.state(q, v) for q, v, _, _ in inputs]
     given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]
     Z, tau, row = manipulability.null_space(states[0].A), np.empty(n), np.empty(row_length(n))

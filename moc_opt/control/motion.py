@@ -10,17 +10,19 @@ from pydantic import Field
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
-_READINGS = Entry(
+_READINGS = CompiledKernel(
     kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
-_AGE = Entry(kernels.age, int64, int64, INDICES)
-_MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX)
+_AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
+_MOMENTUM = CompiledKernel(
+    kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX
+)
 
 
 class MotionSettings(Settings):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -59,7 +60,7 @@ PAPER: dict[str, Any] = {
     "feedforward": False,
     "rcm_lambda": 0.5,
     "k0_per_s": 0.1,
-    "damping": 0.0,
+    "regularization": 0.0,
     "observer_gain_per_s": 0.0,
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
@@ -78,7 +79,7 @@ TUNED: dict[str, Any] = {
     "observer_gain_per_s": 33.3,
     "feedforward": True,
     "k0_per_s": 1.58,
-    "damping": 3.24e-5,
+    "regularization": 3.24e-5,
     "speed_fraction": 0.49,
     "ramp_s": 0.653,
 }
@@ -98,6 +99,7 @@ class ControlSettings(Settings):
 
     KIND: ClassVar[str] = "[control]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
+    FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
     law: Literal["dcac", "moc"] = "moc"
     gains: str | None = "default"
@@ -127,7 +129,7 @@ class ControlSettings(Settings):
     c0: NotNegative = 0.01
     c1: NotNegative = 0.01
     c2: NotNegative = 0.001
-    damping: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
+    regularization: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
     fallback: Literal["damping", "hold", "least-violation"] = Field(
         default="least-violation", description="the answer to an infeasible subproblem"
     )
@@ -157,17 +159,17 @@ class ControlSettings(Settings):
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
         """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
-        return cls(**{**PAPER, **changes})
+        return cls(**{**PAPER, **cls.present_names(changes)})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
         """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
-        return cls(**{**TUNED, **changes})
+        return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod
     def robust(cls, **changes: Any) -> ControlSettings:
         """Softer than ``tuned``, for loops with more delay; see ``ROBUST``."""
-        return cls(**{**ROBUST, **changes})
+        return cls(**{**ROBUST, **cls.present_names(changes)})
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
@@ -180,6 +182,11 @@ class ControlSettings(Settings):
             raise UnknownNameError("control preset", name, PRESETS)
         make: Callable[..., ControlSettings] = getattr(cls, name)
         return make(**changes)
+
+    @property
+    def damping(self) -> float:
+        """The former name of ``regularization``."""
+        return self.regularization
 
     @property
     def damps_dcac(self) -> bool:

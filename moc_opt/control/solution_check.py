@@ -7,7 +7,7 @@ from numba import int64, njit
 from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import all_finite
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.dense import dot
 from moc_opt.qp.residuals import GRADIENT_ROUNDING, RANK_TOLERANCE
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -202,5 +202,5 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     return primal, outside, natural, abs(best), abs(worst)
 
 
-RESIDUALS = Entry(answer_residuals, VECTOR, int64, MATRIX, VECTOR)
+RESIDUALS = CompiledKernel(answer_residuals, VECTOR, int64, MATRIX, VECTOR)
 """`answer_residuals` for the loop."""

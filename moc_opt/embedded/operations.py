@@ -40,7 +40,7 @@ def third_level(n: int, rows: int) -> int:
     return 5 * n + products + cholesky(rows) + solve_factored(rows) + 2 * n * rows + 2 + 4 * n
 
 
-def judge(n: int, rows: int) -> int:
+def residual_check(n: int, rows: int) -> int:
     """moc_judge."""
     violations = all_finite(n) + 6 * (dot(n) + 3) + 7 * n
     line = rows * (dot(n) + 2 * n) + dot(n) + 4
@@ -95,7 +95,7 @@ def worst_path(tick: Tick) -> dict[str, int]:
     parts = {
         "generated equations": tick.tick.n_instructions(),
         "third level": third_level(n, rows),
-        "supervisor": judge(n, rows) + 12 if solves else 0,
+        "supervisor": residual_check(n, rows) + 12 if solves else 0,
         "fallback": max(retreat(n, rows), least_violation(n)) if solves else 0,
         "straight elbow": straight_elbow(n) if tick.rows else 0,
         "guard": guard(n, tick.gravity.n_instructions(), tick.tool_pose.n_instructions()),

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_filter import SafetyFilterSettings
@@ -198,7 +198,7 @@ class Scenario(Settings):
         for name in type(self).model_fields:
             old = getattr(self, name)
             new = tables.pop(name, old)
-            if isinstance(old, BaseModel) and isinstance(new, Mapping) and "preset" not in new:
-                new = type(old)(**{**{f: getattr(old, f) for f in type(old).model_fields}, **new})
+            if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
+                new = old.replace(new)
             values[name] = new
         return type(self)(**values, **tables)

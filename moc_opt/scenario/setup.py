@@ -17,7 +17,7 @@ from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, describe
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -270,7 +270,7 @@ class Setup:
             return {}
         x = columns["x_rad_per_s"]
         parts = [slice(first, first + JUDGED) for first in range(0, len(x), JUDGED)]
-        judged = [judge(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+        judged = [compute_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
         found = Residuals(*map(np.concatenate, zip(*judged, strict=True)))
         silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
         figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}

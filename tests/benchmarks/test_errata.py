@@ -32,7 +32,7 @@ def states(robot, regular_poses):
     return [robot.state(q) for q in regular_poses(50)]
 
 
-def subproblem(robot, state, v=None, c2=PAPER.c2, rho=PAPER.damping, speed=0.0, weight=1.0):
+def subproblem(robot, state, v=None, c2=PAPER.c2, rho=PAPER.regularization, speed=0.0, weight=1.0):
     """The paper's subproblem at a state; ``weight`` scales all four weights together."""
     lower, upper = np.empty(7), np.empty(7)
     velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)

@@ -370,15 +370,15 @@ class Picky(Reusing):
 
     def supports(self, qp):
         """Only the paper's own problem."""
-        return None if qp.damping == 0.0 else "it needs damping = 0"
+        return None if qp.regularization == 0.0 else "it needs regularization = 0"
 
 
 def test_a_solver_that_refuses(robot):
     with pytest.raises(
-        ControlError, match="solver 'picky' cannot run in this controller: it needs damping = 0"
+        ControlError, match="solver 'picky' cannot run in this controller: it needs regularization = 0"
     ):
         started(robot, Picky())
-    controller, state, tip_ref, trocar = started(robot, Picky(), damping=0.0)
+    controller, state, tip_ref, trocar = started(robot, Picky(), regularization=0.0)
     assert np.isfinite(controller.tick(state, tip_ref, trocar)).all()
 
 

@@ -31,7 +31,7 @@ from moc_opt.embedded.support import GUARDED, OBEYED, SUPERVISED, check_safety_f
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import LoggedController, simulate
@@ -56,7 +56,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "all-else": {
         "projector": "static", "feedforward": True, "fallback": "hold", "speed_fraction": 0.2, "ramp_s": 0.01,
         "limit_margin_rad": 0.4,
-        "damping": 1e-4, "c2": 0.002, "K_N2": [20.0, 30.0, 15.0, 8.0, 5.0, 4.0, 3.0],
+        "regularization": 1e-4, "c2": 0.002, "K_N2": [20.0, 30.0, 15.0, 8.0, 5.0, 4.0, 3.0],
     },
 }  # fmt: skip
 
@@ -319,7 +319,7 @@ def test_the_trace_has_no_answer_where_there_was_none(robot: RobotModel, regular
     np.testing.assert_array_equal(columns["applied_x_rad_per_s"][none], 0.0)
     for name in ("x_rad_per_s", "dual"):
         np.testing.assert_array_equal(np.isnan(columns[name]).all(axis=1), none)
-    judged = judge(columns["subproblem"], columns["x_rad_per_s"], columns["dual"])
+    judged = compute_residuals(columns["subproblem"], columns["x_rad_per_s"], columns["dual"])
     np.testing.assert_array_equal(judged.verified(), ~none)
 
 

@@ -276,7 +276,7 @@ ELBOWS = {
     "control",
     [
         {}, {"fallback": "damping"}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}},
-        {"damping": 0.0},
+        {"regularization": 0.0},
         {"preset": "paper"}, {"law": "dcac"}, {"law": "dcac", "dcac_damping": 3.0}, {"projector": "static"},
     ],
     ids=lambda control: "-".join(f"{value}" for value in control.values()) or "default",

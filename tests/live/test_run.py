@@ -87,7 +87,7 @@ def test_the_plots_react_to_the_solver(run: LiveRun) -> None:
 
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.choose("rnn"), lambda run: run.tune(K_X=1500.0, K_N=300.0),
-    lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(damping=1e-3),
+    lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(regularization=1e-3),
 ])  # fmt: skip
 def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
     """The torque goes on where it was; the arm, in the realistic plant, hardly notices."""
@@ -122,7 +122,7 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     before = run.control
     orders: list[tuple[Callable[[], None], type[MocOptError], str]] = [
         (lambda: run.choose("exat"), UnknownNameError, "did you mean 'exact'"),
-        (lambda: run.tune(damping=-1.0), ControlError, "damping = -1"),
+        (lambda: run.tune(regularization=-1.0), ControlError, "regularization = -1"),
         (lambda: run.tune(K_X=float("nan")), ControlError, "K_X"),
         (lambda: run.tune(rho=1e-5), UnknownNameError, "rho"),
         (lambda: run.tune(law="dcac"), LiveError, "choose"),
@@ -225,7 +225,7 @@ def test_orders_come_from_many_threads(run: LiveRun) -> None:
         try:
             while not done.is_set():
                 run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
-                run.tune(damping=float(10 ** rng.uniform(-6, -3)))
+                run.tune(regularization=float(10 ** rng.uniform(-6, -3)))
                 run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
                 run.moment(), run.history(50)
                 done.wait(0.005)

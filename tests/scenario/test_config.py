@@ -223,6 +223,17 @@ def test_control_preset_in_a_file(tmp_path):
     assert Scenario().change(control={"preset": "paper"}).control == ControlSettings.paper()
 
 
+def test_the_former_name_of_the_regularization_in_a_file(tmp_path):
+    file = tmp_path / "scenario.toml"
+    file.write_text('[control]\npreset = "tuned"\ndamping = 1e-4\n')
+    found = Scenario.load(file)
+    assert found.control == ControlSettings.tuned(regularization=1e-4)
+    assert found.change(control={"damping": 1e-3}).control.regularization == 1e-3
+    file.write_text("[control]\ndamping = 1e-4\nregularization = 1e-4\n")
+    with pytest.raises(ScenarioError, match=r"scenario.toml: .control. regularization = 0.0001 is given beside"):
+        Scenario.load(file)
+
+
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ScenarioError, match=r"gone.toml': no such file"):
         Scenario.load(tmp_path / "gone.toml")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import SolverError
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
@@ -42,7 +42,7 @@ def is_wrong(kind, qp, answer):
         return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # by its own copy of the problem
     if kind == "malformed":
         return answer.y.dtype == complex
-    found = judge(qp.row[None], answer.x[None])  # a lie
+    found = compute_residuals(qp.row[None], answer.x[None])  # a lie
     return answer.status is Status.SOLVED and found.primal[0] < 1e-9 and not found.verified()[0]
 
 

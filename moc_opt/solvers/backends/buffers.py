@@ -10,7 +10,7 @@ import numpy as np
 from numba import float64, int64, njit, typeof
 from numpy.typing import NDArray
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.equalities import assemble, equalities
 from moc_opt.qp.problem import NullSpaceQP
 
@@ -64,7 +64,7 @@ def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
         six[j] = factor * total
 
 
-_LIFT_DUALS = Entry(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+_LIFT_DUALS = CompiledKernel(lift_duals, MATRIX, VECTOR, float64, VECTOR)
 
 
 class Loader:
@@ -106,7 +106,7 @@ class Loader:
         self._five = rows == 5 and self._m == 5
         targets = (self._signs, P, self._packed, p, A, low, high, lower, upper, self._lift)
         # Each library has its own order of memory: the kernel is compiled for that of these very arrays.
-        self._kernel = Entry(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
+        self._kernel = CompiledKernel(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
         self._targets = (self._n, scale, *targets)
         self._lift_duals = _LIFT_DUALS.code
 

@@ -94,8 +94,11 @@ class CasadiConic:
 
     def supports(self, qp: NullSpaceQP) -> str | None:
         """qrqp needs a positive definite cost; every other plug-in takes all."""
-        if self.plugin in NEEDS_DAMPING and qp.damping <= 1e-10 * (qp.c0 + qp.c1):
-            return f"casadi's {self.plugin} cycles without damping, and damping is {qp.damping:g}: set damping > 0"
+        if self.plugin in NEEDS_DAMPING and qp.regularization <= 1e-10 * (qp.c0 + qp.c1):
+            return (
+                f"casadi's {self.plugin} cycles without regularization, which is {qp.regularization:g}: "
+                "set regularization > 0"
+            )
         return None
 
     def start(self, qp: NullSpaceQP) -> CasadiSession:

@@ -38,7 +38,7 @@ class DAQP:
 
     Args:
         rows: 5 or 6 equality rows; six dependent ones fail about one problem in a hundred.
-        cost_scale: multiplies P and p; the duals are scaled back. Without it, and without damping, one
+        cost_scale: multiplies P and p; the duals are scaled back. Without it, and without regularization, one
             answer in twenty stops at the wrong end of the self-motion.
         primal_tol, dual_tol: the library's 1e-6 and 1e-12.
         max_iter: iterations.

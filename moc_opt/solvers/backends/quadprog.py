@@ -38,9 +38,12 @@ class Quadprog:
         checks.like_defaults(self)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """It factorises P, which is singular without damping."""
-        if qp.damping <= 1e-10 * (qp.c0 + qp.c1):
-            return f"quadprog needs a positive definite cost and damping is {qp.damping:g}: set damping > 0"
+        """It factorises P, which is singular without regularization."""
+        if qp.regularization <= 1e-10 * (qp.c0 + qp.c1):
+            return (
+                f"quadprog needs a positive definite cost and regularization is {qp.regularization:g}: "
+                "set regularization > 0"
+            )
         return None
 
     def start(self, qp: NullSpaceQP) -> QuadprogSession:

@@ -1,11 +1,11 @@
 """Several freedoms: the best point of a box cut by the plane A x = b, as a projection.
 
 Pi is the orthogonal projector on ker A, x_p the shortest point of the plane, s = x - x_p. Over the box,
-damping/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / damping. The dual active-set method of
+rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho. The dual active-set method of
 Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) goes there from that unconstrained optimum, adding
 violated bounds one by one; it needs no feasible start and proves infeasibility. All it has to know is Pi swept on
 the active joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when
-joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
+joint p is pushed, and how the active bounds' multipliers change. For rho = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
 Pi and all else lie in one matrix M, see ``moc_opt.solvers.exact.projector``. Kernels are compiled into their caller,

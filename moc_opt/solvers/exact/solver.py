@@ -1,6 +1,6 @@
 """The exact answer by null-space elimination: the yardstick of every other solver.
 
-On A x = b the c0, c1 terms vanish, and what remains is damping/2 |x|^2 - c2 grad_mu^T x over the
+On A x = b the c0, c1 terms vanish, and what remains is regularization/2 |x|^2 - c2 grad_mu^T x over the
 box. Elimination with complete pivoting writes x = particular + (free columns) w; joints whose
 column is zero (joint 7 under a tool on its axis) move nothing and are solved on their own. One
 remaining freedom (the elbow swivel) is a ratio test in closed form; several are a projection
@@ -20,7 +20,7 @@ from numba import float64, int64, njit
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
-from moc_opt.numerics.compiled import VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.simd import larger, load, magnitude, stack, stack_indices, store, width, zeros
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -132,7 +132,7 @@ def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArra
         status[i] = solve_row(rows[i], tolerance, X[i], Y[i])
 
 
-_SOLVE = Entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
+_SOLVE = CompiledKernel(solve_row, VECTOR, float64, VECTOR, VECTOR)
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
