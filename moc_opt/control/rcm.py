@@ -16,8 +16,6 @@ from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, t
 
 Array = NDArray[np.float64]
 
-PROJECTORS = ("dynamic", "static", "as_published")
-
 
 @njit(cache=True, nogil=True)
 def desired_wrist(

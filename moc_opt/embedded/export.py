@@ -110,12 +110,11 @@ def export(
     Raises:
         ControlError: the generated code cannot do what a setting asks for, or `out` cannot be written.
     """
-    tick, texts = safe_files(robot, settings, solver, period, guard)
-    texts |= {"main.c": source.self_test(tick), "recording.h": source.recording(recording)}
-    texts |= program.read("extremes.c")
+    _, texts = safe_files(robot, settings, solver, period, guard)
+    texts |= program.read("main.c", "extremes.c") | {"recording.h": source.recording(recording)}
     if safe_recording is not None:
         texts |= program.read("safe_test.c") | {"safe_recording.h": source.safe_recording(safe_recording)}
-    texts["Makefile"] = program.makefile(texts, " ".join(FLAGS), safe_recording is not None)
+    texts["Makefile"] = source.makefile(texts, " ".join(FLAGS), safe_recording is not None)
     folder, written = Path(out), []
     try:
         folder.mkdir(parents=True, exist_ok=True)

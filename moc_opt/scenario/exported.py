@@ -87,8 +87,8 @@ def record_with_faults(
     v[4 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]
     q[9 * k // 10 :] = np.nan
     controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
-    sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
-    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), sent)
+    applied = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
+    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), applied)
     tau, solve_us, stopped_at = np.empty_like(q), np.zeros(k), -1
     stamp = np.arange(float(k))
     stamp[3 * k // 10] -= min(borne, 1)  # a packet comes again
@@ -97,4 +97,4 @@ def record_with_faults(
         tau[i] = loop.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
         solve_us[i] = 0.0 if np.isnan(controller.solve_us) else controller.solve_us
         stopped_at = i if loop.stop_reason and stopped_at < 0 else stopped_at
-    return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)
+    return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, applied, stopped_at)

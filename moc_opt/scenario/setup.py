@@ -96,7 +96,8 @@ class Setup:
 
     def controller(self) -> Controller:
         """The law and solver that the scenario asks for."""
-        settings, times = self.scenario.control, self._replay()
+        settings, replayed = self.scenario.control, self._replayed_us
+        times: Iterator[float] | None = None if replayed is None else itertools.cycle(replayed)
         if self.scenario.faults.solver == "hang" and settings.law == "moc":
             # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
             watch = settings.supervisor
@@ -104,14 +105,8 @@ class Setup:
             settings = settings.model_copy(
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
-            # one more in front, for the discarded tick before the loop
-            times = itertools.chain([0.0], np.where(self.fault_mask(), 10.0 * budget, 0.0))
+            times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
-
-    def _replay(self) -> Iterator[float] | None:
-        """The recorded solve times from the start, their first one twice: one tick before the loop is discarded."""
-        times = self._replayed_us
-        return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """At which ticks the solver's answer is replaced by a fault, (N,)."""

@@ -11,6 +11,7 @@ from numba import float64, njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import read_only, read_only_copy
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
@@ -125,21 +126,21 @@ class Encoders:
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """First reading at (q, v), each (n,): the velocity estimate begins at v."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), read_only_copy(v)
         self._velocity[:] = v
         return self._sample(q, 0.0)
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), read_only_copy(v)
         return self._sample(q, self._gain)
 
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
         noise = self._noise.row()
         self._read(q, self._bias, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
-        reading.setflags(write=False)
+        read_only(reading)
         return reading[0], reading[1]
 
 
@@ -162,9 +163,7 @@ class WrenchSensor:
 
         The sensor shows the reaction to that: its negative.
         """
-        wrench: Array = self._noise.row() - held
-        wrench.setflags(write=False)
-        return wrench
+        return read_only(self._noise.row() - held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,13 +256,4 @@ def _vector(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise PlantError(f"{name} must be finite and of shape {shape}: it is {array.tolist()!r:.100}")
-    return _sealed(array)
-
-
-def _frozen(array: Array) -> Array:
-    return _sealed(array.copy())
-
-
-def _sealed(array: Array) -> Array:
-    array.flags.writeable = False
-    return array
+    return read_only(array)
