@@ -13,7 +13,7 @@ from moc_opt.control import null_space as manipulability
 from moc_opt.control import tick
 from moc_opt.control.law import law_of
 from moc_opt.control.observer import MomentumObserver
-from moc_opt.control.session import start_session
+from moc_opt.control.session import check_references, start_session
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError
@@ -181,14 +181,7 @@ class Controller:
 
     def _checked(self, tip_ref: Array, trocar: Array) -> tuple[Array, Array]:
         """The references as contiguous float64: what is compiled takes that for granted."""
-        if not self._started:
-            raise ControlError(
-                "tick before start: call start(state, tip_ref, trocar) once before the first tick"
-            )
-        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
-            raise ControlError(
-                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
-            )
+        check_references(self._started, tip_ref, trocar)
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:

@@ -1,6 +1,9 @@
-"""A solver's session for the loop, or the reason why there is none."""
+"""What a controller checks before it runs: the solver's session, and the references of a tick."""
 
 from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
 
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.qp.problem import NullSpaceQP
@@ -30,3 +33,17 @@ def start_session(solver: Solver, qp: NullSpaceQP) -> Session:
     except BaseException as error:  # foreign code may raise anything
         raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
     raise ControlError(f"solver {name} cannot run in this controller: {reason}")
+
+
+def check_references(started: bool, tip_ref: NDArray[np.float64], trocar: NDArray[np.float64]) -> None:
+    """Check that a tick may run.
+
+    Raises:
+        ControlError: not started, or tip_ref is not (3, 3), or trocar not (2, 3).
+    """
+    if not started:
+        raise ControlError("tick before start: call start once before the first tick")
+    if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
+        raise ControlError(
+            f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
+        )

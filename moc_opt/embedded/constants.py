@@ -8,6 +8,7 @@ from moc_opt.control.safety_filter import PRESS_PER_S, SafetyFilterSettings
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import number, render
+from moc_opt.embedded.support import TickSpec
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
@@ -18,15 +19,9 @@ FALLBACKS = ("damping", "hold", "least-violation")
 DEFAULT_SAFETY_FILTER = SafetyFilterSettings()
 
 
-def constants(
-    tick: Tick,
-    robot: RobotModel,
-    control: ControlSettings,
-    solver: Solver | None,
-    period: float,
-    guard: SafetyFilterSettings,
-) -> dict[str, str]:
-    """Both files as text, by name."""
+def constants(tick: Tick, spec: TickSpec, guard: SafetyFilterSettings) -> dict[str, str]:
+    """Write both files, text by name."""
+    robot, control, solver, period = spec
     macros = _law(tick, control, solver, period) | _supervisor(control) | _guard(robot, guard, period)
     macros["MOC_OPERATIONS"] = f"{worst_path(tick)['in all']} /* floating-point operations of the longest step */"
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"

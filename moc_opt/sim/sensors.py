@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -60,16 +61,9 @@ class _Noise:
 
 @njit(cache=True)
 def _read(
-    q: Array,
-    bias: Array,
-    noise: Array,
-    resolution: float,
-    gain: float,
-    period: float,
-    last: Array,
-    estimate: Array,
-    reading: Array,
-) -> None:
+    bias: Array, resolution: float, period: float, last: Array, estimate: Array,
+    q: Array, noise: Array, gain: float, reading: Array,
+) -> None:  # fmt: skip
     position, velocity = reading[0], reading[1]
     for i in range(q.size):
         position[i] = q[i] + bias[i] + noise[i]
@@ -79,7 +73,7 @@ def _read(
         velocity[i], last[i] = estimate[i], position[i]
 
 
-_READ = CompiledKernel(_read, VECTOR, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
+_READ = CompiledKernel(_read, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR, VECTOR, float64, MATRIX)
 
 
 class Encoders:
@@ -102,13 +96,12 @@ class Encoders:
         bias: Array | None = None,
     ) -> None:
         """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
-        self._read = _READ.code
-        self._period, self._resolution = period_s, resolution_rad
         self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
         self._noise = _Noise(rng, np.full(n, noise_rad))
         self._bias = np.zeros(n) if bias is None else np.array(bias, dtype=np.float64)
-        self._last, self._velocity = np.zeros(n), np.zeros(n)
+        last, self._velocity = np.zeros(n), np.zeros(n)
+        self._read = partial(_READ.code, self._bias, resolution_rad, period_s, last, self._velocity)
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
@@ -138,8 +131,7 @@ class Encoders:
 
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
-        noise = self._noise.row()
-        self._read(q, self._bias, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
+        self._read(q, self._noise.row(), gain, reading)
         read_only(reading)
         return reading[0], reading[1]
 
