@@ -63,7 +63,7 @@ def projectors(state: RobotState) -> tuple[Array, Array, Array]:
     """The printed, the dynamic and the static projector (n, n) of level 2."""
     J, eye = np.array(state.J_tip), np.eye(len(state.q))
     W, factor = task_inertia(J, cholesky(np.array(state.M)))
-    printed = np.array([rcm.project_printed(J, e) for e in eye]).T
+    printed = np.array([rcm.project_as_published(J, e) for e in eye]).T
     dynamic = np.array([rcm.project_dynamic(J, W, factor, e) for e in eye]).T
     static = np.array([rcm.project_static(J, e) for e in eye]).T
     return printed, dynamic, static

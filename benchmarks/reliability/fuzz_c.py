@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from moc_opt.control import Controller
 from moc_opt.embedded.guarded import GuardedController
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Safe, Scenario, make_guard, make_solver
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Safe, Scenario, make_safety_filter, make_solver
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
@@ -72,8 +72,8 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
     q = robot.random_regular_pose(rng)
     v = case["speed"] * rng.normal(scale=0.2, size=robot.n)
     solver = make_solver("exact", robot) if control.law == "moc" else None
-    driver = Driver(Controller(robot, control, solver, scenario.plant.period_s))
-    python = Safe(driver, make_guard(robot, scenario), robot.gravity(q))
+    driver = ControllerAdapter(Controller(robot, control, solver, scenario.plant.period_s))
+    python = Safe(driver, make_safety_filter(robot, scenario), robot.gravity(q))
     ordinary = True
     for k in range(TICKS):
         given = _inputs(robot, rng, q + k * scenario.plant.period_s * v, v)

@@ -32,7 +32,7 @@ _NEEDS_HOLD, _NOT_FINITE = -1, -2
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 
 
-class GuardSettings(MotionSettings):
+class SafetyFilterSettings(MotionSettings):
     """Safety limits."""
 
     KIND: ClassVar[str] = "[guard]"
@@ -88,12 +88,12 @@ class GuardSettings(MotionSettings):
         return self
 
 
-class Guard:
+class SafetyFilter:
     """The limits of one arm, with the memory they need.
 
     Args:
         data: the arm.
-        settings: see GuardSettings.
+        settings: see SafetyFilterSettings.
         period: control period [s].
         gravity: q (n,) [rad] -> torque (n,) [Nm] that carries the arm's weight (``RobotModel.gravity``); None for
             drives that carry it by themselves.
@@ -106,7 +106,7 @@ class Guard:
     def __init__(
         self,
         data: RobotData,
-        settings: GuardSettings,
+        settings: SafetyFilterSettings,
         period: float,
         gravity: Callable[[Array], Array] | None = None,
         tool_pose: Callable[[Array], Array] | None = None,
@@ -176,17 +176,17 @@ class Guard:
         """
         late = FRESH if stamp is None else self._motion.age(stamp)
         if late == OLD:
-            self.give_up(f"measurements are more than {self.settings.patience_ticks} ticks late")
+            self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
         if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
             self._q, self._v, self._bad = q, v, 0
             wrong = self._motion.look(q, v, sent, wrench) if sent is not None else ""
             if wrong:
-                self.give_up(wrong)
+                self.request_stop(wrong)
         else:
             self._bad += 1
             self._q = self._q + self._v * self._period
             if self._bad > self.settings.patience_ticks:
-                self.give_up("measurements not believed")
+                self.request_stop("measurements not believed")
         return self._q, self._v
 
     def weigh(self, q: Array, v: Array, state: RobotState | None, sent: Array) -> None:
@@ -200,21 +200,21 @@ class Guard:
             state = self._state(q, v)
         wrong = self._motion.weigh(state, sent)
         if wrong:
-            self.give_up(wrong)
+            self.request_stop(wrong)
 
     def follow(self, tip: Array, tip_ref: Array) -> None:
         """Take note of how far the tip (3,) is from its reference (3, 3) rows X_d, ... [m]."""
         self._motion.reference(tip_ref)
         self._square += self._share * (squared_error(tip, tip_ref) - self._square)
         if not self._square <= self._most:
-            self.give_up(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
+            self.request_stop(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
 
     def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
         """Take note of the incision; arguments as for ``Incision.look``."""
         if self._incision is not None:
             reason = self._incision.look(q, trocar, wrench)
             if reason:
-                self.give_up(reason)
+                self.request_stop(reason)
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
@@ -231,7 +231,7 @@ class Guard:
         """Whether it is time to stop; ``reason`` says why. There is no way back but ``start``."""
         return bool(self.reason)
 
-    def give_up(self, reason: str) -> None:
+    def request_stop(self, reason: str) -> None:
         """Order the stop; the first reason stays."""
         self.reason = self.reason or reason
 
@@ -247,7 +247,7 @@ class Guard:
             self.limited = limit_torque(tau, *rest[:3], self._weight(q), *rest[4:])
         if self.limited == _NOT_FINITE:
             self.limited = 0
-            self.give_up("the controller's torque is not finite")
+            self.request_stop("the controller's torque is not finite")
             return before
         return tau
 

@@ -30,7 +30,7 @@ from moc_opt.live.orders import (
 from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.scenario import Safe, Scenario, Setup, make_guard, make_solver, make_stop
+from moc_opt.scenario import Safe, Scenario, Setup, make_safety_filter, make_solver, make_stop
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
@@ -79,7 +79,7 @@ class LiveRun:
         wrist = self.robot.state(self._setup.q_start).wrist
         self._elbow = Elbow(self.robot, wrist[None])
         self._elbow_link = child_link(self.robot, self._elbow.joint)
-        self._guard, self._stop = make_guard(self.robot, scenario), make_stop(scenario)
+        self._guard, self._stop = make_safety_filter(self.robot, scenario), make_stop(scenario)
         self._truth = np.empty(2 * self.robot.n + 9)
         self._controller, self._used = self._build(self._control, self._name), (self._name, self._control)
         self._waiting: tuple[Controller, tuple[str, ControlSettings]] | None = None
@@ -206,7 +206,7 @@ class LiveRun:
         self._waiting = self._waiting or (self._controller, self._used)
         self._now = self._trocar.step(self.period_s), self._registered.step(self.period_s)
         seen, tip_ref = self._plant.measure(), self.reference.rows(0.0)
-        self._safe, self._halt_at = Safe(_Pilot(self), self._guard, self._sent), -1
+        self._safe, self._halt_at = Safe(_LiveController(self), self._guard, self._sent), -1
         self._safe.start(seen, tip_ref, self._now[1])
         state = self._state = self.robot.state(seen.q, seen.v)
         with self._lock:
@@ -243,7 +243,7 @@ class LiveRun:
         if not self._offset.any():
             return asked
         asked = asked + self._offset
-        self._controller.sent(asked)
+        self._controller.set_applied_torque(asked)
         return asked
 
     def _take_over(
@@ -268,7 +268,7 @@ class LiveRun:
             return
         if self._ticks:
             self._offset = self._sent - first
-            controller.sent(self._sent)
+            controller.set_applied_torque(self._sent)
         self._controller, self._used = controller, asked
 
     def _fade(self) -> None:
@@ -342,7 +342,7 @@ class LiveRun:
         self._todo.put(exchange)
 
 
-class _Pilot:
+class _LiveController:
     """A live run as its guarded loop calls it."""
 
     def __init__(self, run: LiveRun) -> None:
@@ -362,9 +362,9 @@ class _Pilot:
         """Nothing: the controller starts at its first tick, when it takes over."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.safe.Pilot``."""
+        """See ``sim.safe.TorqueController``."""
         return self._run._asked(q, v, tip_ref, trocar)
 
-    def sent(self, tau: Array) -> None:
-        """See ``sim.safe.Pilot``."""
-        self._run._controller.sent(tau)
+    def set_applied_torque(self, tau: Array) -> None:
+        """See ``sim.safe.TorqueController``."""
+        self._run._controller.set_applied_torque(tau)

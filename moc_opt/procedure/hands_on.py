@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip
@@ -53,7 +53,7 @@ class HandsOnSettings(Settings):
         0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake"
     )
     hand: HandSettings = HandSettings()
-    guard: GuardSettings = GuardSettings()
+    guard: SafetyFilterSettings = SafetyFilterSettings()
 
 
 class HandsOnStatus(Enum):
@@ -162,7 +162,7 @@ class _Guiding:
         self.seen = self._robot.state(q, v)
         return self._law.tick(self.seen)
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Nothing: the law has no memory."""
 
 
@@ -174,7 +174,7 @@ def _guide(
     period = plant.settings.period_s
     law = _Guiding(HandGuiding(robot, settings.joint_damping_Nm_s_per_rad), robot)
     # Not yet in an incision: there is no trocar to keep to.
-    safe = Safe(law, Guard(robot.data, settings.guard, period, robot.gravity), np.array(plant.applied_torque))
+    safe = Safe(law, SafetyFilter(robot.data, settings.guard, period, robot.gravity), np.array(plant.applied_torque))
     hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     needed = max(1, round(settings.rest_s / period))

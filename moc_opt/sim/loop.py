@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Course, Courses, Log, Sink, Touched
+from moc_opt.sim.log import Log, Sink, TaskOffset, Trajectories, Trajectory
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import Brain, Safe, Watchdog
+from moc_opt.sim.safe import LoggedController, Safe, SafetyFilterProtocol
 from moc_opt.trace.trace import Trace
 
 BLOCK = 5000
@@ -70,15 +70,15 @@ _STOPPED = {
 
 def simulate(
     plant: Plant,
-    brain: Brain,
-    tip_refs: Course,
-    trocars: Course,
-    registered: Course,
+    controller: LoggedController,
+    tip_refs: Trajectory,
+    trocars: Trajectory,
+    registered: Trajectory,
     *,
-    guard: Watchdog | None = None,
+    safety_filter: SafetyFilterProtocol | None = None,
     faults: Faults | None = None,
     stop: Stop = Stop(),
-    touched: Touched | None = None,
+    offset: TaskOffset | None = None,
     watch: Callable[[int], None] | None = None,
     meta: Mapping[str, Any] | None = None,
     sink: Sink | None = None,
@@ -88,14 +88,14 @@ def simulate(
 
     Args:
         plant: already reset to the start.
-        brain: the controller.
+        controller: the controller.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars: (N, 2, 3) rows P_t, dP_t: where the trocar really is.
         registered: (N, 2, 3) where the controller believes it to be.
-        guard: holds limits and judges measurements; None: neither.
+        safety_filter: holds limits and judges measurements; None: neither.
         faults: what goes wrong around the arm; None: nothing.
-        stop: how the arm is stopped when the guard has lost it.
-        touched: how the robot's frame lies in the true one, where `tip_refs` and `registered` were taken with its
+        stop: how the arm is stopped when the safety filter has lost it.
+        offset: how the robot's frame lies in the true one, where `tip_refs` and `registered` were taken with its
             own tip; None: as the true one.
         watch: called with the tick's number before each tick (progress, events).
         meta: goes into the trace.
@@ -106,17 +106,17 @@ def simulate(
     Returns:
         One row per tick: the state at its start, and the torque sent then. ``meta["ended"]`` is "completed", or
         "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["ticks"]`` of
-        ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, is what the guard warned of.
-        ``meta["faults"]`` is what a brain that counts them says of refused answers: label -> count, first_at_s, first
-        (in words).
+        ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, are the safety
+        filter's. ``meta["faults"]``, of a controller that counts them, are its refused answers: label -> count,
+        first_at_s, first (in words).
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
     """
-    ticks, touched = len(tip_refs), Touched.nothing() if touched is None else touched
-    log = Log(plant, brain, Courses(tip_refs, trocars, registered), touched, sink, block)
+    ticks, offset = len(tip_refs), TaskOffset.nothing() if offset is None else offset
+    log = Log(plant, controller, Trajectories(tip_refs, trocars, registered), offset, sink, block)
     now = log.block
-    safe = Safe(brain, guard, np.array(plant.applied_torque))
+    safe = Safe(controller, safety_filter, np.array(plant.applied_torque))
     seen = plant.measure()
     safe.start(seen, now.tip_refs[0], now.registered[0])
     begin_s, ended, stop_at, broken = float(now.kept["t_s"][0]), "completed", ticks - 1, None
@@ -140,7 +140,7 @@ def simulate(
                     ended = f"stopped: {safe.lost} (t = {kept['t_s'][row]:.3f} s)"
                     stop_at = min(stop_at, k + round(stop.seconds / plant.settings.period_s))
                     stopped["stopped_at_s"] = float(kept["t_s"][row])
-                brain.note(row, kept)
+                controller.note(row, kept)
                 if safe.lost:
                     plant.brake(stop.damping, safe.hold(seen))
                     _blank(kept, row)
@@ -159,7 +159,7 @@ def simulate(
     columns = log.close()
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": ended, **stopped}
     found |= {"ticks": stop_at + 1, "ticks_planned": ticks}
-    found |= {"faults": brain.faults} if hasattr(brain, "faults") else {}
+    found |= {"faults": controller.faults} if hasattr(controller, "faults") else {}
     if safe.warnings:
         found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in safe.warnings]
     trace = Trace(columns, {**found, **(meta or {})})

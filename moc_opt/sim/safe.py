@@ -14,7 +14,7 @@ from moc_opt.sim.sensors import Measurement
 Array = NDArray[np.float64]
 
 
-class Pilot(Protocol):
+class TorqueController(Protocol):
     """What a guarded loop asks of a controller: torque from measurements."""
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -25,12 +25,12 @@ class Pilot(Protocol):
         """Torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
         ...
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Take note of the torque (n,) [Nm] that really went out, where the guard changed it."""
         ...
 
 
-class Brain(Pilot, Protocol):
+class LoggedController(TorqueController, Protocol):
     """What a recorded loop asks of a controller beside its torque: what to write down about the third level."""
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -42,15 +42,15 @@ class Brain(Pilot, Protocol):
         ...
 
 
-class Watchdog(Protocol):
-    """What the loop asks of a guard (``moc_opt.control.safety_filter.Guard``)."""
+class SafetyFilterProtocol(Protocol):
+    """What the loop asks of a guard (``moc_opt.control.safety_filter.SafetyFilter``)."""
 
     @property
     def lost(self) -> bool:
         """Whether it is time to stop: ``reason`` says why."""
         ...
 
-    def give_up(self, reason: str) -> None:
+    def request_stop(self, reason: str) -> None:
         """Order the stop."""
         ...
 
@@ -75,12 +75,12 @@ class Watchdog(Protocol):
         ...
 
     def believe(
-        self, q: Array, v: Array, stamp: int | None = None, sent: Array | None = None, wrench: Array | None = None
+        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None, wrench: Array | None = None
     ) -> tuple[Array, Array]:
         """The measurement, or what stands in for one that cannot be true, is old, or repeats itself."""
         ...
 
-    def weigh(self, q: Array, v: Array, state: Any, sent: Array) -> None:
+    def weigh(self, q: Array, v: Array, state: Any, applied: Array) -> None:
         """Take note of the motion that the torque before (q, v) should have made; None: of that state."""
         ...
 
@@ -101,63 +101,65 @@ class Safe:
     """A controller whose measurements and torques pass through its guard; without a guard, the controller alone.
 
     Args:
-        brain: the controller.
-        guard: holds limits and judges measurements; None: neither.
-        sent: (n,) the last torque that went out [Nm].
+        controller: the controller.
+        safety_filter: holds limits and judges measurements; None: neither.
+        applied: (n,) the last torque that went out [Nm].
     """
 
-    def __init__(self, brain: Pilot, guard: Watchdog | None, sent: Array) -> None:
-        self._brain, self._guard, self._sent = brain, guard, sent
-        self._sees_state = hasattr(brain, "state")  # and the model's state at the last measurement
-        self._sees_tip = hasattr(brain, "tip")  # a controller may say where it sees the tip (3,) [m]
+    def __init__(
+        self, controller: TorqueController, safety_filter: SafetyFilterProtocol | None, applied: Array
+    ) -> None:
+        self._controller, self._filter, self._applied = controller, safety_filter, applied
+        self._sees_state = hasattr(controller, "state")  # and the model's state at the last measurement
+        self._sees_tip = hasattr(controller, "tip")  # a controller may say where it sees the tip (3,) [m]
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Take the first measurement as it is, and start controller and guard at it."""
-        self._brain.start(seen.q, seen.v, tip_ref, trocar)
-        if self._guard is not None:
-            self._guard.start(seen.q, seen.v, seen.stamp)
+        self._controller.start(seen.q, seen.v, tip_ref, trocar)
+        if self._filter is not None:
+            self._filter.start(seen.q, seen.v, seen.stamp)
 
     @property
     def lost(self) -> str:
         """Why the arm has to be stopped; empty while it has not."""
-        return "" if self._guard is None else self._guard.reason
+        return "" if self._filter is None else self._filter.reason
 
     @property
     def limited(self) -> int:
         """Joints at which the guard changed the last torque."""
-        return 0 if self._guard is None else self._guard.limited
+        return 0 if self._filter is None else self._filter.limited
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """See ``Watchdog``."""
-        return [] if self._guard is None else self._guard.warnings
+        """See ``SafetyFilterProtocol``."""
+        return [] if self._filter is None else self._filter.warnings
 
     def hold(self, seen: Measurement) -> Array | float:
         """Dry friction (n,) [Nm] that the brakes are to have in a stop."""
-        return 0.0 if self._guard is None else self._guard.hold(seen.force)
+        return 0.0 if self._filter is None else self._filter.hold(seen.force)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
         """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once the arm is lost."""
-        guard = self._guard
+        guard = self._filter
         if guard is None:
-            return self._brain.tick(seen.q, seen.v, tip_ref, trocar)
+            return self._controller.tick(seen.q, seen.v, tip_ref, trocar)
         if not guard.lost:
-            q, v = guard.believe(seen.q, seen.v, seen.stamp, self._sent, seen.force)
+            q, v = guard.believe(seen.q, seen.v, seen.stamp, self._applied, seen.force)
             guard.feel(q, trocar, seen.force)
         if not guard.lost:
             try:
-                asked = self._brain.tick(q, v, tip_ref, trocar)
+                asked = self._controller.tick(q, v, tip_ref, trocar)
                 if self._sees_tip:
-                    guard.follow(self._brain.tip, tip_ref)  # type: ignore[attr-defined]
-                state = self._brain.state if self._sees_state else None  # type: ignore[attr-defined]
-                guard.weigh(q, v, state, self._sent)
+                    guard.follow(self._controller.tip, tip_ref)  # type: ignore[attr-defined]
+                state = self._controller.state if self._sees_state else None  # type: ignore[attr-defined]
+                guard.weigh(q, v, state, self._applied)
             except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
-                guard.give_up(f"the controller failed: {error}")
+                guard.request_stop(f"the controller failed: {error}")
             else:
-                tau = guard.limit(asked, self._sent, q, v)
+                tau = guard.limit(asked, self._applied, q, v)
                 if guard.limited:
-                    self._brain.sent(tau)
+                    self._controller.set_applied_torque(tau)
         if guard.lost:
-            tau = guard.rest(self._sent)
-        self._sent = tau
+            tau = guard.rest(self._applied)
+        self._applied = tau
         return tau

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control.incision import SHORTEST_DEPTH_M, rcm_error, trocar_force
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.tasks import shaft_distance
 
@@ -49,7 +49,7 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
 
 
 def guard_of(robot, **changes):
-    mine = Guard(robot.data, GuardSettings(**changes), PERIOD, robot.gravity, robot.tool_pose)
+    mine = SafetyFilter(robot.data, SafetyFilterSettings(**changes), PERIOD, robot.gravity, robot.tool_pose)
     mine.start(robot.data.q_home, np.zeros(7))
     return mine
 
@@ -82,7 +82,7 @@ def weight(robot, q, force=0.0):
 def test_a_level_warns_and_a_limit_stops_after_a_while(robot, warning, limit, bring, says):
     """Just below the warning nothing, between both a warning, above the limit a stop; each can be switched off."""
     q = robot.data.q_home
-    levels = GuardSettings()
+    levels = SafetyFilterSettings()
     low, high = getattr(levels, warning), getattr(levels, limit)
 
     def hold(value, ticks=1000, **changes):
@@ -198,7 +198,7 @@ def test_a_deaf_sensor_leaves_the_rcm_error_watched(robot):
 
 
 def test_a_guard_without_a_tool_knows_no_incision(robot):
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(7))
     guard.feel(robot.data.q_home, off_by(robot, robot.data.q_home, 1.0), np.full(6, np.nan))
     assert not guard.lost
@@ -222,7 +222,7 @@ def test_levels_must_be_in_order_and_numbers():
     for wrong in ({"rcm_warning_m": 0.02}, {"trocar_force_warning_N": 16.0}, {"rcm_error_m": -1.0},
                   {"trocar_force_N": float("nan")}):  # fmt: skip
         with pytest.raises(ControlError, match=next(iter(wrong))):
-            GuardSettings(**wrong)
+            SafetyFilterSettings(**wrong)
 
 
 def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):

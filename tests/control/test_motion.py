@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.control.motion import MotionSettings, MotionWatch
 from moc_opt.control.motion_kernels import FRESH, OLD, REPEAT
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 PERIOD, PATIENCE, N = 0.002, 3, 7
 
@@ -157,7 +157,7 @@ def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
 def test_kernels_take_no_more_than_they_are_given(robot):
     """The memory has the rows that the kernels name, and a watch begun anew has none of the past."""
     assert kernels.EXCEEDED == kernels.ROWS - 1
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity, None, robot.state)
     q = np.array(robot.data.q_home)
     for _ in range(2):
         guard.start(q, np.zeros(N), 5)
@@ -168,7 +168,7 @@ def test_kernels_take_no_more_than_they_are_given(robot):
 
 
 def test_the_watch_can_be_switched_off(robot):
-    guard = Guard(robot.data, GuardSettings(motion=False), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(motion=False), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N), 0)
     for _ in range(50):
         guard.believe(robot.data.q_home, np.zeros(N), 0, np.zeros(N))
@@ -178,7 +178,7 @@ def test_the_watch_can_be_switched_off(robot):
 @pytest.mark.parametrize("joint", range(4))
 def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
     """An arm whose reading stands, by a little noise, while a torque that no friction holds acts on a joint."""
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity, None, robot.state)
     q, v, rng = np.array(robot.data.q_home), np.zeros(N), np.random.default_rng(joint)
     for seen in ("noisy", "stuck"):
         guard.start(q, v, 0)

@@ -1,4 +1,4 @@
-"""The whole controller in C beside `Safe(Driver(Controller), Guard)`: the same torque to 1e-9 Nm at every tick."""
+"""The whole controller in C beside the Python one and its safety filter: the same torque to 1e-9 Nm at every tick."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import NDArray
 
 import moc_opt.sim.loop
-from moc_opt.control.safety_filter import Guard
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.embedded.guarded import FAULTS, GuardedController
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Scenario, Setup, make_guard
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Scenario, Setup, make_safety_filter
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.safe import Safe
 from moc_opt.sim.sensors import Measurement
 
@@ -40,7 +40,7 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
 class Twin:
     """Python's `Safe`, and the C program on the same inputs; what differs is kept."""
 
-    def __init__(self, brain: Driver, guard: Guard, sent: Array, scenario: Scenario) -> None:
+    def __init__(self, brain: ControllerAdapter, guard: SafetyFilter, sent: Array, scenario: Scenario) -> None:
         self.python, self.brain, self.guard, self._sent = Safe(brain, guard, sent), brain, guard, sent
         controller = brain.controller
         self.c = GuardedController(
@@ -105,7 +105,7 @@ def run_twins(scenario: Scenario) -> tuple[Twin, Any]:
     """Run the scenario's closed loop with both; Python's torque goes to the plant."""
     twins: list[Twin] = []
 
-    def make(brain: Driver, guard: Guard, sent: Array) -> Twin:
+    def make(brain: ControllerAdapter, guard: SafetyFilter, sent: Array) -> Twin:
         twins.append(Twin(brain, guard, sent, scenario))
         return twins[-1]
 
@@ -254,8 +254,8 @@ def stream(robot: RobotModel, angles: Array, seed: int, moving: float) -> list[t
 def compare_on(scenario: Scenario, given: list[tuple[Measurement, Array, Array]]) -> Twin:
     """Both, open loop, on the same measurements."""
     setup = Setup(scenario)
-    guard = make_guard(setup.robot, scenario)
-    twin = Twin(Driver(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
+    guard = make_safety_filter(setup.robot, scenario)
+    twin = Twin(ControllerAdapter(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
     twin.start(*given[0])
     for inputs in given:
         twin.tick(*inputs)

@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import PlantError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import Scenario, run
@@ -92,7 +92,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 
 def test_brakes_are_open_only_while_the_trocar_presses(robot):
     """And never where the drives cannot carry the weight, or the sensor says nothing."""
-    guard = Guard(robot.data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
@@ -113,7 +113,7 @@ def test_brakes_are_open_only_while_the_trocar_presses(robot):
         if closed:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
     data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
-    weak = Guard(data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
     weak.start(q, np.zeros(7))
     weak.feel(q, trocar, free)
     for _ in range(100):
