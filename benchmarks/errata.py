@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import cli
 from benchmarks.errata_numbers import (
     PAPER,
     Arm,
@@ -221,12 +222,8 @@ def page(arm: Arm | None = None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the page, or check it; 0, or 1 where it does not agree."""
-    options = argparse.ArgumentParser(prog="python -m benchmarks.errata", description="Write docs/errata.md.")
-    options.add_argument("--out", type=Path, default=PAGE, help="where the page is")
-    options.add_argument("--check", action="store_true", help="compare only")
-    given = options.parse_args(arguments)
+def write_page(given: argparse.Namespace) -> int:
+    """Write the page, or with ``--check`` compare; status 1 where it does not agree."""
     text = page()
     if not given.check:
         write_atomically(given.out, text.encode())
@@ -238,6 +235,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         file=sys.stderr,
     )
     return 1
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the page, or check it; see `cli.run` for the exit status."""
+    options = argparse.ArgumentParser(prog="python -m benchmarks.errata", description="Write docs/errata.md.")
+    options.add_argument("--out", type=Path, default=PAGE, help="where the page is")
+    options.add_argument("--check", action="store_true", help="compare only")
+    return cli.run(options, write_page, arguments)
 
 
 if __name__ == "__main__":

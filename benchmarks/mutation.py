@@ -8,26 +8,26 @@ each mutant. Nothing is written into the tree. Needs cosmic-ray: pip install 'mo
 
 from __future__ import annotations
 
-import os
 import sys
+from argparse import Namespace
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field
-from rich.table import Table
 
-from benchmarks import output
+from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.mutants import trial
 from benchmarks.mutants.make import Mutant, MutationError, places, sample
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
-from moc_opt.report.console import console, progress
+from moc_opt.report.tables import Column, Table
 
 ROOT = Path(__file__).resolve().parent.parent
 BASELINE_S = 900.0
+KINDS = ("killed", "timed_out", "survived", "equivalent")
 
 
 class Equivalent(Settings):
@@ -43,8 +43,6 @@ class Equivalent(Settings):
 class Config(Configuration):
     """benchmarks/configs/mutation.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     sample: int = Field(240, ge=1)
     limit_s: float = Field(60.0, gt=0.0)
     patience: float = Field(8.0, ge=2.0)
@@ -52,6 +50,10 @@ class Config(Configuration):
     share_wanted: float = Field(0.95, gt=0.0, le=1.0)
     modules: dict[str, Annotated[list[str], Field(min_length=1)]] = Field(min_length=1)
     equivalent: tuple[Equivalent, ...] = ()
+
+    def quick(self) -> Self:
+        """Eight mutants alone."""
+        return self.model_copy(update={"sample": 8})
 
     def choosing(self, names: Sequence[str] | None, count: int | None) -> Self:
         """These modules alone, and that many mutants.
@@ -102,7 +104,7 @@ def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[d
 def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]) -> dict[str, Any]:
     """All mutants of one module; what became of them."""
     known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
-    counts = {"killed": 0, "timed_out": 0, "survived": 0, "equivalent": 0}
+    counts = dict.fromkeys(KINDS, 0)
     survivors: list[dict[str, Any]] = []
     equivalent: list[dict[str, Any]] = []
     found_by: dict[str, int] = {}
@@ -143,8 +145,7 @@ def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
 
 def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
     """Counts and shares over all modules."""
-    kinds = ("killed", "timed_out", "survived", "equivalent")
-    counts = {kind: sum(row[kind] for row in modules.values()) for kind in kinds}
+    counts = {kind: sum(row[kind] for row in modules.values()) for kind in KINDS}
     found = shares(counts)
     share = found["share_found"]
     return {**counts, **found, "wanted": wanted, "reached": share is not None and share >= wanted}
@@ -152,62 +153,44 @@ def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, 
 
 def table(summary: Mapping[str, Any]) -> Table:
     """A line a module, and the total."""
-    shown = Table(title="mutants")
-    for column in ("module", "places", "tried", "killed", "timed out", "survived", "equivalent", "share found [%]"):
-        shown.add_column(column, justify="left" if column == "module" else "right")
-    for name, row in [*summary["modules"].items(), ("all", summary["total"])]:
-        tried = sum(row[kind] for kind in ("killed", "timed_out", "survived", "equivalent"))
-        share = "" if row["share_found"] is None else f"{100.0 * row['share_found']:.1f}"
-        figures = [row.get("places", ""), tried, row["killed"], row["timed_out"], row["survived"], row["equivalent"]]
-        shown.add_row(name, *map(str, figures), share)
-    return shown
+    counts = ("places", "tried", *KINDS)
+    columns = [Column("module", "module"), *(Column(name, name.replace("_", " "), format="d") for name in counts)]
+    rows = [
+        {
+            "module": name, **row, "tried": sum(row[kind] for kind in KINDS),
+            "percent": None if row["share_found"] is None else 100.0 * row["share_found"],
+        }
+        for name, row in [*summary["modules"].items(), ("all", summary["total"])]
+    ]  # fmt: skip
+    return Table("mutants", [*columns, Column("percent", "share found", unit="%", format=".1f")], rows)
 
 
-def run(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+def run(given: Namespace) -> cli.Results:
+    """Try every mutant of the sample."""
+    config = Config.chosen(given, "mutation").choosing(given.module, None if given.quick else given.sample)
     trial.load_libraries()
     numbers, chosen = draw(config)
     modules: dict[str, Any] = {}
-    with progress("mutation", len(chosen)) as bar:
-        bar.at("the source as it is")
-
-        def advance(text: str) -> None:
-            bar.at(text)
-            bar.advance()
-
+    with cli.steps("mutation", len(chosen)) as step:
         for name in config.modules:
             mine = [mutant for mutant in chosen if mutant.module == name]
             if mine:
-                modules[name] = {"places": numbers[name], **judge(config, name, mine, advance)}
+                modules[name] = {"places": numbers[name], **judge(config, name, mine, step)}
     summary = {"modules": modules, "total": total(modules, config.share_wanted)}
-    output.write_json(out / "summary.json", summary)
-    rows = [{"module": name, **row} for name, found in modules.items() for row in found["survivors"]]
-    output.write_json(out / "environment.json", output.environment(config.model_dump(mode="json"), config.seed, argv))
-    if as_json:
-        print((out / "summary.json").read_text(), end="")
-        return summary
-    screen = console()
-    screen.print(table(summary))
-    for row in rows:
-        where = f"{row['module']}:{row['line']} {row['operator']}"
-        screen.print(f"{where}\n    {row['before']}\n    {row['after']}", markup=False)
-    return summary
+    survivors = [
+        f"{name}:{row['line']} {row['operator']}\n    {row['before']}\n    {row['after']}"
+        for name, found in modules.items()
+        for row in found["survivors"]
+    ]
+    return cli.Results(summary, config.environment(given), tables=[table(summary)], sentences=survivors)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; 0, or 2 with a message where the input is wrong."""
-    options = output.parser("mutation", "Count the small errors in the source that the tests find.")
+    """Run the benchmark; see `cli.run` for the exit status."""
+    options = cli.parser("mutation", "Count the small errors in the source that the tests find.")
     options.add_argument("--sample", type=int, metavar="N", help="mutants in all, instead of the configuration's")
     options.add_argument("--module", nargs="+", metavar="NAME", help="these modules alone")
-    given = options.parse_args(arguments)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    try:
-        config = Config.chosen(given, "mutation").choosing(given.module, 8 if given.quick else given.sample)
-        run(config, given.out, given.json, list(arguments or sys.argv[1:]))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return cli.run(options, run, arguments)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks import cli
 from benchmarks.latency.goals import GOALS
 from benchmarks.output import fill_section, write_atomically
 from benchmarks.paper_experiment import ablation
@@ -166,27 +167,26 @@ def filled(readme: str, name: str, text: str) -> str:
     return found
 
 
+def fill(given: argparse.Namespace) -> int:
+    """Write the sections whose results are there."""
+    makers = {"solvers": solvers_section, "paper": paper_section, "speed": speed_section}
+    text = given.readme.read_text(encoding="utf-8")
+    for name, make in makers.items():
+        folder = getattr(given, name)
+        if folder is not None:
+            text = filled(text, name, make(*(_read(folder / f"{kind}.json") for kind in ("summary", "environment"))))
+    write_atomically(given.readme, text.encode())
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the sections whose results are there; 0, or 2 with a message where something is wrong."""
+    """Fill the README; see `cli.run` for the exit status."""
     options = argparse.ArgumentParser(prog="python -m benchmarks.readme", description=__doc__)
     options.add_argument("--solvers", type=Path, help="results of benchmarks.solvers")
     options.add_argument("--paper", type=Path, help="results of benchmarks.paper")
     options.add_argument("--speed", type=Path, help="results of benchmarks.speed")
     options.add_argument("--readme", type=Path, default=Path("README.md"))
-    given = options.parse_args(arguments)
-    makers = {"solvers": solvers_section, "paper": paper_section, "speed": speed_section}
-    try:
-        text = given.readme.read_text(encoding="utf-8")
-        for name, make in makers.items():
-            folder = getattr(given, name)
-            if folder is not None:
-                kinds = ("summary", "environment")
-                text = filled(text, name, make(*(_read(folder / f"{kind}.json") for kind in kinds)))
-        write_atomically(given.readme, text.encode())
-    except (MocOptError, OSError) as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return cli.run(options, fill, arguments)
 
 
 def _where(environment: Summary) -> str:

@@ -5,10 +5,10 @@ python -m benchmarks.sweep_memory [--rows N ...] [--out DIR] [--json]
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
+from argparse import SUPPRESS, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from subprocess import PIPE, run
@@ -18,42 +18,24 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from benchmarks import output
+from benchmarks import cli, output
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.plan import Plan
 from benchmarks.sweeps.table import BLOCK, rows_schema, whole_parquet
-from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import to_json
-from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 
 ROWS = (10_000, 100_000, 1_000_000)
 SOLVERS = ("dcac", "exact", "osqp", "rnn")
-TABLE = Table(
-    "Memory of a summary",
-    [
-        Column("rows", "rows", format="d"),
-        Column("file_MB", "file", unit="MB", format=".1f"),
-        Column(
-            "before_MB",
-            "before",
-            unit="MB",
-            format=".0f",
-            help="peak memory of the process, libraries loaded",
-        ),
-        Column("peak_MB", "peak", unit="MB", format=".0f", help="peak memory of the process, summary made"),
-        Column(
-            "growth_MB",
-            "growth",
-            unit="MB",
-            format=".1f",
-            better="low",
-            help="what the summary added to the peak",
-        ),
-        Column("seconds", "time", unit="s", format=".2f"),
-    ],
-)
+COLUMNS = [
+    Column("rows", "rows", format="d"),
+    Column("file_MB", "file", unit="MB", format=".1f"),
+    Column("before_MB", "before", unit="MB", format=".0f", help="peak memory of the process, libraries loaded"),
+    Column("peak_MB", "peak", unit="MB", format=".0f", help="peak memory of the process, summary made"),
+    Column("growth_MB", "growth", unit="MB", format=".1f", better="low", help="what the summary added to the peak"),
+    Column("seconds", "time", unit="s", format=".2f"),
+]
 
 
 def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
@@ -101,41 +83,31 @@ def measure(folder: Path) -> dict[str, float]:
     }  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure each length in a process of its own; 0, or 2 with a message."""
-    options = argparse.ArgumentParser(prog="python -m benchmarks.sweep_memory", description=__doc__)
-    options.add_argument("--rows", type=int, nargs="+", default=list(ROWS), metavar="N")
-    options.add_argument(
-        "--out", type=Path, default=Path("results") / "sweep_memory", help="folder for the results"
-    )
-    options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
-    options.add_argument("--one", type=Path, help=argparse.SUPPRESS)
-    given = options.parse_args(arguments)
+def grow(given: Namespace) -> cli.Results | int:
+    """Measure each length in a process of its own."""
     if given.one is not None:
         print(to_json(measure(given.one), indent=None))
         return 0
     found: list[dict[str, Any]] = []
-    try:
-        for rows in given.rows:
-            with tempfile.TemporaryDirectory() as folder:
-                size = write_synthetic(Path(folder), rows).stat().st_size
-                command = [sys.executable, "-m", "benchmarks.sweep_memory", "--one", folder]
-                answer = run(command, stdout=PIPE, check=False, text=True)
-                if answer.returncode:
-                    raise SweepError(
-                        f"the process that should summarise {rows} rows ended with {answer.returncode}"
-                    )
-                found.append({"rows": rows, "file_MB": size / 2**20, **json.loads(answer.stdout)})
-        output.write_json(given.out / "summary.json", {"memory": {str(row["rows"]): row for row in found}})
-        output.write_json(given.out / "environment.json", output.environment({"rows": given.rows}, 0))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    if given.json:
-        print((given.out / "summary.json").read_text(), end="")
-    else:
-        console().print(Table(TABLE.title, TABLE.columns, found).to_rich())
-    return 0
+    for rows in given.rows:
+        with tempfile.TemporaryDirectory() as folder:
+            size = write_synthetic(Path(folder), rows).stat().st_size
+            command = [sys.executable, "-m", "benchmarks.sweep_memory", "--one", folder]
+            answer = run(command, stdout=PIPE, check=False, text=True)
+            if answer.returncode:
+                raise SweepError(f"the process that should summarise {rows} rows ended with {answer.returncode}")
+            found.append({"rows": rows, "file_MB": size / 2**20, **json.loads(answer.stdout)})
+    summary = {"memory": {str(row["rows"]): row for row in found}}
+    environment = output.environment({"rows": given.rows}, 0, given.argv)
+    return cli.Results(summary, environment, tables=[Table("Memory of a summary", COLUMNS, found)])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the measurement; see `cli.run` for the exit status."""
+    options = cli.parser("sweep_memory", "Memory of a sweep's summary against rows.", configured=False)
+    options.add_argument("--rows", type=int, nargs="+", default=list(ROWS), metavar="N")
+    options.add_argument("--one", type=Path, help=SUPPRESS)
+    return cli.run(options, grow, arguments)
 
 
 if __name__ == "__main__":

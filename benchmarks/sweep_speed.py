@@ -9,13 +9,13 @@ python -m benchmarks.sweep_speed [--runs N] [--seconds S] [--workers N] [--round
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import multiprocessing
 import os
 import statistics
 import sys
 import tempfile
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ from pathlib import Path
 from time import perf_counter, process_time, sleep
 from typing import Any
 
-from benchmarks import output
+from benchmarks import cli, output
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Table, Work, execute, run_all
@@ -33,9 +33,7 @@ from benchmarks.sweeps.local import THREADS, LocalPool
 from benchmarks.sweeps.plan import Plan
 from benchmarks.sweeps.store import Store
 from benchmarks.sweeps.version import code_version
-from moc_opt.errors import MocOptError
 from moc_opt.report import tables as report
-from moc_opt.report.console import console, progress
 
 LIMIT_S = 600.0
 COLUMNS = [
@@ -174,11 +172,11 @@ def measure(
             plan = the_plan(runs, alone.submit(calibrate, seconds).result())
     turns = contenders(plan, workers, pause if waiting else execute)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in turns}
-    with progress("speed", len(turns) * rounds) as bar:
+    with cli.steps("speed", len(turns) * rounds) as step:
         for _ in range(rounds):
             for name, turn in turns.items():
                 found[name].append(others(turn))
-                bar.advance()
+                step(name)
     for one, loop in zip(found["1 worker"], found["bare loop"], strict=True):
         one["over_bare_percent"] = 100.0 * (one["seconds"] / loop["seconds"] - 1.0)
     for figures in found.values():
@@ -190,9 +188,25 @@ def measure(
     }
 
 
+def compare(given: Namespace) -> cli.Results:
+    """Measure every engine.
+
+    Raises:
+        WorkerError: numbers that make no measurement.
+    """
+    if min(given.runs, given.workers, given.rounds) < 1 or given.seconds <= 0.0:
+        raise WorkerError("--runs, --workers, --rounds and --seconds: give one or more, and a positive time")
+    settings = {name: getattr(given, name) for name in ("runs", "seconds", "workers", "rounds", "waiting")}
+    found = measure(**settings)
+    kind = "waiting runs" if given.waiting else "runs"
+    title = f"{given.runs} {kind} of about {given.seconds:g} s, medians of {given.rounds} rounds"
+    table = report.Table(title, COLUMNS, [{"engine": name, **figures} for name, figures in found.items()])
+    return cli.Results({"speed": found}, output.environment(settings, 0, given.argv), tables=[table])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure; 0, or 2 with a message."""
-    options = argparse.ArgumentParser(prog="python -m benchmarks.sweep_speed", description=__doc__)
+    """Run the measurement; see `cli.run` for the exit status."""
+    options = cli.parser("sweep_speed", "What the engine of a sweep costs.", configured=False)
     options.add_argument("--runs", type=int, default=16)
     options.add_argument("--seconds", type=float, default=2.0, help="how long a run should take")
     options.add_argument("--workers", type=int, default=2)
@@ -200,33 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument(
         "--waiting", action="store_true", help="runs that wait, for a machine that others use"
     )
-    options.add_argument(
-        "--out", type=Path, default=Path("results") / "sweep_speed", help="folder for the results"
-    )
-    options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
-    given = options.parse_args(arguments)
-    try:
-        if min(given.runs, given.workers, given.rounds) < 1 or given.seconds <= 0.0:
-            raise WorkerError(
-                "--runs, --workers, --rounds and --seconds: give one or more, and a positive time"
-            )
-        found = measure(given.runs, given.seconds, given.workers, given.rounds, given.waiting)
-        output.write_json(given.out / "summary.json", {"speed": found})
-        settings = {
-            name: getattr(given, name) for name in ("runs", "seconds", "workers", "rounds", "waiting")
-        }
-        output.write_json(given.out / "environment.json", output.environment(settings, 0))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    if given.json:
-        print((given.out / "summary.json").read_text(), end="")
-    else:
-        rows = [{"engine": name, **figures} for name, figures in found.items()]
-        kind = "waiting runs" if given.waiting else "runs"
-        title = f"{given.runs} {kind} of about {given.seconds:g} s, medians of {given.rounds} rounds"
-        console().print(report.Table(title, COLUMNS, rows).to_rich())
-    return 0
+    return cli.run(options, compare, arguments)
 
 
 if __name__ == "__main__":

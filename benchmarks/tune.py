@@ -23,19 +23,19 @@ from __future__ import annotations
 import json
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks import output
+from benchmarks import cli
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect
 from benchmarks.parallel import run_parallel
 from benchmarks.tune_space import Candidate, Config, Range, Values, draw
-from moc_opt.errors import MocOptError, ScenarioError
-from moc_opt.report.console import console, progress
+from moc_opt.errors import ScenarioError
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 
@@ -145,23 +145,23 @@ def search(config: Config) -> tuple[list[Score], list[Score]]:
     total = (config.random + config.local) * each + min(
         config.finalists, config.random + config.local
     ) * final
-    with progress("search", total) as bar:
+    with cli.steps("search", total) as step:
         found = evaluate(
             config,
             [draw(config, rng) for _ in range(config.random)],
             SEARCH_STREAM,
             config.trials,
-            bar.advance,
+            step,
         )
         best = [
             s.candidate for s in sorted(found, key=lambda s: s.objective)[:5] if math.isfinite(s.objective)
         ]
         if best:
             near = [draw(config, rng, best) for _ in range(config.local)]
-            found += evaluate(config, near, SEARCH_STREAM, config.trials, bar.advance)
+            found += evaluate(config, near, SEARCH_STREAM, config.trials, step)
         found.sort(key=lambda s: s.objective)
         chosen = [s.candidate for s in found[: config.finalists] if math.isfinite(s.objective)]
-        finals = evaluate(config, chosen, FINAL_STREAM, config.final_trials, bar.advance)
+        finals = evaluate(config, chosen, FINAL_STREAM, config.final_trials, step)
     return found, sorted(finals, key=lambda s: s.objective)
 
 
@@ -179,40 +179,27 @@ def preset(winner: Score) -> str:
     return "\n".join(["[control]", *lines])
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Search; 0, or 2 with a message where the input is wrong or nothing was found."""
-    given = output.parser("tune", "Search for control settings that reach the goals.").parse_args(arguments)
-    try:
-        config = Config.chosen(given, "tune")
-        if given.quick:
-            config = config.quick()
-        found, finals = search(config)
-        if not finals or not math.isfinite(finals[0].objective):
-            raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+def tune(given: Namespace) -> cli.Results:
+    """Search, and verify the finalists.
+
+    Raises:
+        ScenarioError: no candidate survived.
+    """
+    config = Config.chosen(given, "tune")
+    found, finals = search(config)
+    if not finals or not math.isfinite(finals[0].objective):
+        raise ScenarioError("no candidate survived: widen [space], or draw more with random = ...")
     winner = finals[0]
     summary = {"tuned": {"control": winner.candidate.control, "figures": dict(winner.figures)}}
-    output.write_json(given.out / "summary.json", summary)
-    output.write_rows(
-        given.out / "rows.parquet", [row("search", s) for s in found] + [row("final", s) for s in finals]
-    )
-    environment = output.environment(
-        config.model_dump(mode="json"), config.seed, list(arguments or sys.argv[1:])
-    )
-    output.write_json(given.out / "environment.json", environment)
+    rows = [row("search", s) for s in found] + [row("final", s) for s in finals]
     columns = [Column(name, name, digits=3) for name in ("objective", *config.space, *winner.figures)]
-    table = Table("Finalists on fresh trials", columns, [row("final", s) for s in finals])
-    if given.json:
-        print((given.out / "summary.json").read_text(), end="")
-    else:
-        screen = console()
-        for piece in table.fitted(screen.width):
-            screen.print(piece)
-        screen.print(preset(winner))
-        screen.print(f"written: {given.out}/summary.json rows.parquet environment.json")
-    return 0
+    table = Table("Finalists on fresh trials", columns, rows[len(found) :])
+    return cli.Results(summary, config.environment(given), rows, tables=[table], sentences=[preset(winner)])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the search; see `cli.run` for the exit status."""
+    return cli.run(cli.parser("tune", "Search for control settings that reach the goals."), tune, arguments)
 
 
 __all__ = ["Candidate", "Config", "Range", "draw", "main", "objective", "score", "search"]

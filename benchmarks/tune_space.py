@@ -49,8 +49,6 @@ class Range(Settings):
 class Config(Configuration):
     """benchmarks/configs/tune.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     random: int = Field(60, ge=1)
     local: int = Field(40, ge=0)

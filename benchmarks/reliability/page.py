@@ -18,6 +18,10 @@ from moc_opt.report.tables import Column
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
 
+COUNTS = [
+    Column("kind", "input"),
+    *(Column(name, name, format=".0f") for name in ("cases", "accepted", "refused", "failed")),
+]
 PROMISES = (
     (
         "Tip and RCM control never depend on the third level.",
@@ -238,12 +242,11 @@ def page(found: Mapping[str, Any]) -> str:
     ]  # fmt: skip
     if "fuzz" in found:
         sent = found["fuzz"]
-        columns = [Column("kind", "input"), *(Column(name, name, format=".0f") for name in COUNTED)]
         parts += [
             "### Bad input",
             f"`python -m benchmarks.fuzz --cases {sent['cases']} --seed {sent['seed']} --page`. Accepted: it ran, and "
             "what came of it is right; refused: with a message that names the field or the file.",
-            markdown(columns, [{"kind": kind, **sent["kinds"][kind]} for kind in sorted(sent["kinds"])]),
+            markdown(COUNTS, [{"kind": kind, **sent["kinds"][kind]} for kind in sorted(sent["kinds"])]),
         ]
     groups = by_group(cases)
     for group, rows in ((name, groups[name]) for name in TITLES if name in groups):
@@ -251,7 +254,6 @@ def page(found: Mapping[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-COUNTED = ("cases", "accepted", "refused", "failed")
 TITLES = {
     "none": "no fault", "solver": "solver", "sensors": "sensors and packets", "plant": "plant and delay",
     "contact": "bumps and trocar", "camera": "camera",
