@@ -74,8 +74,8 @@ PROMISES = (
         "and then the arm is stopped, on every task, however small. So are readings that are up to date by their "
         "number alone: positions that do not follow their velocities, all encoders repeating one reading to the last"
         " bit while the tip is told to move or the torque changes, one encoder repeating while its joint must have "
-        "gathered 0.2 rad/s, readings with noise that came before, and a momentum residual that leaves its mean by a fifth "
-        "of the largest torque.",
+        "gathered 0.2 rad/s, readings with noise that came before, and a momentum residual that leaves its mean by a "
+        "fifth of the largest torque.",
         "Hypothesis over orders of packets; packets dropped, frozen, late, replayed and forged in the plant, at "
         "poses and moments that no level was chosen on; constant delays of 0 to 3 ticks and gaps of 3, which stop "
         "nothing.",
