@@ -30,6 +30,7 @@ ALLOWED = {
     "robots": {"errors", "inputs"},
     "model": {"errors", "numerics", "robots"},
     "redundancy": {"errors", "model", "trace"},
+    "planning": {"errors", "model", "redundancy", "tasks"},
     "solvers": {"errors", "inputs", "numerics", "qp"},
     "control": {"errors", "inputs", "numerics", "qp", "robots", "model", "tasks", "solvers.base"},
     "sim": {"errors", "inputs", "numerics", "robots", "tasks", "trace"},
@@ -38,11 +39,11 @@ ALLOWED = {
     "embedded": {"errors", "inputs", "qp", "robots", "model", "solvers", "control"},
     "report": {"errors", "inputs", "trace", "model", "redundancy"},
     "scenario": {
-        "errors", "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "solvers", "control", "sim",
-        "procedure", "embedded",
+        "errors", "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
+        "sim", "procedure", "embedded",
     },
     "live": {"errors", "inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
-    "public": {"errors", "qp", "trace", "model", "solvers", "scenario"},
+    "public": {"errors", "qp", "trace", "model", "planning", "solvers", "scenario"},
     "command line": {"errors", "trace", "report", "scenario", "embedded", "live"},
 }  # fmt: skip
 
@@ -54,6 +55,7 @@ ONLY = {
     "tasks": {"numpy"},
     "trace": {"numpy", "pyarrow"},
     "robots": {"numpy", "pydantic"},
+    "planning": {"numpy", "numba", "casadi"},
     "control": {"numpy", "numba", "pydantic"},
     "procedure": {"numpy", "pydantic", "scipy"},
     "scenario": {"numpy", "pydantic", "pyarrow"},
