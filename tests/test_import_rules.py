@@ -37,7 +37,7 @@ ALLOWED = {
     "vision": {"errors", "inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"errors", "inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
     "embedded": {"errors", "inputs", "qp", "robots", "model", "solvers", "control"},
-    "report": {"errors", "inputs", "trace", "model", "redundancy"},
+    "report": {"errors", "inputs", "trace", "model", "redundancy", "planning"},
     "scenario": {
         "errors", "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
         "sim", "procedure", "embedded",

@@ -126,12 +126,18 @@ def _dilated(feasible: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _highest_nearby(mu: Array) -> Array:
-    """The largest mu within half a cell, by the parabola through a pose and its neighbours."""
+    """The largest mu within half a cell: by the parabola through three poses, and what the next two differences add.
+
+    Stirling's interpolation at |s| <= 1/2: s (s^2 - 1)/6 of the third difference is at most 1/16 of it,
+    s^2 (s^2 - 1)/24 of the fourth at most 1/128; the fifth is left to `CURVED`.
+    """
     left, right = np.roll(mu, 1, axis=2), np.roll(mu, -1, axis=2)
     slope, bend = 0.5 * (right - left), left + right - 2.0 * mu
     edge = mu + 0.5 * np.abs(slope) + 0.125 * bend
+    third = 0.5 * np.abs(np.roll(bend, -1, axis=2) - np.roll(bend, 1, axis=2))
+    fourth = np.abs(np.roll(bend, -1, axis=2) + np.roll(bend, 1, axis=2) - 2.0 * bend)
     with np.errstate(invalid="ignore", divide="ignore"):
         top = np.where((bend < 0.0) & (np.abs(slope) <= -0.5 * bend), mu - 0.5 * slope**2 / bend, edge)
-    nearby = mu + CURVED * np.maximum(np.maximum(edge, top) - mu, 0.0)
+    nearby = np.maximum(edge, top) + CURVED * np.nan_to_num(third / 16.0 + fourth / 128.0)
     # beside a place without poses there is no parabola
     return np.fmax(mu, np.where(np.isnan(nearby), np.fmax(left, right), nearby))
