@@ -43,8 +43,9 @@ ALLOWED = {
         "sim", "procedure", "embedded",
     },
     "live": {"errors", "inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
+    "commissioning": {"errors", "inputs", "robots", "model", "redundancy", "report", "scenario"},
     "public": {"errors", "qp", "trace", "model", "planning", "solvers", "scenario"},
-    "command line": {"errors", "trace", "report", "scenario", "embedded", "live"},
+    "command line": {"errors", "trace", "report", "scenario", "embedded", "live", "commissioning"},
 }  # fmt: skip
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
