@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _READINGS = CompiledKernel(
     kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
-_REPLAYED = Entry(replays.count_replayed, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR)
+_REPLAYED = CompiledKernel(replays.count_replayed, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR)
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
 _AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
