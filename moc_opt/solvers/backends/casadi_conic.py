@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError, UnknownNameError
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -114,8 +114,7 @@ class CasadiSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        A = equalities(qp, self._settings.rows).A
-        self._shape = m, n = A.shape
+        self._shape = m, n = assembled(qp, self._settings.rows).A.shape
         form = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
         options = {"error_on_fail": True, **PLUGINS[self._settings.plugin], **self._settings.options}
         try:
@@ -150,12 +149,12 @@ class CasadiSession:
 
     def update(self, qp: NullSpaceQP) -> None:
         """Write the subproblem into the function's buffers; another shape than the last one's builds a new function."""
-        A, b, self._lift = equalities(qp, self._settings.rows)
+        P, p, A, b, self._lift = assembled(qp, self._settings.rows)
         if A.shape != self._shape:
             self._build(qp)
         given, part, scale = self._in, qp.fields, self._settings.cost_scale
-        np.multiply(qp.P, scale, out=self._H)
-        np.multiply(qp.p, scale, out=given["g"])
+        np.multiply(P, scale, out=self._H)
+        np.multiply(p, scale, out=given["g"])
         self._A[:] = A
         given["lba"][:] = given["uba"][:] = b
         given["lbx"][:], given["ubx"][:] = part.lower, part.upper

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -74,7 +74,7 @@ class ClarabelSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
+        self._shape = m, n = assembled(qp, self._settings.rows).A.shape
         upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])  # upper triangle of P
         self._P, self._q, self._b = np.empty(len(upper)), np.empty(n), np.empty(m + 2 * n)
         self._A = np.ones((n, m + 2))

@@ -13,7 +13,7 @@ import numpy as np
 from daqp import Model
 from numpy.typing import NDArray
 
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -76,7 +76,7 @@ class DAQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
+        self._shape = m, n = assembled(qp, self._settings.rows).A.shape
         self._P, self._p, self._A = np.empty((n, n)), np.empty(n), np.empty((m, n))
         self._lower, self._upper = np.empty(n + m), np.empty(n + m)
         self._fresh = np.concatenate([np.zeros(n, dtype=np.int32), np.full(m, EQUALITY, dtype=np.int32)])

@@ -14,7 +14,7 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from osqp import ext_builtin
 
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -88,7 +88,7 @@ class OSQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
+        self._shape = m, n = assembled(qp, self._settings.rows).A.shape
         # The upper triangle of P and the columns of [A; I], column by column: explicit zeros stay.
         upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])
         self._P = np.empty(len(upper))

@@ -13,7 +13,7 @@ import numpy as np
 import piqp
 from numpy.typing import NDArray
 
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -69,7 +69,7 @@ class PIQPSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        m, n = equalities(qp, self._settings.rows).A.shape
+        m, n = assembled(qp, self._settings.rows).A.shape
         # The library stores matrices by columns; rows it would copy at every call.
         self._P, self._A, self._p = np.empty((n, n), order="F"), np.empty((m, n), order="F"), np.empty(n)
         self._b, self._lower, self._upper = np.empty(m), np.empty(n), np.empty(n)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from proxsuite import proxqp
 
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -89,7 +89,7 @@ class ProxQPSession:
 
     def _build(self, qp: NullSpaceQP) -> None:
         settings = self._settings
-        m, n = equalities(qp, settings.rows).A.shape
+        m, n = assembled(qp, settings.rows).A.shape
         P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
         self._load = Loader(
             settings.rows, settings.cost_scale, P=P, p=p, A=A, low=b, high=b, lower=lower, upper=upper

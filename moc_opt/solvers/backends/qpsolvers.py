@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, UnknownNameError, describe
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -183,11 +183,11 @@ class QPSolverSession:
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
-        A, b, lift = equalities(qp, self._settings.rows)
+        P, p, A, b, lift = assembled(qp, self._settings.rows)
         part, scale, library = qp.fields, self._scale, self._settings.library
         # Copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(
-            qp.P * scale, qp.p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
+            P * scale, p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
         )
         last = self._last if self._last is not None and len(self._last) == qp.n else None
         if library in _NOISY:

@@ -9,7 +9,7 @@ import numpy as np
 import quadprog
 from numpy.typing import NDArray
 
-from moc_opt.qp.equalities import equalities
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
@@ -59,7 +59,7 @@ class QuadprogSession:
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
-        self._shape = m, n = equalities(qp, 5).A.shape
+        self._shape = m, n = assembled(qp, 5).A.shape
         self._C, self._b = np.zeros((n, m + 2 * n), order="F"), np.empty(m + 2 * n)
         self._C[:, m : m + n] = np.eye(n)
         self._C[:, m + n :] = -np.eye(n)
