@@ -7,6 +7,7 @@ call costs a microsecond; the same steps in numpy, one by one, cost as much as t
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sparse
 from numba import float64, int64, njit, typeof
 from numpy.typing import NDArray
 
@@ -65,6 +66,12 @@ def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
 
 
 _LIFT_DUALS = CompiledKernel(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+
+
+def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
+    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix; zeros stay."""
+    rows = np.concatenate([np.arange(j + 1) for j in range(n)])
+    return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 class Loader:

@@ -22,6 +22,7 @@ from moc_opt.errors import SolverError, UnknownNameError, describe
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
+from moc_opt.solvers.backends.session import refuse_semidefinite
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.options import checked
 
@@ -137,13 +138,10 @@ class QPSolver:
         return Advice(scale, {**base.options, **self.options})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """quadprog factorises P, which is singular without regularization; every other library takes all."""
-        if self.library == "quadprog" and qp.regularization <= 1e-10 * (qp.c0 + qp.c1):
-            return (
-                f"quadprog needs a positive definite cost and regularization is {qp.regularization:g}: it refuses, or "
-                "answers wrongly; set regularization > 0"
-            )
-        return None
+        """Say no for quadprog without regularization: it factorises P, and refuses or answers wrongly."""
+        if self.library != "quadprog":
+            return None
+        return refuse_semidefinite(qp, "quadprog needs a positive definite cost")
 
     def start(self, qp: NullSpaceQP) -> QPSolverSession:
         """A session; where there are options of the caller's, one solve shows whether they exist."""
