@@ -64,6 +64,7 @@ ONLY = {
 }
 ONLY_MODULES = {  # whoever has a subproblem needs numpy alone
     "moc_opt.qp.problem": {"numpy"}, "moc_opt.qp.residuals": {"numpy"}, "moc_opt.qp.extremes": {"numpy"},
+    "moc_opt.qp.reduction": {"numpy"}, "moc_opt.qp.layout": set(),
     "moc_opt.solvers.base": {"numpy"},
 }  # fmt: skip
 NEVER = {

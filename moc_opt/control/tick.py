@@ -24,6 +24,7 @@ from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import StateViews, state_views
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
+from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
@@ -107,7 +108,7 @@ def fill_subproblem(
 @njit(cache=True, nogil=True)
 def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array) -> None:
     n = s.q.shape[0]
-    o = 6 * n
+    at = offsets(n)
     for i in range(6):
         for j in range(n):
             row[i * n + j] = s.A[i, j]
@@ -115,19 +116,19 @@ def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: 
     _, v_wrist = desired_wrist(s.tip, v_tip, trocar[0], trocar[1], s.scalars[1])
     consistent = consistent_wrist_velocity(v_tip, v_wrist, s.u)
     for i in range(3):
-        row[o + i], row[o + 3 + i] = v_tip[i], consistent[i]
+        row[at.b + i], row[at.b + 3 + i] = v_tip[i], consistent[i]
     for i in range(n):
-        row[o + 6 + i], row[o + 10 + 3 * n + i] = s.grad_mu[i], s.q[i]
+        row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i], s.q[i]
     for i in range(4):
-        row[o + 6 + 3 * n + i] = weights[i]
+        row[at.weights + i] = weights[i]
     velocity_damper(
         s.q,
         limits[0],
         limits[1],
         limits[2],
         k0,
-        row[o + 6 + n : o + 6 + 2 * n],
-        row[o + 6 + 2 * n : o + 6 + 3 * n],
+        row[at.lower : at.upper],
+        row[at.upper : at.weights],
     )
 
 
