@@ -21,7 +21,7 @@ from moc_opt.control.observer import MomentumObserver
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP, row_length
-from moc_opt.scenario import Setup, make_solver
+from moc_opt.scenario import Setup, make_safety_filter, make_solver, make_stop
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import simulate
 from moc_opt.solvers.base import Solver
@@ -54,7 +54,10 @@ class _Ear(ControllerAdapter):
 def record(setup: Setup) -> Recording:
     """Run the scenario once, and keep what every tick was given and its subproblem."""
     ear = _Ear(setup.controller())
-    trace = simulate(setup.plant, ear, *references(setup))
+    trace = simulate(
+        setup.plant, ear, *references(setup), safety_filter=make_safety_filter(setup.robot, setup.scenario),
+        stop=make_stop(setup.scenario),
+    )  # fmt: skip
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
     return Recording(ear.heard, problems, trace)
 

@@ -9,7 +9,6 @@ controller as C. Imported by live, the command line and benchmarks.
 from moc_opt.scenario.setup import (
     MocOptError,
     RunAway,
-    Safe,
     Scenario,
     Setup,
     make_safety_filter,
@@ -19,5 +18,5 @@ from moc_opt.scenario.setup import (
 )  # fmt: skip
 
 __all__ = [
-    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

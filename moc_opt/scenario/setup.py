@@ -25,11 +25,12 @@ from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import breathing, lay_out
 from moc_opt.scenario.rows import Timed, check_room
+from moc_opt.sim.closed_loop import ClosedLoop, Stop
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Sink, TaskOffset
-from moc_opt.sim.loop import BLOCK, RunAway, Stop, simulate
+from moc_opt.sim.loop import BLOCK, RunAway, simulate
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import LoggedController, Safe
+from moc_opt.sim.protocols import LoggedController, TorqueController
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
@@ -133,6 +134,11 @@ class Setup:
                 self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s
             )
         return ControllerAdapter(self.controller())
+
+    def closed_loop(self, controller: TorqueController) -> ClosedLoop:
+        """The plant under a controller behind the scenario's safety filter; it knows no faults and no trace."""
+        safety_filter = make_safety_filter(self.robot, self.scenario)
+        return ClosedLoop(self.plant, controller, safety_filter, make_stop(self.scenario))
 
     @property
     def ticks(self) -> int:
@@ -330,5 +336,5 @@ def run(
 
 
 __all__ = [
-    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

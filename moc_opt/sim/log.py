@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import LoggedController
+from moc_opt.sim.protocols import LoggedController
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]

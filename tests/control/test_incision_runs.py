@@ -92,10 +92,11 @@ def test_a_live_run_is_stopped_with_its_brakes():
     stopped = live.moment()
     assert "the RCM error has been above 12 mm" in stopped.stopped
     assert "reset" in live.messages[-1]
-    begun = live._halt_at - round(live.scenario.guard.stop_s / live.period_s)
-    assert stopped.t_s == pytest.approx(live._halt_at * live.period_s)
+    begun = live._loop._stopped_at
+    watched = round(live.scenario.guard.stop_s / live.period_s) + 1
+    assert stopped.t_s == pytest.approx((begun + watched) * live.period_s)
     assert begun > 0
-    assert np.abs(live._plant.v).max() < 0.03  # half a second of brakes, not a frozen picture of a moving arm
+    assert np.abs(live._setup.plant.v).max() < 0.03  # half a second of brakes, not a frozen picture of a moving arm
     live.advance(100)
     assert live.moment().t_s == stopped.t_s
     live.reset()

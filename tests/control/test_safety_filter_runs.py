@@ -132,7 +132,7 @@ def test_the_weight_is_carried_and_the_last_push_is_not(robot):
     """
 
     class Holding(SafetyFilter):
-        def rest(self, before):
+        def stop_torque(self, before):
             return before
 
     travels = []

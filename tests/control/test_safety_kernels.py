@@ -59,7 +59,7 @@ def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
     guard.start(robot.data.q_home, np.zeros(N))
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
-    assert guard.limit(tau, before, robot.data.q_home, np.zeros(N)) is before
+    assert guard.limit_torque(tau, before, robot.data.q_home, np.zeros(N)) is before
     assert guard.limited == 0
     assert guard.reason == "the controller's torque is not finite"
 
@@ -74,11 +74,11 @@ def test_a_brake_starts_from_the_arms_weight(robot):
 
     guard = SafetyFilter(robot.data, SafetyFilterSettings(torque_rate_Nm_per_s=1e9), PERIOD, gravity)
     q, tau = robot.data.q_home, np.full(N, 30.0)
-    np.testing.assert_array_equal(guard.limit(tau, tau, q, np.zeros(N)), tau)
+    np.testing.assert_array_equal(guard.limit_torque(tau, tau, q, np.zeros(N)), tau)
     assert asked == []
     v = np.zeros(N)
     v[2] = 1.5 * robot.v_max[2]
-    sent = guard.limit(tau, tau, q, v)
+    sent = guard.limit_torque(tau, tau, q, v)
     assert len(asked) == 1
     assert sent[2] == pytest.approx(2.0 - 20.0 * 0.5 * robot.v_max[2])
     np.testing.assert_array_equal(np.delete(sent, 2), np.delete(tau, 2))
@@ -110,9 +110,9 @@ def test_limits_of_belief_grow_with_the_gap(robot):
             guard = SafetyFilter(robot.data, s, PERIOD)
             guard.start(q, v)
             for _ in range(bad):
-                guard.believe(np.full(N, np.nan), v)
+                guard.check_measurement(np.full(N, np.nan), v)
             step = s.jump_rad + (1 + bad) * PERIOD * robot.v_max
-            guard.believe(q + bad * PERIOD * v + share * step, 2.0 * share * robot.v_max)
+            guard.check_measurement(q + bad * PERIOD * v + share * step, 2.0 * share * robot.v_max)
             assert guard.bad_ticks == (0 if sound else bad + 1)
 
 
@@ -130,29 +130,29 @@ def test_a_tip_off_its_reference_is_noted_when_its_mean_says_so(robot, time_s, f
     share = min(1.0, PERIOD / time_s)
     for _ in range(2):  # the second time after a start, which forgets
         guard.start(robot.data.q_home, np.zeros(N))
-        assert not guard.lost
+        assert not guard.stopped
         for k in range(1, 400):
-            guard.follow(np.array([0.0, 0.004 * factor, 0.0]), np.zeros((3, 3)))
-            assert guard.lost == (factor**2 * (1.0 - (1.0 - share) ** k) > 1.0)
+            guard.check_tip(np.array([0.0, 0.004 * factor, 0.0]), np.zeros((3, 3)))
+            assert guard.stopped == (factor**2 * (1.0 - (1.0 - share) ** k) > 1.0)
         assert guard.reason in ("", "the tip has been 4 mm off its reference")
     guard.start(robot.data.q_home, np.zeros(N))
-    guard.follow(np.full(3, np.nan), np.zeros((3, 3)))
-    assert guard.lost
+    guard.check_tip(np.full(3, np.nan), np.zeros((3, 3)))
+    assert guard.stopped
 
 
 def test_a_start_forgets_everything(robot):
     guard = SafetyFilter(robot.data, SafetyFilterSettings(patience_ticks=0), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N))
-    guard.limit(np.full(N, 1e3), np.zeros(N), robot.data.q_home, np.zeros(N))
+    guard.limit_torque(np.full(N, 1e3), np.zeros(N), robot.data.q_home, np.zeros(N))
     assert guard.limited == N
-    guard.believe(np.full(N, np.nan), np.zeros(N))
-    assert guard.lost
+    guard.check_measurement(np.full(N, np.nan), np.zeros(N))
+    assert guard.stopped
     guard.request_stop("too late")
     assert guard.reason == "measurements not believed"
     q, v = robot.data.q_home + 0.1, np.full(N, 0.3)
     guard.start(q, v)
-    assert (guard.lost, guard.bad_ticks, guard.limited, guard.reason, guard.warnings) == (False, 0, 0, "", [])
-    seen, speed = guard.believe(np.full(N, np.nan), v)
+    assert (guard.stopped, guard.bad_ticks, guard.limited, guard.reason, guard.warnings) == (False, 0, 0, "", [])
+    seen, speed = guard.check_measurement(np.full(N, np.nan), v)
     np.testing.assert_allclose(seen, q + PERIOD * v, rtol=1e-14)
     np.testing.assert_array_equal(speed, v)
     with pytest.raises(ControlError, match=r"v = .*not finite"):
@@ -169,12 +169,12 @@ def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
     guard = SafetyFilter(robot.data, s, PERIOD, lambda q: weight)
     guard.start(robot.data.q_home, np.zeros(N))
     guard.limited = 3
-    np.testing.assert_allclose(guard.rest(before), np.clip(wanted, before - step, before + step), rtol=1e-12)
+    np.testing.assert_allclose(guard.stop_torque(before), np.clip(wanted, before - step, before + step), rtol=1e-12)
     assert guard.limited == 0
     bare = SafetyFilter(robot.data, s, PERIOD)
-    np.testing.assert_allclose(bare.rest(before), np.clip(np.zeros(N), before - step, before + step))
+    np.testing.assert_allclose(bare.stop_torque(before), np.clip(np.zeros(N), before - step, before + step))
     dumb = SafetyFilter(robot.data, s, PERIOD, lambda q: np.full(N, np.nan))
-    np.testing.assert_array_equal(dumb.rest(before), np.zeros(N))
+    np.testing.assert_array_equal(dumb.stop_torque(before), np.zeros(N))
 
 
 def test_levels_may_be_equal_and_are_compared_where_both_are_given():
