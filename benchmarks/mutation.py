@@ -168,7 +168,6 @@ def table(summary: Mapping[str, Any]) -> Table:
 def run(given: Namespace) -> cli.Results:
     """Try every mutant of the sample."""
     config = Config.chosen(given, "mutation").choosing(given.module, None if given.quick else given.sample)
-    trial.load_libraries()
     numbers, chosen = draw(config)
     modules: dict[str, Any] = {}
     with cli.steps("mutation", len(chosen)) as step:
