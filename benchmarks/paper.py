@@ -22,7 +22,7 @@ from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
 from benchmarks.paper_experiment.config import STREAM, Config
 from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.parallel import run_parallel
+from benchmarks.processes import run_parallel
 from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
 

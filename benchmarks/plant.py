@@ -22,7 +22,7 @@ from benchmarks import cli, output
 from benchmarks.config import Configuration
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
-from benchmarks.parallel import run_parallel
+from benchmarks.processes import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
 from moc_opt.errors import MocOptError, ScenarioError

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import tune
+from benchmarks.maintenance import tune
 from benchmarks.output import default_config
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds

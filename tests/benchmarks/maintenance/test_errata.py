@@ -1,6 +1,6 @@
 """What the paper prints and what we compute: every row of the table, with the number that decides it.
 
-Run with ``pytest -s tests/benchmarks/test_errata.py`` to see the numbers.
+Run with ``pytest -s tests/benchmarks/maintenance/test_errata.py`` to see the numbers.
 """
 
 import numpy as np

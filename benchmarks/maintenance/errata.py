@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import cli
-from benchmarks.errata_numbers import (
+from benchmarks.maintenance.errata_numbers import (
     PAPER,
     Arm,
     gains_in_mu,
@@ -34,7 +34,7 @@ from benchmarks.errata_numbers import (
 from benchmarks.output import write_atomically
 from moc_opt.control.null_space import null_space
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "errata.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ def page(arm: Arm | None = None) -> str:
         "Su et al., *Manipulability Optimization Control of a Serial Redundant Robot for Robot-assisted Minimally",
         "Invasive Surgery* (2019). Written by `python -m benchmarks.errata`; do not edit by hand. The numbers are",
         f"taken over {len(arm.states)} seeded regular poses of the LWR4+ with its default tool. The same rows are",
-        "tests, in `tests/benchmarks/test_errata.py`.",
+        "tests, in `tests/benchmarks/maintenance/test_errata.py`.",
         "",
         "| printed | computed here | why | the number that shows it |",
         "|---|---|---|---|",

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import mutation
-from benchmarks.mutants import make, trial
+from benchmarks.maintenance import mutation
+from benchmarks.maintenance.mutants import make, trial
 from benchmarks.output import default_config
 from moc_opt.errors import UnknownNameError
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 DENSE = "moc_opt.numerics.dense"
 TEXT = (ROOT / "moc_opt" / "numerics" / "dense.py").read_text()
 TESTS = ["tests/numerics/test_dense.py"]

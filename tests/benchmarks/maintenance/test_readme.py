@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import readme
+from benchmarks.maintenance import readme
 
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
@@ -166,6 +166,6 @@ def test_what_is_wrong_is_said_and_the_readme_stays(folder, break_it, said, caps
 
 
 def test_this_readme_has_both_places():
-    text = (Path(__file__).resolve().parents[2] / "README.md").read_text()
+    text = (Path(__file__).resolve().parents[3] / "README.md").read_text()
     for name in ("solvers", "paper"):
         assert readme.filled(text, name, "new") != text

@@ -9,12 +9,10 @@ from __future__ import annotations
 import ast
 import importlib.abc
 import importlib.util
-import json
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.machinery import ModuleSpec
@@ -22,8 +20,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from benchmarks.processes import Crashed, Hung, Raised, Worker
+
 OURS = ("moc_opt", "benchmarks", "tests")
-_HEAVY = (
+_LIBRARIES = (
     "numpy", "scipy.linalg", "scipy.optimize", "numba", "pinocchio", "casadi", "mujoco", "pydantic", "pytest",
     "hypothesis.strategies", "qpsolvers", "pyarrow.parquet",
 )  # fmt: skip
@@ -44,12 +44,6 @@ class Outcome:
     by: str = ""
     seconds: float = 0.0
     tests: dict[str, tuple[bool, float]] = field(default_factory=dict)
-
-
-def load_libraries() -> None:
-    """Import what all trials need, once: they are forked from this process."""
-    for name in _HEAVY:
-        importlib.import_module(name)
 
 
 @cache
@@ -119,54 +113,18 @@ def judge(
         keep_going: run all of them, also after one that failed.
     """
     begin = time.monotonic()
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reader)
-        _child(writer, lambda: _run(root, module, source, plain, tests, keep_going))
-    os.close(writer)
-    said, late = _read(reader, begin + limit_s)
-    if late:
-        os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    seconds = time.monotonic() - begin
-    if late:
-        return Outcome("timed out", seconds=seconds)
-    if not said:
-        return Outcome("killed", "the process ended", seconds)
-    found = json.loads(said)
-    ran = {name: (passed, spent) for name, passed, spent in found["tests"]}
-    return Outcome("killed" if found["by"] else "survived", found["by"], seconds, ran)
-
-
-def _read(reader: int, until: float) -> tuple[bytes, bool]:
-    """All that the child says, and whether time was up first."""
-    import select
-
-    said = b""
-    with os.fdopen(reader, "rb", buffering=0) as pipe:
-        while (left := until - time.monotonic()) > 0:
-            if not select.select([pipe], [], [], left)[0]:
-                break
-            part = pipe.read(1 << 16)
-            if not part:
-                return said, False
-            said += part
-    return said, True
-
-
-def _child(writer: int, work: Callable[[], dict[str, Any]]) -> None:
-    os.setsid()  # so that what it starts ends with it
-    silence = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):
-        os.dup2(silence, stream)
     try:
-        said = work()
-    except BaseException as error:  # noqa: BLE001 - a mutant may throw anything, at any place
-        said = {"by": f"{type(error).__name__}: {error}"[:200], "tests": []}
-    with os.fdopen(writer, "wb") as pipe:
-        pipe.write(json.dumps(said, allow_nan=False).encode())
-    os._exit(0)
+        with Worker(preload=_LIBRARIES) as worker:
+            asked = (root, module, source, plain, tests, keep_going)
+            ((by, ran),) = worker.stream(_run, *asked, patience_s=limit_s, first_s=0.0)
+    except Hung:
+        return Outcome("timed out", seconds=time.monotonic() - begin)
+    except Crashed:
+        return Outcome("killed", "the process ended", time.monotonic() - begin)
+    except Raised as error:  # a mutant may throw anything, at any place
+        by, ran = f"{error}"[:200], []
+    found = {name: (passed, spent) for name, passed, spent in ran}
+    return Outcome("killed" if by else "survived", by, time.monotonic() - begin, found)
 
 
 def _run(
@@ -176,9 +134,13 @@ def _run(
     plain: Collection[str],
     tests: Sequence[str],
     keep_going: bool,
-) -> dict[str, Any]:
+) -> Iterator[tuple[str, list[tuple[str, bool, float]]]]:
+    """Run the tests, in a worker: the first that failed, and (name, passed, seconds) of all that ran."""
     import pytest
 
+    silence = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(silence, stream)
     os.chdir(root)
     sys.path.insert(0, str(root))
     for name in [name for name in sys.modules if name.split(".")[0] in OURS]:
@@ -190,8 +152,7 @@ def _run(
     options = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", *([] if keep_going else ["-x"])]
     files = list(dict.fromkeys(test.split("::")[0] for test in tests))
     code = pytest.main([*options, *files], plugins=[log])
-    by = log.failed or ("" if code in (0, 5) else f"pytest ended with {int(code)}")
-    return {"by": by, "tests": log.rows}
+    yield log.failed or ("" if code in (0, 5) else f"pytest ended with {int(code)}"), log.rows
 
 
 class _Log:

@@ -19,13 +19,13 @@ from pydantic import Field
 
 from benchmarks import cli
 from benchmarks.config import Configuration
-from benchmarks.mutants import trial
-from benchmarks.mutants.make import Mutant, MutationError, places, sample
+from benchmarks.maintenance.mutants import trial
+from benchmarks.maintenance.mutants.make import Mutant, MutationError, places, sample
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.report.tables import Column, Table
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 BASELINE_S = 900.0
 KINDS = ("killed", "timed_out", "survived", "equivalent")
 
@@ -168,7 +168,6 @@ def table(summary: Mapping[str, Any]) -> Table:
 def run(given: Namespace) -> cli.Results:
     """Try every mutant of the sample."""
     config = Config.chosen(given, "mutation").choosing(given.module, None if given.quick else given.sample)
-    trial.load_libraries()
     numbers, chosen = draw(config)
     modules: dict[str, Any] = {}
     with cli.steps("mutation", len(chosen)) as step:

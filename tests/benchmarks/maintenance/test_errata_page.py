@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import errata, errata_numbers
+from benchmarks.maintenance import errata, errata_numbers
 from moc_opt.vision.board import BOARD_TASKS
 
 

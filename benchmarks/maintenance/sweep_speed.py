@@ -10,14 +10,12 @@ python -m benchmarks.sweep_speed [--runs N] [--seconds S] [--workers N] [--round
 from __future__ import annotations
 
 import importlib
-import multiprocessing
 import os
 import statistics
 import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,6 +23,7 @@ from time import perf_counter, process_time, sleep
 from typing import Any
 
 from benchmarks import cli, output
+from benchmarks.processes import Worker
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Table, Work, execute, run_all
@@ -141,8 +140,8 @@ def contenders(plan: Plan, workers: int, work: Work) -> dict[str, Callable[[], d
     scenarios = [scenario_table(plan, i) for i in range(len(plan))]
 
     def loop() -> dict[str, float]:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
-            seconds = alone.submit(bare, scenarios, work).result()
+        with Worker(fresh=True) as alone:
+            seconds = alone.call(bare, scenarios, work)
         return {"seconds": seconds, "run_s": seconds / len(plan)}
 
     def dask() -> dict[str, float]:
@@ -168,8 +167,8 @@ def measure(
     if waiting:
         plan = the_plan(runs, round(seconds / 0.002))
     else:
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as alone:
-            plan = the_plan(runs, alone.submit(calibrate, seconds).result())
+        with Worker(fresh=True) as alone:
+            plan = the_plan(runs, alone.call(calibrate, seconds))
     turns = contenders(plan, workers, pause if waiting else execute)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in turns}
     with cli.steps("speed", len(turns) * rounds) as step:
