@@ -35,7 +35,7 @@ class Config(Configuration):
 
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0)
-    robots: list[str] = Field(["lwr4"], min_length=1)
+    robots: list[str] = Field(["lwr4", "iiwa14"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     processes: int = Field(2, ge=1)

@@ -14,6 +14,7 @@ from benchmarks.output import default_config
 from benchmarks.planning.tables import summarise
 
 TINY = """
+robots = ["lwr4"]
 tasks = ["circle"]
 poses = 2
 processes = 1
@@ -71,8 +72,8 @@ def test_the_summary_follows_from_the_rows(results: Path) -> None:
 def test_the_configuration_that_ships_is_the_default() -> None:
     shipped = plan.Config.load(default_config("plan"))
     assert shipped == plan.Config()
-    assert len([job for job in shipped.jobs() if job.part == "courses"]) == 60
-    assert len(plan.Config().quick().jobs()) == 5
+    assert len([job for job in shipped.jobs() if job.part == "courses"]) == 120
+    assert len(plan.Config().quick().jobs()) == 10
 
 
 def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
