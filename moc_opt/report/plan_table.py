@@ -15,8 +15,8 @@ COURSES = [
     Column("course", "course"),
     Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
-    Column("share_percent", "of best", unit="%", format=".1f", help="its mean mu over that of the best of all starts"),
-    Column("certified", "optimum", help="'local' to the solver's tolerance, or 'grid'"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu over that of the best over all starts"),
+    Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]
 

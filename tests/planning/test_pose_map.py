@@ -7,14 +7,13 @@ import pytest
 
 from moc_opt.errors import RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.pose_map import SphericalMap, spherical_map
 from moc_opt.planning.spherical import branch_of, spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.self_motion import self_motion
 from tests.conftest import Array
-from tests.planning.arms import IIWA14, build
 
 
 def map_of(robot: RobotModel, poses: list[Array], swivels: int = 180) -> SphericalMap:
@@ -28,8 +27,8 @@ def map_of(robot: RobotModel, poses: list[Array], swivels: int = 180) -> Spheric
 
 
 @pytest.fixture(scope="module", params=["lwr4", "iiwa14"])
-def arm(request: pytest.FixtureRequest, robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
-    return robot if request.param == "lwr4" else build(tmp_path_factory.mktemp("iiwa14"), IIWA14)
+def arm(request: pytest.FixtureRequest) -> RobotModel:
+    return load_robot(request.param)
 
 
 def test_every_pose_of_the_map_has_tip_wrist_mu_and_room_of_the_model(arm: RobotModel) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.spherical import spherical
 from tests.planning.arms import IIWA14, PANDA, H, build
 
@@ -19,8 +19,8 @@ def test_lwr4_is_spherical_with_its_published_lengths(robot: RobotModel) -> None
     np.testing.assert_allclose([abs(arm.upper), abs(arm.fore), abs(arm.tool)], [0.40, 0.39, 0.378], atol=1e-12)
 
 
-def test_iiwa14_is_spherical_in_frames_of_another_convention(tmp_path: Path) -> None:
-    arm = spherical(build(tmp_path, IIWA14))
+def test_iiwa14_is_spherical_in_frames_of_another_convention() -> None:
+    arm = spherical(load_robot("iiwa14"))
     assert arm is not None
     np.testing.assert_allclose(arm.shoulder, [0.0, 0.0, 0.360], atol=1e-12)
     np.testing.assert_allclose([abs(arm.upper), abs(arm.fore), abs(arm.tool)], [0.42, 0.40, 0.426], atol=1e-12)
@@ -39,6 +39,14 @@ def test_iiwa14_is_spherical_in_frames_of_another_convention(tmp_path: Path) -> 
 )
 def test_an_arm_without_normal_form_is_told(tmp_path: Path, changes: dict[str, object]) -> None:
     assert spherical(build(tmp_path, IIWA14, **changes)) is None
+
+
+def test_the_name_of_an_arm_does_not_count(tmp_path: Path) -> None:
+    arm, shipped = spherical(build(tmp_path, IIWA14)), spherical(load_robot("iiwa14"))
+    assert arm is not None
+    assert shipped is not None
+    for mine, theirs in zip(arm, shipped, strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
 def test_panda_is_not_spherical(tmp_path: Path) -> None:
