@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control import motion_kernels as kernels
+from moc_opt.control import replay_kernels as replays
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
@@ -19,6 +20,7 @@ Array = NDArray[np.float64]
 _READINGS = CompiledKernel(
     kernels.compare_readings, int64, VECTOR, VECTOR, MATRIX, *[VECTOR] * 6, float64
 )
+_REPLAYED = CompiledKernel(replays.count_replayed, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR)
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
 _AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
@@ -49,7 +51,7 @@ class MotionSettings(Settings):
     )
     repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     repeat_whole_ticks: int = Field(
-        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise"
+        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise, and of a recording"
     )
     stuck_torque: float = Field(
         0.06, ge=0.0,
@@ -91,6 +93,7 @@ class MotionMonitor:
         self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age = _AGE.code
+        self._replayed, self._most_replayed = _REPLAYED.code, settings.repeat_whole_ticks
         self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
         self._rest = np.zeros(self._n)
@@ -102,6 +105,7 @@ class MotionMonitor:
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
         self._still = np.zeros(12)
+        self._seen, self._count = np.zeros((2, replays.SLOTS)), np.zeros(3)
         fixed = (self._patience, self._tau_max, self._levels, self._memory)
         self._readings = partial(_READINGS.code, *fixed, self._still)
         self._momentum = partial(_MOMENTUM.code, *fixed, self._period)
@@ -128,6 +132,9 @@ class MotionMonitor:
         wrench = self._no_wrench if wrench is None else wrench
         found = self._readings(q, v, tau, wrench, self._tip, self._period * max(1, self._ticks))
         self._ticks = 0
+        came_before = self._replayed(q, v, wrench, self._seen, self._count)
+        if came_before > self._most_replayed and kernels.has_noise(self._still):
+            return "the measurements are a recording: they came before, to the last bit"
         if found == kernels.NOTHING:
             return ""
         if found == kernels.REPEATED:

@@ -28,6 +28,7 @@ from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
+from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     """
     n = (row.shape[0] - 10) // 10
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
-    o = 6 * n
+    at = offsets(n)
     for i in range(6):
         for j in range(n):
             row[i * n + j] = s.A[i, j]
@@ -93,12 +94,12 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     _, dN_d = desired_wrist(s.tip, v_T, trocar[0], trocar[1], s.scalars[1])
     v_W = consistent_wrist_velocity(v_T, dN_d, s.u)
     for i in range(3):
-        row[o + i], row[o + 3 + i] = v_T[i], v_W[i]
+        row[at.b + i], row[at.b + 3 + i] = v_T[i], v_W[i]
     for i in range(n):
-        row[o + 6 + i], row[o + 10 + 3 * n + i] = s.grad_mu[i], s.q[i]
+        row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i], s.q[i]
     for i in range(4):
-        row[o + 6 + 3 * n + i] = c.weights[i]
-    velocity_damper(s.q, c.limits, c.k0, row[o + 6 + n :], row[o + 6 + 2 * n :])
+        row[at.weights + i] = c.weights[i]
+    velocity_damper(s.q, c.limits, c.k0, row[at.lower : at.upper], row[at.upper : at.weights])
 
 
 @njit(cache=True, nogil=True)

@@ -28,6 +28,7 @@ REASONS = (
     "the trocar's force has been above", "the tip has been", "the controller's torque is not finite",
     "measurements are more than", "all encoders repeat one reading", "the encoders' positions do not follow",
     "an encoder repeats one reading", "the torque went into a motion",
+    "the measurements are a recording",
 )  # fmt: skip
 """How the guard in Python begins the reasons to stop in moc_safe.h, in its order."""
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -18,7 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SubproblemError
 from moc_opt.qp import residuals as optimality
-from moc_opt.qp.residuals import TIED, Residuals
+from moc_opt.qp.layout import offsets
+from moc_opt.qp.reduction import reduce_rows
+from moc_opt.qp.residuals import Residuals
 
 Array = NDArray[np.float64]
 
@@ -29,8 +32,8 @@ _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Length of the flat record of a subproblem with n joints."""
-    return 10 * n + 10
+    """Compute the length of the flat record of a subproblem with n joints."""
+    return offsets(n).end
 
 
 class Fields(NamedTuple):
@@ -60,8 +63,7 @@ def fields(rows: Array) -> Fields:
 @cache
 def _places(n: int) -> tuple[slice, ...]:
     """Where each field lies in a record."""
-    stops = np.cumsum([6 * n, 6, n, n, n, 4, n]).tolist()
-    return tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True))
+    return tuple(slice(*ends) for ends in pairwise(offsets(n)))
 
 
 def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:
@@ -238,21 +240,10 @@ class NullSpaceQP:
 
     @cached_property
     def _reduced(self) -> Reduced:
-        # u^T (J_T - J_W) = 0: u is the left null vector of the difference, and the wrist row along u
-        # repeats the tip row along u. Two rows across u remain of the wrist's three.
-        difference = self.J_tip - self.J_wrist
-        u = np.linalg.eigh(difference @ difference.T)[1][:, 0]
-        u = u * np.sign(u[np.argmax(np.abs(u))])
-        lift = np.eye(6)
-        # [u; -u] / sqrt(2) is then the left singular vector of A that belongs to its sixth singular value.
-        sixth = np.sqrt(0.5) * np.linalg.norm(u @ difference)
-        if self.n >= 3 and sixth <= TIED * np.linalg.norm(self.A):
-            k = int(np.argmin(np.abs(u)))
-            across = np.cross(u, np.eye(3)[k])
-            across /= np.linalg.norm(across)
-            lift = np.zeros((5, 6))
-            lift[:3, :3], lift[3, 3:], lift[4, 3:] = np.eye(3), across, np.cross(u, across)
-        return Reduced(_frozen(lift @ self.A), _frozen(lift @ self.b), _frozen(lift))
+        A, b, lift = np.empty((5, self.n)), np.empty(5), np.empty((5, 6))
+        if not reduce_rows(self.row.tolist(), self.n, A, b, lift):
+            A, b, lift = self.A, self.b, np.eye(6)
+        return Reduced(_frozen(A), _frozen(b), _frozen(lift))
 
     def reduced(self) -> Reduced:
         """Five independent rows, or the six where tip and wrist are not rigidly tied."""

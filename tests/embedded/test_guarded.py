@@ -149,6 +149,8 @@ RUNS: dict[str, dict[str, Any]] = {
     "lagging-forged": {"faults": {"lag_at_s": 0.8, "forged_stamps": True}},
     "replayed": {"faults": {"replay_at_s": 0.8}},
     "replayed-forged": {"faults": {"replay_at_s": 0.8, "forged_stamps": True}},
+    "replayed-at-rest": {"faults": {"replay_at_s": 1.8, "replay_ticks": 80, "forged_stamps": True},
+                         "control": {"law": "dcac"}, "task": {"wait_s": 2.5}},
     "drifting": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}},
     "frozen-whole-at-rest": {"faults": {"frozen_at_s": 0.4, "forged_stamps": True, "frozen_velocity": "zero"},
                              "task": {"wait_s": 2.0}, "guard": {"repeat_whole_torque": 1.0, "stuck_torque": 1.0}},
@@ -189,7 +191,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
         "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
-        "frozen-whole-at-rest": "all encoders repeat",
+        "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
         "frozen-joint-heavy": "an encoder repeats", "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip
     if name in stops:

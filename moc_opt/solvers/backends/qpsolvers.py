@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, UnknownNameError, describe
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
+from moc_opt.solvers.backends.session import refuse_semidefinite
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.options import checked
 
@@ -137,13 +138,10 @@ class QPSolver:
         return Advice(scale, {**base.options, **self.options})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """quadprog factorises P, which is singular without regularization; every other library takes all."""
-        if self.library == "quadprog" and qp.regularization <= 1e-10 * (qp.c0 + qp.c1):
-            return (
-                f"quadprog needs a positive definite cost and regularization is {qp.regularization:g}: it refuses, or "
-                "answers wrongly; set regularization > 0"
-            )
-        return None
+        """Say no for quadprog without regularization: it factorises P, and refuses or answers wrongly."""
+        if self.library != "quadprog":
+            return None
+        return refuse_semidefinite(qp, "quadprog needs a positive definite cost")
 
     def start(self, qp: NullSpaceQP) -> QPSolverSession:
         """A session; where there are options of the caller's, one solve shows whether they exist."""
@@ -183,11 +181,11 @@ class QPSolverSession:
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
-        A, b, lift = equalities(qp, self._settings.rows)
+        P, p, A, b, lift = assembled(qp, self._settings.rows)
         part, scale, library = qp.fields, self._scale, self._settings.library
         # Copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(
-            qp.P * scale, qp.p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
+            P * scale, p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
         )
         last = self._last if self._last is not None and len(self._last) == qp.n else None
         if library in _NOISY:

@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.equalities import offsets
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -50,10 +51,10 @@ def integrate(
         state is not finite any more.
     """
     n = x.shape[0]
-    o = 6 * n
-    b, grad_mu = row[o : o + 6], row[o + 6 : o + 6 + n]
-    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
-    w = scale * row[o + 6 + 3 * n : o + 10 + 3 * n]  # c0, c1, c2, regularization
+    at = offsets(n)
+    b, grad_mu = row[at.b : at.grad_mu], row[at.grad_mu : at.lower]
+    lower, upper = row[at.lower : at.upper], row[at.upper : at.weights]
+    w = scale * row[at.weights : at.q]
     slack, old = np.empty(6), np.empty(n)
     speed, made = np.inf, 0
     while made < steps and speed > eps:

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
-from moc_opt.qp.equalities import equalities
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -121,7 +121,7 @@ class NLP(ABC):
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
             return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
-        if len(equalities(qp, 5).b) != 5:
+        if len(assembled(qp).b) != 5:
             return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
         return None
 
@@ -274,7 +274,7 @@ class NLPSession:
         """Answer one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
-        n, part, lift = self._n, qp.fields, equalities(qp, 5).lift
+        n, part, lift = self._n, qp.fields, assembled(qp).lift
         self._q[:] = part.q
         self._places.run()
         self._p[:n] = part.q
