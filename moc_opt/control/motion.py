@@ -113,7 +113,7 @@ class MotionMonitor:
         self._tip = np.zeros(3)
 
     def age(self, stamp: int) -> int:
-        """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
+        """Return FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
         if not self._on:
             return kernels.FRESH
         before = int(self._clock[1])

@@ -96,7 +96,7 @@ def guide_to(
     *,
     seed: int = 0,
 ) -> HandsOn:
-    """Let a hand pull the tip to the incision while the arm does no more than carry its own weight.
+    """Let a hand pull the tip to the incision while the arm only carries its own weight.
 
     The hand sees where the tip truly is; the robot registers where its own kinematics put it. The plant goes on
     from where it is, and is left at the end as it then is.
@@ -158,12 +158,12 @@ class _Guiding:
         self.seen = self._robot.state(q, v)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] that carries the arm's weight and damps its joints."""
+        """Compute the torque (n,) [Nm] that carries the arm's weight and damps its joints."""
         self.seen = self._robot.state(q, v)
         return self._law.tick(self.seen)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Nothing: the law has no memory."""
+        """Do nothing: the law has no memory."""
 
 
 def _guide(
