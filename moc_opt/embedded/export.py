@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS

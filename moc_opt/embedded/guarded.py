@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.embedded import program
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER

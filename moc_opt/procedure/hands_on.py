@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
+from moc_opt.control.safety_filter import SafetyFilter
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip

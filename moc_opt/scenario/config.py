@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.settings import Name, Settings
