@@ -16,10 +16,11 @@ from sys import getrefcount
 from typing import ClassVar
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.simd import larger, load, magnitude, stack, stack_indices, store, width, zeros
 from moc_opt.qp.equalities import offsets
