@@ -36,18 +36,13 @@ def made_up(table: Any, limit_s: float) -> dict[str, Any]:
 class Here:
     """A pool that does the runs at once, in this process."""
 
-    shared, attempts, falls_together = False, 2, False
+    shared, attempts = False, 2
     deaths: tuple[type[BaseException], ...] = (ChildProcessError,)
 
     def __enter__(self) -> Here:
         return self
 
     def __exit__(self, *exc: object) -> None: ...
-
-    renewed = 0
-
-    def renew(self) -> None:
-        self.renewed += 1
 
     def window(self) -> int:
         return 2

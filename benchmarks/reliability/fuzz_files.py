@@ -22,7 +22,7 @@ from benchmarks.sweeps.config import Config as SweepConfig
 from moc_opt.scenario import Scenario
 
 READERS = (
-    "scenario", "sweep", "study", "mutation", "robot", "urdf", "trace", "replay_us", "testset", "plan", "part",
+    "scenario", "sweep", "study", "faults", "robot", "urdf", "trace", "replay_us", "testset", "plan", "part",
 )  # fmt: skip
 """Whatever opens a file from outside; see `fuzz_file_checks.READ`."""
 

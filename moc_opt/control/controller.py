@@ -217,7 +217,7 @@ class Controller:
         self._tau = tau
         return tau
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
         self._tau = _read_only(np.array(tau, dtype=np.float64))
 

@@ -153,8 +153,8 @@ class Incision:
         """Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number."""
         return float(trocar_force(self._pose(q), self._point, wrench, *self._tool))
 
-    def look(self, q: Array, trocar: Array, wrench: Array) -> str:
-        """Take in one tick; return the reason to stop, or "".
+    def check(self, q: Array, trocar: Array, wrench: Array) -> str:
+        """Check one tick; return the reason to stop, or "".
 
         Args:
             q: (n,) believed pose [rad].

@@ -30,6 +30,11 @@ def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
 PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbers)]
 """One number for all joints, or one per joint."""
 
+
+def _current_projector(value: Any) -> Any:
+    return "as_published" if value == "printed" else value
+
+
 PRESETS = ("paper", "tuned", "robust")
 
 
@@ -111,7 +116,9 @@ class ControlSettings(Settings):
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
     )
-    projector: Literal["dynamic", "static", "printed"] = "dynamic"
+    projector: Annotated[Literal["dynamic", "static", "as_published"], BeforeValidator(_current_projector)] = Field(
+        default="dynamic", description="of level 2: docs/errata.md has all three; 'printed' is the old name of the last"
+    )
     feedforward: bool = Field(
         default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
     )

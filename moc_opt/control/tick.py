@@ -14,8 +14,8 @@ from moc_opt.control.null_space import (
 )
 from moc_opt.control.rcm import (
     desired_wrist,
+    project_as_published,
     project_dynamic,
-    project_printed,
     project_static,
     published_share,
 )
@@ -28,7 +28,7 @@ from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
-DYNAMIC, STATIC, PRINTED = 0, 1, 2
+DYNAMIC, STATIC, AS_PUBLISHED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
@@ -49,7 +49,7 @@ def tracking_torque(
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         trocar: (2, 3) rows P_t, dP_t.
         gains: K_X, D_X, K_N, D_N, ...
-        projector: DYNAMIC, STATIC or PRINTED.
+        projector: DYNAMIC, STATIC or AS_PUBLISHED.
         feedforward: add the accelerations of tip and desired wrist.
         rcm_lambda: constant lambda of the paper's |e_N1| = d / lambda; 0 takes |N_d - N| itself.
     """
@@ -89,7 +89,7 @@ def _tracking(
     elif projector == STATIC:
         tau += project_static(J_tip, tau_wrist)
     else:
-        tau += project_printed(J_tip, tau_wrist)
+        tau += project_as_published(J_tip, tau_wrist)
     return tau
 
 

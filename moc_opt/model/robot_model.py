@@ -6,6 +6,7 @@ Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add w
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
 from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
@@ -221,8 +223,14 @@ def load_robot(
     tool_length: float | None = None,
     tool_mass: float | None = None,
 ) -> RobotModel:
-    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors."""
-    return RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors.
+
+    Tables of gains that its TOML does not have are derived from its inertia (`moc_opt.model.gains`).
+    """
+    robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+    if not CARTESIAN.keys() <= robot.data.gains.keys():
+        robot.data = replace(robot.data, gains={**derived_gains(robot), **robot.data.gains})
+    return robot
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

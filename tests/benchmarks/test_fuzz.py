@@ -68,7 +68,8 @@ def stubborn(kind, cases, seed, done):
     ("kind", "verdicts", "failures"),
     [
         ("ends", {"accepted": 5}, ["one"]), ("memory", {"refused": 5}, []),
-        ("dies", {}, ["status 9"] * limits.MOST_DEATHS), ("hangs", {"accepted": 3}, ["hung"] * limits.MOST_DEATHS),
+        ("dies", {}, ["exit code 9"] * limits.MOST_DEATHS),
+        ("hangs", {"accepted": 3}, ["no answer within"] * limits.MOST_DEATHS),
     ],
 )  # fmt: skip
 def test_a_case_that_kills_or_stops_the_process_is_a_failure(kind, verdicts, failures, monkeypatch):

@@ -22,7 +22,7 @@ from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
 from benchmarks.latency.goals import GOALS, judge_goals
-from benchmarks.latency.report import headline, tables, write_report
+from benchmarks.latency.report import headline, report, tables
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
@@ -330,8 +330,7 @@ def test_report_and_headline_are_made_of_the_numbers(tmp_path):
     rival = next(row for row in tables(summary)["peers"].rows if row["name"] == "rival")
     assert rival["times_ours"] == pytest.approx(5.0)
     assert rival["times_c"] == pytest.approx(100.0 / 3.0)
-    write_report(tmp_path / "report.html", summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0})
-    page = (tmp_path / "report.html").read_text()
+    page = report(summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0}).html()
     assert "rival" in page
     assert "12.0" in page
 

@@ -16,7 +16,7 @@ from benchmarks import sweep
 from benchmarks.output import default_config
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.fields import check_path, paths, random_draws
-from benchmarks.sweeps.plan import Plan, quick
+from benchmarks.sweeps.plan import Plan
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
 from tests.sweeps import TINY, config
 
@@ -171,7 +171,7 @@ def test_without_solvers_the_scenarios_own_is_taken() -> None:
 
 def test_quick_is_the_same_sweep_on_less() -> None:
     full = Config.load(default_config("sweep"))
-    small = Plan(quick(full))
+    small = Plan(full.quick())
     assert 0 < len(small) <= 8 < len(Plan(full))
     assert small.fields == Plan(full).fields
     assert small.config.scenario.duration_s == 0.2

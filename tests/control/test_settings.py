@@ -148,3 +148,9 @@ def test_default_weights():
 def test_gains_given_as_a_table_are_sent_to_where_they_belong():
     with pytest.raises(ControlError, match=r"gains = .*single gains are keys of \[control\] itself"):
         ControlSettings(gains={"K_N2": 80.0})
+
+
+def test_the_old_name_of_the_published_projector_is_understood():
+    assert ControlSettings(projector="printed") == ControlSettings(projector="as_published")
+    with pytest.raises(ControlError, match="projector = 'prints'"):
+        ControlSettings(projector="prints")

@@ -764,7 +764,7 @@ def test_tip_and_rcm_do_not_depend_on_the_third_level(kind, robot):
         assert np.abs(change).max() < 1e-8
         # both observers are shown the same past, so that they say the same
         for mine in (good, bad):
-            mine.sent(torques[0])
+            mine.set_applied_torque(torques[0])
     assert np.abs(torques[1] - torques[0]).max() > 1e-3  # or the test would compare a thing with itself
 
 

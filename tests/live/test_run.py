@@ -13,6 +13,7 @@ import pytest
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
 from moc_opt.live.address import CONSENT, checked_address
+from moc_opt.live.exchange import Choice
 from moc_opt.live.history import QUANTITIES, History, thinned
 from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
 from moc_opt.live.orders import DCAC
@@ -97,7 +98,7 @@ def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
         if k == 50:
             change(run)
         run.advance(1)
-        sent.append(run._sent)
+        sent.append(run._loop.tau)
     steps = np.abs(np.diff(sent, axis=0)).max(axis=1)
     assert steps[49] <= 1.5 * steps[:49].max()
     assert steps[50:].max() < 3.0 * steps[:49].max()
@@ -154,7 +155,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
     controller = run._build(run.control, "exact")
     controller.solver = Refuses()  # type: ignore[assignment]
-    run._waiting = controller, ("refuses", run.control)
+    run._in_use.replace(Choice(controller, "refuses", run.control))
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
     assert run.moment().solver == run.solver == "exact"
@@ -163,7 +164,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
 def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.advance(50)
-    run._plant.mj_data.qvel[:] = 1e6
+    run._setup.plant.mj_data.qvel[:] = 1e6
     run.advance(100)
     stopped = run.moment()
     assert "stopped at" in stopped.stopped

@@ -21,6 +21,7 @@ from moc_opt.report.map_page import (
     trajectory_table,
 )
 from moc_opt.report.page import Page
+from moc_opt.report.table_html import draw
 from moc_opt.trace.trace import Trace
 from tests.redundancy.test_map_analysis import hill, made, ramp
 
@@ -107,7 +108,7 @@ def test_the_table_says_what_is_missing_and_why() -> None:
     assert table.caption == ""
     assert all(set(row) >= set(keys) for row in table.rows)
     assert [row["end"] for row in table.rows] == ["at the optimum", "before a forbidden pose, joint 2"]
-    assert "not there in the end" in table.to_html(1)
+    assert "not there in the end" in str(draw(table, 1))
 
 
 @pytest.fixture(scope="module")

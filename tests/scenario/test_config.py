@@ -330,7 +330,7 @@ def test_the_shaft_starts_in_the_trocar():
 
 def test_registration_error_is_the_plant_s():
     setup = Setup(Scenario(plant={"trocar_registration_error_m": 0.002}))
-    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0] - setup.touched.trocar
+    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0] - setup.offset.trocar
     assert np.linalg.norm(offset) == pytest.approx(0.002)
     np.testing.assert_allclose(offset, setup.plant.mismatch.registration_error, atol=1e-15)
 
@@ -385,7 +385,7 @@ def test_without_its_new_errors_the_plant_runs_as_it_did():
 def test_reference_starts_at_the_tip_and_waits():
     setup = Setup(Scenario(task={"wait_s": 0.3, "path": "line", "sizes": {"length": 0.02}}))
     x, dx, _ = setup.reference.at(np.array([0.0, 0.29, 0.5, 99.0]))
-    np.testing.assert_allclose(x[0] + setup.touched.tip, setup.plant.tip, atol=1e-12)
+    np.testing.assert_allclose(x[0] + setup.offset.tip, setup.plant.tip, atol=1e-12)
     np.testing.assert_array_equal(x[0], x[1])
     assert np.abs(dx[2]).max() > 0.0
     assert np.linalg.norm(x[3] - x[0]) == pytest.approx(0.02)

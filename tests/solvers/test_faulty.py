@@ -50,7 +50,7 @@ def is_wrong(kind, qp, answer):
 def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind, problems):
     solver = Faulty(Exact(), kind, rate=0.3, seed=4)
     session = solver.start(problems[0])
-    spoilt = solver.spoilt(len(problems))
+    spoilt = solver.fault_mask(len(problems))
     assert 0.2 < spoilt.mean() < 0.4
     right = answers(Exact().start(problems[0]), problems)
     shown = [qp.copy() for qp in problems]
@@ -86,7 +86,7 @@ def test_the_solver_inside_keeps_its_memory_to_itself(problems):
         create("rnn").start(problems[0]),
         Faulty(create("rnn"), "lie", rate=0.5).start(problems[0]),
     )
-    hit = Faulty(create("rnn"), "lie", rate=0.5).spoilt(len(problems))
+    hit = Faulty(create("rnn"), "lie", rate=0.5).fault_mask(len(problems))
     for qp, bad in zip(problems, hit, strict=True):
         mine = spoilt.solve(qp)
         if not bad:

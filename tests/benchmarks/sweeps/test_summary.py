@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.sweep_memory import write_synthetic
+from benchmarks.maintenance.sweep_memory import write_synthetic
 from benchmarks.sweeps import summary
 from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.plan import Plan
