@@ -6,7 +6,6 @@ import datetime
 import importlib.metadata
 import os
 import platform
-import re
 import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -42,13 +41,6 @@ def save_page(page: Page, path: Path, *, figures: bool = False) -> None:
 def default_config(name: str) -> Path:
     """The configuration that ships with a benchmark."""
     return Path(__file__).parent / "configs" / f"{name}.toml"
-
-
-def fill_section(page: str, name: str, text: str) -> str | None:
-    """Put text between the lines ``<!-- name -->`` and ``<!-- /name -->`` of a page; None where they are missing."""
-    marks = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
-    filled, found = marks.subn(lambda at: f"{at[1]}{text}\n{at[2]}", page)
-    return filled if found else None
 
 
 def write_atomically(path: Path, data: bytes) -> None:

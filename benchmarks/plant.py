@@ -18,14 +18,14 @@ from typing import Any, Self
 
 from pydantic import Field
 
-from benchmarks import cli, output
+from benchmarks import cli, markdown, output
 from benchmarks.config import Configuration
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
 from benchmarks.processes import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import MocOptError
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings
@@ -156,18 +156,17 @@ def tables(summary: dict[str, Any]) -> list[Table]:
     ]
 
 
-def markdown(summary: dict[str, Any], config: Config) -> str:
+def page_text(summary: dict[str, Any], config: Config) -> str:
     """The tables with their intervals, for docs/plant.md."""
     trials_run = config.trials * len(config.tasks)
     lines = [f"`python -m benchmarks.plant --page` (seed {config.seed}, {trials_run} trials; mean, 95 % interval):"]
-    heads = [f"{column.title} [{column.unit}]" for column in FIGURES.values()]
+    heads = ["effect", "law", *(f"{column.title} [{column.unit}]" for column in FIGURES.values()), "broke off"]
     for preset, groups in summary.items():
-        lines += ["", f"Preset `{preset}`:", "", "| " + " | ".join(["effect", "law", *heads, "broke off"]) + " |"]
-        lines.append("|" + "---|" * (len(heads) + 3))
-        for name, row in groups.items():
-            effect, controller = name.rsplit(", ", 1)
-            cells = [effect, controller, *(_cell(row, key) for key in FIGURES), f"{row['broke_off']}/{row['runs']}"]
-            lines.append("| " + " | ".join(cells) + " |")
+        rows = [
+            [*name.rsplit(", ", 1), *(_cell(row, key) for key in FIGURES), f"{row['broke_off']}/{row['runs']}"]
+            for name, row in groups.items()
+        ]
+        lines += ["", f"Preset `{preset}`:", "", markdown.table(heads, rows)]
     return "\n".join(lines)
 
 
@@ -185,11 +184,9 @@ def write_page(text: str, page: Path = PAGE) -> None:
     """Put the tables between the marks of docs/plant.md.
 
     Raises:
-        ScenarioError: the page has no such marks.
+        SectionError: the page has no such marks.
     """
-    new = output.fill_section(page.read_text(encoding="utf-8"), "plant", text)
-    if new is None:
-        raise ScenarioError(f"{page}: put <!-- plant --> and <!-- /plant --> where the table goes")
+    new = markdown.fill_section(page.read_text(encoding="utf-8"), "plant", text, page)
     output.write_atomically(page, new.encode())
 
 
@@ -202,7 +199,7 @@ def study(given: Namespace) -> cli.Results:
     rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
     if given.page:
-        write_page(markdown(summary, config))
+        write_page(page_text(summary, config))
     return cli.Results(summary, config.environment(given), rows, tables=tables(summary))
 
 

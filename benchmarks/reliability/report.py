@@ -105,15 +105,6 @@ def report(
     return page
 
 
-def markdown(columns: list[Column], rows: list[dict[str, Any]]) -> str:
-    """A table for docs/: the same notation as everywhere."""
-    heads = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in columns]
-    cells = [[cell.text for cell in Table("", columns, rows).cells(column)] for column in columns]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    lines += ["| " + " | ".join(line) + " |" for line in zip(*cells, strict=True)]
-    return "\n".join(lines)
-
-
 def by_group(summary: Summary) -> dict[str, list[dict[str, Any]]]:
     """Rows of the cases, group by group."""
     groups: dict[str, list[dict[str, Any]]] = {}
