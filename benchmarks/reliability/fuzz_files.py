@@ -17,7 +17,8 @@ import hypothesis.strategies as st
 import numpy as np
 from pydantic import BaseModel
 
-from benchmarks.reliability.fuzz_inputs import TOML, good_trace
+from benchmarks.reliability.fuzz_inputs import TOML
+from benchmarks.reliability.fuzz_traces import good_trace
 from benchmarks.sweeps.config import Config as SweepConfig
 from moc_opt.scenario import Scenario
 
@@ -223,9 +224,3 @@ damages = st.lists(
     ),
     min_size=1, max_size=4,
 )  # fmt: skip
-
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
-    "hostile_file": hostile_files(), "extreme_number": extreme_numbers(), "sweep_folder": damages,
-    "study_folder": damages, "trace_folder": damages,
-}  # fmt: skip
-"""Kind of input -> where cases come from."""

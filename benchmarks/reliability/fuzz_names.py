@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import tempfile
 from contextlib import chdir, redirect_stdout
 from functools import cache
 from html.parser import HTMLParser
@@ -16,8 +15,9 @@ from xml.sax.saxutils import quoteattr
 import hypothesis.strategies as st
 import numpy as np
 
-from benchmarks.reliability.fuzz_checks import Verdict, Wrong
-from benchmarks.reliability.fuzz_inputs import ROBOTS, junk, numbers
+from benchmarks.latency.solve import random_problems
+from benchmarks.reliability.fuzz_case import ARM_TOML, ARM_URDF, Kind, Verdict, Wrong, arm, folder, refused
+from benchmarks.reliability.fuzz_inputs import junk, numbers
 from moc_opt.control import ControlSettings
 from moc_opt.embedded import source
 from moc_opt.embedded.symbolic import Tick, build_tick
@@ -68,8 +68,6 @@ def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
     return solver, draw(st.dictionaries(own, values, min_size=1, max_size=3))
 
 
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {"name": names, "option": options()}
-
 
 def name(case: tuple[str, str]) -> Verdict:
     """A name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
@@ -78,15 +76,13 @@ def name(case: tuple[str, str]) -> Verdict:
     _pages(text)
     _files(text)
     try:
-        arm = _read(place, text)
+        robot = _read(place, text)
     except MocOptError as error:
-        if len(str(error)) < 15:
-            raise Wrong(f"says too little: {error}") from error
-        return "refused"
+        return refused(error)
     if not re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]{0,98}[A-Za-z0-9_])?", text):
         raise Wrong(f"{text!r} was taken for a name of a {place}")
-    if arm is not None and place in ("joint", "link"):
-        arm.state(arm.data.q_home)
+    if robot is not None and place in ("joint", "link"):
+        robot.state(robot.data.q_home)
     return "accepted"
 
 
@@ -98,19 +94,17 @@ def option(case: tuple[str, dict[str, Any]]) -> Verdict:
     brief: dict[str, Any] = {key: 20 for key in ("max_iter", "max_iters", "iter_limit") if key in ALLOWED[solver]}
     brief |= {"time_limit": 0.05} if solver.endswith("highs") else {}
     qp = _problem()
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder, chdir(folder), redirect_stdout(io.StringIO()):
+    with folder() as where, chdir(where), redirect_stdout(io.StringIO()):
         try:
             session = create(solver, options={**given, **brief}).start(qp)
         except MocOptError as error:
-            if not any(repr(key)[1:-1][:40] in str(error) for key in given):
-                raise Wrong(f"no option is named: {error}") from error
-            return "refused"
+            return refused(error, any(repr(key)[1:-1][:40] in str(error) for key in given))
         else:
             if session.solve(qp).x.shape != (qp.n,):
                 raise Wrong("no answer")
         finally:
-            if os.listdir(folder):
-                raise Wrong(f"{solver} with {given} wrote {os.listdir(folder)}")
+            if os.listdir(where):
+                raise Wrong(f"{solver} with {given} wrote {os.listdir(where)}")
     if not set(given) <= ALLOWED[solver]:
         raise Wrong(f"{sorted(set(given) - ALLOWED[solver])} passed")
     return "accepted"
@@ -132,8 +126,7 @@ def _read(place: str, text: str) -> RobotModel | None:
 
 
 def _arm(place: str, text: str) -> RobotModel:
-    toml = (ROBOTS / "lwr4.toml").read_text(encoding="utf-8").replace('"lwr4.urdf"', '"arm.urdf"')
-    urdf = (ROBOTS / "lwr4.urdf").read_text(encoding="utf-8")
+    toml, urdf = ARM_TOML, ARM_URDF
     try:
         quoted = quoteattr(text)
         (quoted + text).encode("utf-8")
@@ -148,10 +141,8 @@ def _arm(place: str, text: str) -> RobotModel:
         toml = toml.replace('name = "lwr4"', f"name = {basic}")
     else:
         toml = toml.replace("[gains.dcac]", f"[gains.{basic}]")
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder:
-        Path(folder, "arm.toml").write_bytes(toml.encode())
-        Path(folder, "arm.urdf").write_bytes(urdf.encode())
-        return load_robot(Path(folder, "arm.toml"))
+    with arm(toml, urdf) as path:
+        return load_robot(path)
 
 
 @cache
@@ -214,9 +205,7 @@ def _files(text: str) -> None:
 
 @cache
 def _problem() -> NullSpaceQP:
-    rng = np.random.default_rng(0)
-    J, u = rng.normal(size=(3, 7)), np.array([0.0, 0.0, 1.0])
-    wrist = J + 0.4 * np.cross(rng.normal(size=(7, 3)), u).T
-    x = rng.uniform(-0.5, 0.5, 7)
-    grad = rng.normal(size=7)
-    return NullSpaceQP(J, wrist, J @ x, wrist @ x, grad, np.full(7, -2.0), np.full(7, 2.0), damping=1e-5)
+    return random_problems(7, 1, np.random.default_rng(0))[0]
+
+
+KINDS = {"name": Kind(name, names), "option": Kind(option, options())}
