@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import cli
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
 from benchmarks.paper_experiment.config import STREAM, Config
+from benchmarks.paper_experiment.tables import tables
 from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.processes import run_parallel
 from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
 
@@ -126,9 +127,9 @@ def experiment(given: Namespace) -> cli.Results:
         summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config)
     )
     return cli.Results(
-        summary, environment, [*measured, *broken, *failed, *swivel, *procedure], page,
-        report.tables(summary, groups, best), report.headline(summary, list(groups), best[1]),
-        ["replay.html", "figures/"],
+        summary, environment, rows=[*measured, *broken, *failed, *swivel, *procedure], page=page,
+        tables=tables(summary, groups, best), sentences=report.headline(summary, list(groups), best[1]),
+        files=["replay.html", "figures/"],
     )  # fmt: skip
 
 

@@ -20,9 +20,9 @@ from pydantic import Field
 
 from benchmarks import cli, markdown, output
 from benchmarks.config import Configuration
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
-from benchmarks.processes import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
 from moc_opt.errors import MocOptError

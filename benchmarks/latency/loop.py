@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import Crew, Worker
+from benchmarks.crew import Crew
+from benchmarks.processes import Worker
 from benchmarks.timing import percentiles
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace

@@ -14,7 +14,7 @@ from benchmarks.latency import embedded, setup, solve, tick
 from benchmarks.latency import loop as speed_loop
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
-from benchmarks.latency.goals import judge_goals
+from benchmarks.latency.goals import goal_verdicts
 from benchmarks.solver_study.open_loop import expand
 from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.embedded import NativeController
@@ -87,7 +87,7 @@ class Run:
         self.rows += rows
         summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
         summary["not_run"] = {name: {"reason": reason} for name, reason in self._missing.items()}
-        summary["goals"] = judge_goals(summary)
+        summary["goals"] = goal_verdicts(summary)
         return summary
 
     def _choose(self, kind: str, names: list[str], found: Mapping[str, str | None]) -> list[str]:

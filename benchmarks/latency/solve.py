@@ -33,7 +33,8 @@ def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSp
         tip = wrist + np.cross(spin.T, TOOL_M * u / np.linalg.norm(u)).T
         lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
         x = 0.5 * (lower + upper) + 0.3 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
-        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, rng.normal(scale=0.1, size=n), lower, upper))
+        gradient = rng.normal(scale=0.1, size=n)
+        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, gradient, lower=lower, upper=upper))
     return found
 
 

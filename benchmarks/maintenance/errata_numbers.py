@@ -55,8 +55,10 @@ class Arm:
         velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)
         v_tip = np.array([speed, 0.0, 0.0])
         v_wrist = consistent_wrist_velocity(v_tip, v_tip, state.tool_direction)
-        weights = (PAPER.c0 * weight, PAPER.c1 * weight, c2 * weight, rho * weight)
-        return NullSpaceQP(state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, *weights)
+        return NullSpaceQP(
+            state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper,
+            c0=PAPER.c0 * weight, c1=PAPER.c1 * weight, c2=c2 * weight, damping=rho * weight,
+        )  # fmt: skip
 
 
 def projectors(state: RobotState) -> tuple[Array, Array, Array]:

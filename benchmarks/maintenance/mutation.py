@@ -85,7 +85,7 @@ def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[d
     Raises:
         MutationError: they take too long, or none is left.
     """
-    found = trial.judge(ROOT, module, None, plain, config.modules[module], BASELINE_S, keep_going=True)
+    found = trial.run_tests(ROOT, module, None, plain, config.modules[module], BASELINE_S, keep_going=True)
     if found.result == "timed out":
         raise MutationError(f"{module}: its tests take longer than {BASELINE_S:g} s without any mutation")
     fails = "fails where kernels are plain Python" if plain else "fails"
@@ -101,7 +101,9 @@ def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[d
     return {name: seconds for seconds, name in ranked}, left_out
 
 
-def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]) -> dict[str, Any]:
+def try_mutants(
+    config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]
+) -> dict[str, Any]:
     """All mutants of one module; what became of them."""
     known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
     counts = dict.fromkeys(KINDS, 0)
@@ -115,7 +117,7 @@ def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callab
             usable[plain] = usable_tests(config, module, plain)
         tests = usable[plain][0]
         limit_s = max(config.limit_s, config.patience * sum(tests.values()))
-        outcome = trial.judge(ROOT, module, mutant.source, plain, list(tests), limit_s)
+        outcome = trial.run_tests(ROOT, module, mutant.source, plain, list(tests), limit_s)
         if outcome.result != "survived":
             counts[outcome.result.replace(" ", "_")] += 1
             found_by[outcome.by or "time limit"] = found_by.get(outcome.by or "time limit", 0) + 1
@@ -174,7 +176,7 @@ def run(given: Namespace) -> cli.Results:
         for name in config.modules:
             mine = [mutant for mutant in chosen if mutant.module == name]
             if mine:
-                modules[name] = {"places": numbers[name], **judge(config, name, mine, step)}
+                modules[name] = {"places": numbers[name], **try_mutants(config, name, mine, step)}
     summary = {"modules": modules, "total": total(modules, config.share_wanted)}
     survivors = [
         f"{name}:{row['line']} {row['operator']}\n    {row['before']}\n    {row['after']}"

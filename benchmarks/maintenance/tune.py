@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import cli
+from benchmarks.crew import run_parallel
 from benchmarks.maintenance.tune_space import Candidate, Config, Range, Values, draw
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect
-from benchmarks.processes import run_parallel
 from moc_opt.errors import ScenarioError
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending

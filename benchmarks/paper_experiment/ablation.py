@@ -115,7 +115,7 @@ def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
                     }
                 )  # fmt: skip
             else:
-                found.append(Measurement(case, name, job.task, trial.name, trial.seed, "whole", done))
+                found.append(Measurement(case, name, job.task, trial.name, trial.seed, phase="whole", metrics=done))
     return found, broken
 
 

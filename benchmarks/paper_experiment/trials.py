@@ -208,7 +208,9 @@ def _note(
     # Clocks are left out: jobs share the machine, and a time taken then is no solver's fault.
     kept = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     outcome.measurements.append(
-        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, kept, ended)
+        Measurement(
+            job.group, controller, job.task, job.trial.name, job.trial.seed, phase=phase, metrics=kept, ended=ended
+        )
     )
 
 

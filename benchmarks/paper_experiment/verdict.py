@@ -102,7 +102,7 @@ def effect(
         return None
 
 
-def judge_claim(claim: Claim, own: Interval | None, matched: Interval | None) -> str:
+def claim_verdict(claim: Claim, own: Interval | None, matched: Interval | None) -> str:
     """The verdict, from the effects against DCAC with its own gains and with MOC's."""
     if matched is not None and claim.confirmed(matched):
         return HOLDS
@@ -118,7 +118,7 @@ def verdicts(found: Sequence[Measurement], group: str, moc: str) -> list[dict[st
         effects = {name: effect(found, group, moc, name, claim.metric) for name in BASELINES}
         row: dict[str, Any] = {
             "group": group, "controller": moc, "claim": claim.name, "text": claim.text,
-            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]) if claim not in REPEATED else REPEATS,
+            "verdict": claim_verdict(claim, effects[OWN], effects[MATCHED]) if claim not in REPEATED else REPEATS,
         }  # fmt: skip
         for name, key in ((OWN, "own"), (MATCHED, "matched"), (DAMPED, "damped")):
             change = effects[name]

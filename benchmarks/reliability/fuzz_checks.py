@@ -10,6 +10,7 @@ from benchmarks.reliability import fuzz_c
 from benchmarks.reliability.fuzz_case import Kind, Verdict, Wrong, arm, file, refused
 from benchmarks.reliability.fuzz_inputs import TOML, edited, record_files, robot_files, scenarios, subproblems
 from benchmarks.reliability.fuzz_traces import good_trace, result_files
+from benchmarks.sweeps.record import opened
 from moc_opt.control.null_space import null_space
 from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
@@ -28,9 +29,8 @@ def warm_up() -> None:
     """Compile what is compiled: a compiler at work looks like a hang."""
     for law in ("moc", "dcac"):
         trace = run(Scenario(control={"law": law}, duration_s=0.004, bound_samples=1))
-    qp = NullSpaceQP(
-        np.eye(3, 7), np.eye(3, 7), np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7)
-    )
+    rows, rest = np.eye(3, 7), np.zeros(3)
+    qp = NullSpaceQP(rows, rows, rest, rest, np.ones(7), lower=-np.ones(7), upper=np.ones(7))
     for name in ("exact", "rnn"):
         solver = create(name)
         solver.start(qp).solve(qp)
@@ -155,10 +155,8 @@ def result_file(data: bytes) -> Verdict:
 
 def record_file(data: bytes) -> Verdict:
     """A sweep's record (JSON): what was sealed, or nothing."""
-    from benchmarks.sweeps.store import _opened
-
     with file("record.json", data) as path:
-        found = _opened(path, "0")
+        found = opened(path, "0")
     if found is not None and not isinstance(found, dict):
         raise Wrong(f"a record that is a {type(found).__name__}")
     return "refused" if found is None else "accepted"

@@ -161,8 +161,9 @@ def _made(place: Place, text: str, code: str | None) -> Mutant | None:
         return None
     old, new = text.splitlines(), code.splitlines()
     line = next(k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
+    before, after = old[line].strip(), new[line].strip()
     return Mutant(
-        place.module, place.operator, place.occurrence, line + 1, old[line].strip(), new[line].strip(), code
+        place.module, place.operator, place.occurrence, line=line + 1, before=before, after=after, source=code
     )
 
 

@@ -91,7 +91,7 @@ def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
     return found
 
 
-def judge(
+def run_tests(
     root: Path,
     module: str,
     source: str | None,
