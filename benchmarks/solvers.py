@@ -21,7 +21,7 @@ from benchmarks.solver_study.parts import Study
 from benchmarks.solver_study.report import print_tables, write_report
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.qp.equalities import expand
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console, progress
 from moc_opt.solvers import available
@@ -69,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def assembly_us(problems: Sequence[NullSpaceQP]) -> float:
     """Median time [us] of assembling P, p and the five rows, which every session does once a tick in a loop."""
     fresh = [NullSpaceQP.from_row(qp.row.copy()) for qp in problems]
-    expand(fresh[0])
-    times = each_us(expand, fresh)
+    assembled(fresh[0])
+    times = each_us(assembled, fresh)
     return float(sorted(times)[len(times) // 2])
 
 

@@ -47,7 +47,7 @@ class Arm:
         return cls(robot, tuple(robot.state(robot.random_regular_pose(rng)) for _ in range(poses)))
 
     def subproblem(
-        self, state: RobotState, c2: float = PAPER.c2, rho: float = PAPER.damping, weight: float = 1.0,
+        self, state: RobotState, c2: float = PAPER.c2, rho: float = PAPER.regularization, weight: float = 1.0,
         speed: float = 0.0,
     ) -> NullSpaceQP:  # fmt: skip
         """The paper's subproblem at a state; ``weight`` scales c0, c1, c2 and rho together; tip speed [m/s] along x."""
@@ -57,7 +57,7 @@ class Arm:
         v_wrist = consistent_wrist_velocity(v_tip, v_tip, state.tool_direction)
         return NullSpaceQP(
             state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper,
-            c0=PAPER.c0 * weight, c1=PAPER.c1 * weight, c2=c2 * weight, damping=rho * weight,
+            c0=PAPER.c0 * weight, c1=PAPER.c1 * weight, c2=c2 * weight, regularization=rho * weight,
         )  # fmt: skip
 
 
@@ -65,7 +65,7 @@ def projectors(state: RobotState) -> tuple[Array, Array, Array]:
     """The printed, the dynamic and the static projector (n, n) of level 2."""
     J, eye = np.array(state.J_tip), np.eye(len(state.q))
     W, factor = task_inertia(J, cholesky(np.array(state.M)))
-    printed = np.array([rcm.project_printed(J, e) for e in eye]).T
+    printed = np.array([rcm.project_as_published(J, e) for e in eye]).T
     dynamic = np.array([rcm.project_dynamic(J, W, factor, e) for e in eye]).T
     static = np.array([rcm.project_static(J, e) for e in eye]).T
     return printed, dynamic, static

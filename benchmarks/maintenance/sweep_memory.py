@@ -40,7 +40,7 @@ COLUMNS = [
 
 def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
     """rows.parquet as a sweep leaves it, with log-normal figures; itself in constant memory."""
-    plan = Plan(Config(solvers=list(SOLVERS), grid={"control.damping": [1e-6, 1e-5, 1e-4]}))
+    plan = Plan(Config(solvers=list(SOLVERS), grid={"control.regularization": [1e-6, 1e-5, 1e-4]}))
     schema, rng = rows_schema(plan), np.random.default_rng(seed)
     path = folder / "rows.parquet"
     with whole_parquet(path, schema) as write:
@@ -49,7 +49,7 @@ def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
             known = {
                 "index": index, "run": [f"{i:020x}" for i in index], "seed": index // 12,
                 "solver": [SOLVERS[i % 4] for i in index],
-                "control.damping": np.array([1e-6, 1e-5, 1e-4])[index // 4 % 3],
+                "control.regularization": np.array([1e-6, 1e-5, 1e-4])[index // 4 % 3],
                 "ended": ["completed" if i % 97 else "failed" for i in index],
                 "error": [None if i % 97 else "SolverError: made up" for i in index],
             }  # fmt: skip
@@ -76,7 +76,7 @@ def measure(folder: Path) -> dict[str, float]:
     from benchmarks.sweeps.summary import summarise
 
     before, begin = peak_MB(), perf_counter()
-    summarise(folder, ["solver", "control.damping"])
+    summarise(folder, ["solver", "control.regularization"])
     after = peak_MB()
     return {
         "before_MB": before, "peak_MB": after, "growth_MB": after - before, "seconds": perf_counter() - begin,

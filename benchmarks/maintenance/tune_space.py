@@ -85,7 +85,7 @@ class Candidate:
         """As a table of control settings."""
         table: dict[str, Any] = {"gains": "default", **self.values}
         if "rho_over_c2" in table:
-            table["damping"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")
+            table["regularization"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")
         return table
 
 

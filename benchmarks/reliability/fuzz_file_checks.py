@@ -100,7 +100,7 @@ def extreme_number(case: tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]) ->
 def small_plan() -> Plan:
     """Eight runs that are not done in earnest."""
     scenario = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
-    return Plan(SweepConfig(grid={"control.damping": [1e-6, 1e-5]}, seeds=4, scenario=scenario)).number_runs()
+    return Plan(SweepConfig(grid={"control.regularization": [1e-6, 1e-5]}, seeds=4, scenario=scenario)).number_runs()
 
 
 def _made_up(i: int) -> dict[str, Any]:

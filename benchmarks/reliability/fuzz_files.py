@@ -200,7 +200,7 @@ def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], 
         elif path[-1] in ("grid", "fields"):
             ends = {"low": value, "high": draw(st.sampled_from(EXTREMES))}
             ends["scale"] = draw(st.sampled_from(["linear", "log", "integer"]))
-            value = {"control.damping": [value]} if path[-1] == "grid" else {"control.damping": ends}
+            value = {"control.regularization": [value]} if path[-1] == "grid" else {"control.regularization": ends}
         elif draw(st.integers(0, 4)) == 0:
             value = [value] * draw(st.integers(1, 7))
         wanted.append((path, value))

@@ -159,7 +159,7 @@ def robot_files(draw: st.DrawFn) -> tuple[bytes, bytes]:
 
 
 SUBPROBLEM = (
-    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "damping", "q",
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
 )  # fmt: skip
 
 

@@ -299,7 +299,7 @@ def test_a_urdf_reads_no_other_file(entity, tmp_path):
         load_robot(tmp_path / "arm.toml")
 
 
-@pytest.mark.parametrize("name", ["c0", "c1", "c2", "damping"])
+@pytest.mark.parametrize("name", ["c0", "c1", "c2", "regularization"])
 def test_weights_that_overflow_are_refused_by_name(name):
     """At 1e300 even the exact solver would claim success for a wrong answer."""
     J, ones = np.eye(3, 7), np.ones(7)

@@ -24,7 +24,7 @@ from benchmarks.latency.config import Config
 from benchmarks.latency.goals import GOALS, goal_verdicts
 from benchmarks.latency.report import headline, report, tables
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
 
@@ -52,7 +52,7 @@ def test_by_hand_the_answer_is_the_adapter_s_and_optimal(name, sequence):
     answers = [bare(qp)[0] for qp in sequence]
     for qp, x in zip(sequence, answers, strict=True):
         np.testing.assert_allclose(x, session.solve(qp).x, atol=1e-4)
-    found = judge(np.array([qp.row for qp in sequence]), np.array(answers))
+    found = compute_residuals(np.array([qp.row for qp in sequence]), np.array(answers))
     assert (found.primal < 1e-6).all()
     assert (found.relative < 1e-3).all()
 
@@ -111,7 +111,7 @@ def test_residuals_are_those_of_the_answers(sequence):
     assert found["primal_max"] < 1e-12
     assert found["natural_max"] < 1e-12
     answers = [Exact().start(qp).solve(qp) for qp in sequence]
-    judged = judge(
+    judged = compute_residuals(
         np.array([qp.row for qp in sequence]),
         np.array([answer.x for answer in answers]),
         np.array([answer.y for answer in answers]),

@@ -32,7 +32,7 @@ def states(robot, regular_poses):
     return [robot.state(q) for q in regular_poses(50)]
 
 
-def subproblem(robot, state, v=None, c2=PAPER.c2, rho=PAPER.damping, speed=0.0, weight=1.0):
+def subproblem(robot, state, v=None, c2=PAPER.c2, rho=PAPER.regularization, speed=0.0, weight=1.0):
     """The paper's subproblem at a state; ``weight`` scales all four weights together."""
     lower, upper = np.empty(7), np.empty(7)
     velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)
@@ -65,7 +65,7 @@ def test_printed_projector_is_not_idempotent(states):
     for s in states:
         J, eye = np.array(s.J_tip), np.eye(7)
         W, factor = task_inertia(J, cholesky(np.array(s.M)))
-        N = np.array([rcm.project_printed(J, e) for e in eye]).T
+        N = np.array([rcm.project_as_published(J, e) for e in eye]).T
         D = np.array([rcm.project_dynamic(J, W, factor, e) for e in eye]).T
         S = np.array([rcm.project_static(J, e) for e in eye]).T
         np.testing.assert_allclose(N, eye - J.T @ J, atol=1e-14)
@@ -88,7 +88,7 @@ def test_printed_projector_depends_on_the_unit_of_length(robot):
     s = robot.state(robot.data.q_home)
     metres, millimetres = np.array(s.J_tip), 1e3 * np.array(s.J_tip)
     tau = np.arange(1.0, 8.0)
-    far = rcm.project_printed(millimetres, tau) - rcm.project_printed(metres, tau)
+    far = rcm.project_as_published(millimetres, tau) - rcm.project_as_published(metres, tau)
     near = rcm.project_static(millimetres, tau) - rcm.project_static(metres, tau)
     assert np.linalg.norm(far) > 1e5
     np.testing.assert_allclose(near, 0.0, atol=1e-9)

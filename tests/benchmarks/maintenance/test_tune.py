@@ -78,7 +78,7 @@ def test_local_candidates_lie_near(config):
 
 def test_rho_follows_the_ratio():
     candidate = tune.Candidate((0.5,), {"rho_over_c2": 0.05})
-    assert candidate.control == {"gains": "default", "damping": 5e-5}
+    assert candidate.control == {"gains": "default", "regularization": 5e-5}
 
 
 @pytest.mark.parametrize(
@@ -168,14 +168,14 @@ def test_search_and_experiment_share_no_trial():
 def test_the_preset_is_a_point_of_the_space(config):
     """The shipped preset names its command; it must be what that command can draw."""
     for name, span in config.space.items():
-        value = TUNED["damping"] / 1e-3 if name == "rho_over_c2" else TUNED[name]
+        value = TUNED["regularization"] / 1e-3 if name == "rho_over_c2" else TUNED[name]
         assert value in span.choices if span.choices else span.low * 0.99 <= value <= span.high * 1.01
     assert ControlSettings.tuned() == ControlSettings(**TUNED)
 
 
 def test_preset_is_written_as_a_scenario_reads_it():
     found = tune.preset(tune.Score(tune.Candidate((), {"K_N": 2000.0, "rho_over_c2": 0.1}), 0.0, {}))
-    assert found == '[control]\ngains = "default"\nK_N = 2000.0\ndamping = 0.0001'
+    assert found == '[control]\ngains = "default"\nK_N = 2000.0\nregularization = 0.0001'
 
 
 def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
@@ -188,7 +188,7 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
         assert (tmp_path / turn / "rows.parquet").exists()
         assert json.loads((tmp_path / turn / "environment.json").read_text())["seed"] == 3
     assert summaries[0] == summaries[1]
-    assert set(summaries[0]["tuned"]["control"]) == {"gains", "K_N2", "damping"}
+    assert set(summaries[0]["tuned"]["control"]) == {"gains", "K_N2", "regularization"}
     assert json.loads(capsys.readouterr().out.split("\n}\n")[0] + "}") == summaries[0]
 
 

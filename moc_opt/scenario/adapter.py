@@ -15,7 +15,7 @@ from moc_opt.qp.problem import row_length
 Array = NDArray[np.float64]
 
 
-class Driver:
+class ControllerAdapter:
     """Connects a controller to the loop: measurements become a model state, and the answers become columns."""
 
     def __init__(self, controller: Controller) -> None:
@@ -38,20 +38,20 @@ class Driver:
         return self.controller.faults
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """See ``sim.loop.Brain``; run one discarded tick, so that compilation is over before the loop."""
+        """See ``sim.loop.LoggedController``; run one discarded tick, so that compilation is over before the loop."""
         state = self._robot.state(q, v)
         self.controller.start(state, tip_ref, trocar)
         self.controller.tick(state, tip_ref, trocar)
         self.controller.start(state, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.loop.Brain``."""
+        """See ``sim.loop.LoggedController``."""
         self._state = state = self._robot.state(q, v)
         return self.controller.tick(state, tip_ref, trocar)
 
-    def sent(self, tau: Array) -> None:
-        """See ``sim.loop.Brain``."""
-        self.controller.sent(tau)
+    def set_applied_torque(self, tau: Array) -> None:
+        """See ``sim.loop.LoggedController``."""
+        self.controller.set_applied_torque(tau)
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """The third level's columns; none but the status under DCAC."""
@@ -69,7 +69,7 @@ class Driver:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """See ``sim.loop.Brain``."""
+        """See ``sim.loop.LoggedController``."""
         solution, qp = self.controller.solution, self.controller.subproblem
         if solution is None or qp is None:
             return
