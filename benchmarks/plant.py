@@ -22,10 +22,8 @@ from benchmarks import cli, markdown, output
 from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.config import STREAM
-from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
+from benchmarks.paper_experiment.trials import MATCHED, attempt, seeds, trials, variant
 from benchmarks.statistics import mean
-from moc_opt import scenario
-from moc_opt.errors import MocOptError
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings
@@ -107,16 +105,11 @@ def run_job(job: Job) -> list[dict[str, Any]]:
     for controller in (MATCHED, job.solver):
         row: dict[str, Any] = {
             "preset": job.preset, "effect": job.effect, "controller": controller, "trial": job.trial.name,
-            "seed": job.trial.seed, "ended": "completed",
+            "seed": job.trial.seed,
         }  # fmt: skip
         rows.append(row)
-        try:
-            trace = scenario.run(variant(job.trial, controller))
-        except MocOptError as error:
-            row["ended"] = f"{type(error).__name__}: {error}"
-            continue
-        row["ended"] = trace.meta["ended"]
-        if Ending.of(row["ended"]).whole:
+        trace, row["ended"] = attempt(variant, job.trial, controller)
+        if trace is not None:
             baseline = trace if controller == MATCHED else baseline
             row |= measure(trace, None if controller == MATCHED else baseline)
     return rows

@@ -54,24 +54,6 @@ def each_us(
     return np.array(times) * 1e-3
 
 
-def side_by_side(
-    calls: dict[str, Callable[[Any], Any]], items: Sequence[Any], rounds: int = 5
-) -> dict[str, Array]:
-    """Time several calls on the same items in turn, round by round, so that drift of the machine hits all alike.
-
-    Returns:
-        name -> (rounds, items) [us].
-    """
-    names = list(calls)
-    found: dict[str, list[Array]] = {name: [] for name in names}
-    for name in names:  # a first round that is not timed fills caches and compiles
-        each_us(calls[name], items[: min(len(items), 50)])
-    for r in range(rounds):
-        for name in names[r % len(names) :] + names[: r % len(names)]:
-            found[name].append(each_us(calls[name], items))
-    return {name: np.array(times) for name, times in found.items()}
-
-
 class Timed(NamedTuple):
     """One entry of `interleaved`: what is called, on which items, after which preparation."""
 

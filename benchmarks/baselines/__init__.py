@@ -15,15 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.baselines.base import Peer
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.model.robot_model import RobotModel
 
 PATIENCE_S = 60.0
 ROOT = Path(__file__).resolve().parents[2]
-
-
-class PeerError(MocOptError, RuntimeError):
-    """A peer that could not do its job; the message says why."""
 
 
 class Library(NamedTuple):

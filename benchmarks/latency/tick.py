@@ -6,7 +6,7 @@ ideal run (theirs), one after the other in chunks, in one process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -187,11 +187,3 @@ def peer_ticks(
         poses, given = perform(peer, robot, work)
         runs[name] = PeerRun(Timed(spread(peer.tick), given), peer.level, verdict(poses, robot, work))
     return runs, refused
-
-
-def excess_us(
-    ticks: Mapping[str, float], solves: Mapping[str, float], bare: Mapping[str, float]
-) -> dict[str, float]:
-    """What a tick costs beyond our tick without its solver and the library by hand [us], by solver."""
-    rest = ticks["exact"] - solves["exact"]
-    return {name: ticks[name] - rest - bare[name] for name in ticks if name in bare}

@@ -14,16 +14,14 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from benchmarks.paper_experiment.trials import MATCHED, Measurement, trials, variant
+from benchmarks.paper_experiment.trials import MATCHED, Measurement, attempt, trials, variant
 from benchmarks.paper_experiment.trials import seeds as seeds_of
 from benchmarks.paper_experiment.verdict import CLAIMS, Claim, effect, pairs
 from benchmarks.statistics import difference_of_changes
-from moc_opt import scenario
 from moc_opt.control import ControlSettings
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import summarize
 
 ALL = "all"
@@ -122,12 +120,8 @@ def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
 
 def _metrics(case: Scenario) -> dict[str, float] | str:
     """The claims' metrics of one run, or why it broke off."""
-    try:
-        trace = scenario.run(case)
-    except MocOptError as error:
-        return f"{type(error).__name__}: {error}"
-    ended = str(trace.meta["ended"])
-    if not Ending.of(ended).whole:
+    trace, ended = attempt(lambda: case)
+    if trace is None:
         return ended
     metrics = summarize(trace)
     return {claim.metric: metrics[claim.metric] for claim in CLAIMS}

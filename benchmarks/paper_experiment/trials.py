@@ -12,7 +12,7 @@ own mismatch, and its noise, all from one seed. Every controller runs it. The ph
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from moc_opt import scenario
 from moc_opt.control.settings import GAINS
-from moc_opt.errors import MocOptError, PlantError
+from moc_opt.errors import MocOptError
 from moc_opt.redundancy.transient import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
@@ -134,26 +134,33 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     return trial.change(control=table)
 
 
+def attempt(make: Callable[..., Scenario], *arguments: Any) -> tuple[Trace | None, str]:
+    """Run ``make(*arguments)``: its trace, None where it broke off or was stopped; and how it ended, or the error."""
+    try:
+        trace = scenario.run(make(*arguments))
+    except MocOptError as error:
+        return None, f"{type(error).__name__}: {error}"
+    ended = str(trace.meta["ended"])
+    return (trace if Ending.of(ended).whole else None), ended
+
+
 def run_job(job: Job) -> Outcome:
     """Run every controller of a job; a run that breaks off is a result, with its reason."""
     outcome = Outcome([], {}, {}, [])
     traces: dict[str, Trace] = {}
     for controller in job.controllers:
-        try:
-            case = variant(job.trial, controller, job.solver_settings.get(controller))
-            trace = scenario.run(case)
-            ended = str(trace.meta["ended"])
-            if not Ending.of(ended).whole:
-                raise PlantError(ended)
+        trace, ended = attempt(variant, job.trial, controller, job.solver_settings.get(controller))
+        if trace is not None:
             traces[controller] = trace
-        except MocOptError as error:
-            ended = str(error) if Ending.of(str(error)) is Ending.STOPPED else Ending.FAILED.value
-            outcome.broken.append(
-                {
-                    "part": "broke off", "ended": ended, "group": job.group, "controller": controller, "task": job.task,
-                    "trial": job.trial.name, "seed": job.trial.seed, "error": f"{type(error).__name__}: {error}",
-                }
-            )  # fmt: skip
+            continue
+        stopped = Ending.of(ended) is Ending.STOPPED
+        outcome.broken.append(
+            {
+                "part": "broke off", "ended": ended if stopped else Ending.FAILED.value, "group": job.group,
+                "controller": controller, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed,
+                "error": f"PlantError: {ended}" if stopped else ended,
+            }
+        )  # fmt: skip
     baselines = {name: trace for name, trace in traces.items() if name in BASELINES}
     for controller, trace in traces.items():
         reference = baselines.get(MATCHED)

@@ -10,7 +10,6 @@ from benchmarks.config import Configuration
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.scenario import Scenario
 
-GROUPS = ("solver", "sensors", "plant", "contact", "camera")
 BASELINE = "dcac"
 
 

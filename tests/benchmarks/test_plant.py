@@ -8,6 +8,7 @@ import pytest
 from benchmarks import plant
 from benchmarks.markdown import SectionError
 from benchmarks.output import default_config
+from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import run
 
@@ -82,7 +83,7 @@ def test_what_is_wrong_is_said(tmp_path, capsys):
 
 def test_a_run_that_breaks_off_is_counted(monkeypatch, results):
     config, _ = results
-    monkeypatch.setattr(plant.scenario, "run", lambda case: (_ for _ in ()).throw(MocOptError("gone")))
+    monkeypatch.setattr(scenario, "run", lambda case: (_ for _ in ()).throw(MocOptError("gone")))
     rows = [row for job in config.jobs() for row in plant.run_job(job)]
     assert {row["ended"] for row in rows} == {"MocOptError: gone"}
     assert plant.summarise(config, rows)["tuned"]["bias, exact"] == {"runs": 1, "broke_off": 1}

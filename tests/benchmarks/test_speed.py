@@ -23,7 +23,7 @@ from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
 from benchmarks.latency.goals import GOALS, goal_verdicts
 from benchmarks.latency.report import headline, report, tables
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
@@ -435,6 +435,5 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
     assert "Goals" in capsys.readouterr().out
 
 
-def test_errors_are_of_the_package():
-    assert issubclass(peers.PeerError, MocOptError)
+def test_settings_of_the_adapters_are_dataclasses():
     assert all(dataclasses.is_dataclass(create(name)) for name in INSTALLED)
