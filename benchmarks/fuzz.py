@@ -95,7 +95,7 @@ def lookup(kind: str) -> Kind:
 
 
 def has_compiler() -> bool:
-    """Whether the kind "exported" can be checked here."""
+    """Tell whether the kind "exported" can be checked here."""
     try:
         return bool(find_compiler())
     except CompilerError:

@@ -39,7 +39,7 @@ def save_page(page: Page, path: Path, *, figures: bool = False) -> None:
 
 
 def default_config(name: str) -> Path:
-    """The configuration that ships with a benchmark."""
+    """Return the configuration that ships with a benchmark."""
     return Path(__file__).parent / "configs" / f"{name}.toml"
 
 
@@ -86,7 +86,7 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
-    """Machine, versions, commit, seed and the whole configuration."""
+    """Return the machine, versions, commit, seed and the whole configuration."""
     versions: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
@@ -119,7 +119,7 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """The commit of this checkout, marked where files differ from it; None outside a checkout."""
+    """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
     where = Path(__file__).parent
     try:
         head = subprocess.run(

@@ -65,7 +65,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def plant(self, effect: str) -> PlantSettings:
-        """The plant with one effect.
+        """Return the plant with one effect.
 
         Raises:
             MocOptError: a field that does not exist, or a value out of range.
@@ -73,11 +73,11 @@ class Config(Configuration):
         return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
 
     def quick(self) -> Self:
-        """The same on less data."""
+        """Return the same on less data."""
         return self.model_copy(update={"tasks": self.tasks[:1], "trials": 2, "presets": self.presets[:1]})
 
     def jobs(self) -> list[Job]:
-        """Every effect on every trial under every preset."""
+        """Return every effect on every trial under every preset."""
         drawn = seeds(self.seed, STREAM, self.trials * len(self.tasks))
         found = []
         for preset in self.presets:
@@ -99,7 +99,7 @@ class Job:
 
 
 def run_job(job: Job) -> list[dict[str, Any]]:
-    """One row a controller; a run that breaks off is a row with its reason."""
+    """Return one row a controller; a run that breaks off is a row with its reason."""
     rows: list[dict[str, Any]] = []
     baseline: Trace | None = None
     for controller in (MATCHED, job.solver):
@@ -116,13 +116,13 @@ def run_job(job: Job) -> list[dict[str, Any]]:
 
 
 def measure(trace: Trace, baseline: Trace | None) -> dict[str, float]:
-    """The figures of one run."""
+    """Return the figures of one run."""
     found = summarize(trace, baseline)
     return {name: found[name] for name in ("mu_mean", *FIGURES) if name in found}
 
 
 def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Preset -> "effect, controller" -> runs, those that broke off, and each figure with its interval."""
+    """Map preset to "effect, controller" -> runs, those that broke off, and each figure with its interval."""
     summary: dict[str, Any] = {}
     for preset in config.presets:
         summary[preset] = {}
@@ -141,7 +141,7 @@ def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tables(summary: dict[str, Any]) -> list[Table]:
-    """One a preset, means over the runs that were completed."""
+    """Make one table a preset, means over the runs that were completed."""
     first = [Column("group", "effect, controller"), Column("broke_off", "broke off", format="d")]
     return [
         Table(f"Preset {preset}", [*first, *FIGURES.values()], [{"group": name, **row} for name, row in groups.items()])
@@ -150,7 +150,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
 
 
 def page_text(summary: dict[str, Any], config: Config) -> str:
-    """The tables with their intervals, for docs/plant.md."""
+    """Return the tables with their intervals, for docs/plant.md."""
     trials_run = config.trials * len(config.tasks)
     lines = [f"`python -m benchmarks.plant --page` (seed {config.seed}, {trials_run} trials; mean, 95 % interval):"]
     heads = ["effect", "law", *(f"{column.title} [{column.unit}]" for column in FIGURES.values()), "broke off"]

@@ -233,7 +233,7 @@ def _dumped(error: BaseException) -> bytes:
 
 
 def _loaded(pickled: bytes) -> BaseException | None:
-    """The exception, made without its constructor, which may take other arguments than it keeps."""
+    """Return the exception, made without its constructor, which may take other arguments than it keeps."""
     try:
         kind, arguments, state = pickle.loads(pickled)
         found: BaseException = kind.__new__(kind, *arguments)

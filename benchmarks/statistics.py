@@ -41,12 +41,12 @@ class Interval(NamedTuple):
         return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
 
     def entries(self, name: str) -> dict[str, float]:
-        """{name, name_low, name_high}, for a summary."""
+        """Return {name, name_low, name_high}, for a summary."""
         return {name: self.value, f"{name}_low": self.low, f"{name}_high": self.high}
 
 
 def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None:
-    """A figure of a summary with its interval, as text; None where there is none."""
+    """Return a figure of a summary with its interval, as text; None where there is none."""
     value, low, high = (entries.get(key) for key in (name, f"{name}_low", f"{name}_high"))
     if value is None:
         return None
@@ -56,7 +56,7 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None
 
 
 def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -> Interval:
-    """Mean of one number a trial, (k,), with its interval.
+    """Return the mean of one number a trial, (k,), with its interval.
 
     Raises:
         StatisticsError: no sample, or one that is not finite.
@@ -67,7 +67,7 @@ def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -
 def relative_change(
     treated: ArrayLike, control: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE
 ) -> Interval:
-    """100 (mean(treated)/mean(control) - 1) [percent], for (k,) numbers of the same k trials: resampled in pairs.
+    """Compute 100 (mean(treated)/mean(control) - 1) [percent] of (k,) numbers of the same k trials, resampled in pairs.
 
     Raises:
         StatisticsError: no pair, different lengths, a number that is not finite, or controls with mean 0.
@@ -79,7 +79,7 @@ def difference_of_changes(
     treated: ArrayLike, control: ArrayLike, treated_before: ArrayLike, control_before: ArrayLike, *, seed: int = 0,
     confidence: float = CONFIDENCE,
 ) -> Interval:  # fmt: skip
-    """``relative_change`` of one pair of controllers less that of another [percentage points], on the same k trials.
+    """Subtract the `relative_change` of one pair from that of another [percentage points], on the same k trials.
 
     Raises:
         StatisticsError: no trial, different lengths, a number that is not finite, or controls with mean 0.
@@ -101,7 +101,7 @@ def _difference(a: Array, b: Array, c: Array, d: Array, axis: int = -1) -> Array
 
 
 def _checked(given: Mapping[str, ArrayLike]) -> list[Array]:
-    """The samples by name, (k,) each.
+    """Return the samples by name, (k,) each.
 
     Raises:
         StatisticsError: they make no statistic.

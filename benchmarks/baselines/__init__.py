@@ -63,7 +63,7 @@ def create(name: str, robot: RobotModel, period_s: float) -> Peer:
 
 
 def missing(name: str) -> str | None:
-    """Why a peer cannot run here; None when it can.
+    """Say why a peer cannot run here; None when it can.
 
     It is tried in a process of its own: a wheel that was built against another pinocchio ends the process that
     loads it, and that must not be the benchmark's.

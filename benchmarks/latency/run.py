@@ -56,7 +56,7 @@ class Run:
         self._native: NativeController | None = None
 
     def steps(self) -> int:
-        """How often ``measure`` advances."""
+        """Tell how often ``measure`` advances."""
         loop = self.config.loop
         return (
             7 + len(self._peers) + 2 * (1 + loop.runs) + 2 * loop.two_process_rounds
@@ -64,7 +64,7 @@ class Run:
         )  # fmt: skip
 
     def measure(self, advance: Advance) -> dict[str, Any]:
-        """Everything: part -> name -> metric."""
+        """Measure everything: part -> name -> metric."""
         table = self.config.tick
         recording = tick.record(Setup(self._scenario.change(duration_s=table.ticks * self._period)))
         inputs, problems = recording.inputs, recording.problems
@@ -131,7 +131,7 @@ class Run:
         return {"c": found}
 
     def _ticks(self, inputs: list[Any], advance: Advance) -> dict[str, Any]:
-        """Our ticks and the peers' side by side."""
+        """Return our ticks and the peers' side by side."""
         own, refused = tick.own_ticks(
             self._solvers, self._robot, self._scenario.control, inputs, self._period
         )
@@ -202,7 +202,7 @@ class Run:
         return found
 
     def _beyond(self, summary: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-        """What a tick costs beyond our own part and the library by hand."""
+        """Return what a tick costs beyond our own part and the library by hand."""
         ticks = {name: metrics["tick_p50_us"] for name, metrics in summary["tick"].items()}
         hand = {name: metrics["by_hand_p50_us"] for name, metrics in summary["adapters"].items()}
         rest = ticks["exact"] - summary["exact"]["recorded"]["solve_p50_us"]

@@ -63,7 +63,7 @@ def record(setup: Setup) -> Recording:
 
 
 def references(setup: Setup) -> tuple[Array, Array, Array]:
-    """Tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
+    """Return the tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
     t = setup.times()
     tip, true, registered = (
         np.stack(source.at(t), axis=1) for source in (setup.reference, setup.trocar, setup.registered)
@@ -74,7 +74,7 @@ def references(setup: Setup) -> tuple[Array, Array, Array]:
 def own_ticks(
     names: Iterable[str], robot: RobotModel, settings: ControlSettings, inputs: list[Inputs], period_s: float
 ) -> tuple[dict[str, Timed], dict[str, str]]:
-    """Solver -> its whole tick; and solver -> why it cannot run in this controller."""
+    """Map solver to its whole tick; and solver -> why it cannot run in this controller."""
     timed: dict[str, Timed] = {}
     refused: dict[str, str] = {}
     for name in names:
@@ -89,7 +89,7 @@ def own_ticks(
 
 
 def spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
-    """``call`` for a tuple of its arguments."""
+    """Return ``call`` for a tuple of its arguments."""
     return lambda given: call(*given)
 
 
@@ -109,7 +109,7 @@ PARTS = {
 def parts(
     robot: RobotModel, settings: ControlSettings, solver: Solver, inputs: list[Inputs], period_s: float
 ) -> dict[str, Timed]:
-    """The parts of our tick, each on the same states: what the controller calls, called by itself."""
+    """Return the parts of our tick, each on the same states: what the controller calls, called by itself."""
     n, gains = robot.n, settings.resolve_gains(robot.data.gains, robot.n)
     numbers, rcm_lambda = np.array(gains[:4]), settings.rcm_lambda or 0.0
     limits = manipulability.box_limits(
@@ -175,7 +175,7 @@ class PeerRun(NamedTuple):
 def peer_ticks(
     names: Iterable[str], robot: RobotModel, advance: Callable[[str], None]
 ) -> tuple[dict[str, PeerRun], dict[str, str]]:
-    """Peer -> its tick on the states of its own run; and peer -> why it is not listed."""
+    """Map peer to its tick on the states of its own run; and peer -> why it is not listed."""
     work, runs, refused = job(robot), {}, {}
     for name in names:
         reason = peers.missing(name)

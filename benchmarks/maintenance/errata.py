@@ -38,7 +38,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"
 
 
 def number(value: float) -> str:
-    """Two significant digits; rounding errors all alike."""
+    """Write two significant digits; rounding errors all alike."""
     if abs(value) < 1e-12:
         return "below 1e-12"
     text = f"{float(f'{value:.2g}'):g}"
@@ -47,7 +47,7 @@ def number(value: float) -> str:
 
 
 def span(values: Sequence[float]) -> str:
-    """Smallest to largest."""
+    """Write the smallest and the largest."""
     low, high = number(min(values)), number(max(values))
     return low if low == high else f"{low} to {high}"
 
@@ -57,7 +57,7 @@ def _projector(arm: Arm) -> str:
     printed, dynamic, static = ([idempotence(ps[i]) for ps, _ in found] for i in range(3))
 
     def leak(i: int) -> list[float]:
-        """Tip acceleration left of that of an unprojected torque."""
+        """Return the tip acceleration left of that of an unprojected torque."""
         return [
             float(
                 np.linalg.norm(s.J_tip @ np.linalg.solve(s.M, ps[i]), 2)

@@ -52,7 +52,7 @@ class Config(Configuration):
     equivalent: tuple[Equivalent, ...] = ()
 
     def quick(self) -> Self:
-        """Eight mutants alone."""
+        """Take eight mutants alone."""
         return self.model_copy(update={"sample": 8})
 
     def choosing(self, names: Sequence[str] | None, count: int | None) -> Self:
@@ -72,7 +72,7 @@ class Config(Configuration):
 
 
 def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
-    """How many places for a mutation each module has, and a seeded sample over all of them."""
+    """Tell how many places for a mutation each module has, and a seeded sample over all of them."""
     every = {name: places(ROOT, name) for name in config.modules}
     pooled = [place for found in every.values() for place in found]
     chosen = sample(ROOT, pooled, config.sample, np.random.default_rng(config.seed))
@@ -80,7 +80,7 @@ def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
 
 
 def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Tests of a module that pass on the source as it is, with their seconds; those left out, with the reason.
+    """Return the tests of a module that pass on its source as it is, with their seconds; those left out, and why.
 
     Raises:
         MutationError: they take too long, or none is left.
@@ -104,7 +104,7 @@ def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[d
 def try_mutants(
     config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]
 ) -> dict[str, Any]:
-    """All mutants of one module; what became of them."""
+    """Try all mutants of one module; return what became of them."""
     known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
     counts = dict.fromkeys(KINDS, 0)
     survivors: list[dict[str, Any]] = []
@@ -138,7 +138,7 @@ def try_mutants(
 
 
 def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
-    """Share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
+    """Compute the share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
     found = counts["killed"] + counts["timed_out"]
     real = found + counts["survived"]
     every = real + counts["equivalent"]
@@ -146,7 +146,7 @@ def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
 
 
 def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
-    """Counts and shares over all modules."""
+    """Sum counts and shares over all modules."""
     counts = {kind: sum(row[kind] for row in modules.values()) for kind in KINDS}
     found = shares(counts)
     share = found["share_found"]
@@ -154,7 +154,7 @@ def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, 
 
 
 def table(summary: Mapping[str, Any]) -> Table:
-    """A line a module, and the total."""
+    """Make the table: a line a module, and the total."""
     counts = ("places", "tried", *KINDS)
     columns = [Column("module", "module"), *(Column(name, name.replace("_", " "), format="d") for name in counts)]
     rows = [

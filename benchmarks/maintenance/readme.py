@@ -48,7 +48,7 @@ class ReadmeError(MocOptError, ValueError):
 
 
 def solvers_section(summary: Summary, environment: Summary) -> str:
-    """The table of the main job: recorded subproblems on the left, closed loop on the right."""
+    """Return the table of the main job: recorded subproblems on the left, closed loop on the right."""
     warm, closed = summary["open_loop_warm"], summary["closed_loop"]
     rows = [["`dcac` (no third level)", *[""] * 6, *_figures(closed[BASELINE], CLOSED)]]
     for name in LISTED:
@@ -85,7 +85,7 @@ certified sets: {listed}. {SETTLED}"""
 
 
 def paper_section(summary: Summary, environment: Summary) -> str:
-    """The goals of the experiment, each with what was measured and its interval."""
+    """Return the goals of the experiment, each with what was measured and its interval."""
     away = {goal["goal"]: goal for goal in summary.get("goals_elsewhere", [])}
     heads = ["MOC with `exact`, preset `tuned`", "wanted", "home pose", *(["random poses"] if away else [])]
     rows = []
@@ -103,7 +103,7 @@ def _goal(goal: Mapping[str, Any]) -> str:
 
 
 def _claims(summary: Summary) -> list[str]:
-    """The paper's claims with its own Table I, by solver, and which entry of the table decides."""
+    """Return the paper's claims with its own Table I, by solver, and which entry of the table decides."""
     mine = [row for row in summary.get("verdict", []) if row["group"] == "paper"]
     if not mine:
         return []
@@ -128,7 +128,7 @@ def _claims(summary: Summary) -> list[str]:
 
 
 def speed_section(summary: Summary, environment: Summary) -> str:
-    """What everything costs beside what was wanted, and the ticks of others in the same run."""
+    """Return what everything costs beside what was wanted, and the ticks of others in the same run."""
     rows = []
     for goal in (summary["goals"][key] for key in GOALS if key in summary["goals"]):
         unit = f" [{goal['unit']}]" if goal["unit"] else ""

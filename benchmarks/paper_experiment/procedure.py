@@ -67,7 +67,7 @@ class ProcedureJob:
 
 
 def perform(job: ProcedureJob) -> dict[str, Any]:
-    """The whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
+    """Perform the whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
     row: dict[str, Any] = {"part": "procedure", "task": job.task, "seed": job.scenario.seed}
     try:
         return row | _perform(job)
@@ -121,7 +121,7 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
 def _run(
     job: ProcedureJob, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """The task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
+    """Run the task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
 
     ``trocars``: the true one and the registered one, (3,) each [m].
     """
@@ -175,7 +175,7 @@ def _guiding(guided: HandsOn) -> dict[str, Any]:
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
+    """Return the distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
     from scipy.spatial import cKDTree
 
     line = path.at(np.linspace(0.0, path.length, samples))[0]
@@ -184,7 +184,7 @@ def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
 
 
 def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[str, Any]:
-    """Accuracy of single pictures of the board at random poses, against the truth."""
+    """Return the accuracy of single pictures of the board at random poses, against the truth."""
     return dict(
         pose_accuracy(
             load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed
@@ -193,7 +193,7 @@ def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Task -> what its procedure came to."""
+    """Map task to what its procedure came to."""
     return {
         row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")}
         for row in rows

@@ -22,7 +22,7 @@ from moc_opt.report.page import Page
 
 
 def headline(summary: Summary, groups: Sequence[str], solver: str) -> list[str]:
-    """The results in words, computed."""
+    """Return the results in words, computed."""
     found = []
     for group in groups:
         rows = [v for v in summary["verdict"] if v["group"] == group and v["controller"] == solver]

@@ -76,7 +76,7 @@ GOAL = [
 
 
 def group_table(summary: Summary, group: str, about: str) -> Table:
-    """Every controller of a group: means over the trials with their intervals."""
+    """Make the table of a group's controllers: means over the trials with their intervals."""
     columns = [Column("controller", "controller")]
     columns += [Column(key, title, unit=unit) for key, (title, unit, _) in FIGURES.items()]
     columns += [
@@ -107,7 +107,7 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
 def interval_rows(
     rows: Sequence[Mapping[str, Any]], group: str, keys: Sequence[str], suffix: str
 ) -> list[dict[str, Any]]:
-    """The rows of a group, with the controller's title and each key's value with its interval."""
+    """Return the rows of a group, with the controller's title and each key's value with its interval."""
     names = titles([row["controller"] for row in rows])
     return [
         {
@@ -130,13 +130,13 @@ def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
 
 
 def verdict_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
-    """The claims of the paper."""
+    """Make the table of the paper's claims."""
     drawn = interval_rows(rows, group, ("own", "matched", "damped"), "_percent")
     return Table(f"Group {group}: do the paper's claims hold?", VERDICT, drawn)
 
 
 def goal_table(summary: Summary, group: str, solver: str) -> Table:
-    """The goals of the best MOC, and what they are from other starts."""
+    """Make the table of the goals of the best MOC, and what they are from other starts."""
     away = {row["goal"]: row for row in summary.get("goals_elsewhere", [])}
     drawn = []
     for row in summary["goals"]:
@@ -148,7 +148,7 @@ def goal_table(summary: Summary, group: str, solver: str) -> Table:
 
 
 def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Table I with entries exchanged: one row a case and draw, the effect on every claim's metric."""
+    """Make the table of Table I with entries exchanged: one row a case and draw, the effect on every claim's metric."""
     drawn: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
         line = drawn.setdefault(

@@ -59,7 +59,7 @@ class Measurement:
     """the trace's ``meta["ended"]``: no run that was stopped is measured"""
 
     def row(self) -> dict[str, Any]:
-        """One row of rows.parquet."""
+        """Return one row of rows.parquet."""
         names = ("ended", "group", "controller", "task", "trial", "seed", "phase")
         return {"part": "trials", **{name: getattr(self, name) for name in names}, **self.metrics}
 
@@ -90,7 +90,7 @@ class Job:
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Seeds of ``count`` trials; different streams (experiment, search, verification) share none."""
+    """Draw the seeds of ``count`` trials; different streams (experiment, search, verification) share none."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
@@ -98,7 +98,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 def trials(
     base: Scenario, tasks: Sequence[str], seeds_of_trials: Sequence[int]
 ) -> list[tuple[str, Scenario]]:
-    """(task, scenario) for each task and its share of the seeds, in order.
+    """Return (task, scenario) for each task and its share of the seeds, in order.
 
     The sizes and the depth below the trocar are those of the virtual task of that name.
     """
@@ -119,7 +119,7 @@ def trials(
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """The trial under a baseline, or under MOC with the solver of that name; compensation is the trial's for all."""
+    """Put a trial under a baseline, or under MOC with the solver of that name; compensation is the trial's for all."""
     control = trial.control
     if controller not in BASELINES:
         return trial.change(solver={"name": controller, "settings": dict(settings or {})})
@@ -178,7 +178,7 @@ def run_job(job: Job) -> Outcome:
 
 
 def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
-    """(N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
+    """Return (N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
 
     Args:
         trial: the scenario that all ran.

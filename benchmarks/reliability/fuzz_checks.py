@@ -38,7 +38,7 @@ def warm_up() -> None:
 
 
 def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
-    """A scenario as a table: two ticks of it run."""
+    """Check a scenario as a table: two ticks of it run."""
     table, names = case
     try:
         made = Scenario(**table)
@@ -48,7 +48,7 @@ def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
 
 
 def scenario_file(data: bytes) -> Verdict:
-    """A scenario's file."""
+    """Check a scenario's file."""
     with file("scenario.toml", data) as path:
         try:
             made = Scenario.load(path)
@@ -58,7 +58,7 @@ def scenario_file(data: bytes) -> Verdict:
 
 
 def few_ticks(made: Scenario) -> Verdict:
-    """Two ticks of a scenario, sound or refused."""
+    """Check two ticks of a scenario, sound or refused."""
     try:
         short = made.change(duration_s=2.0 * made.plant.period_s, bound_samples=min(made.bound_samples, 2))
         trace = run(short)
@@ -71,7 +71,7 @@ def few_ticks(made: Scenario) -> Verdict:
 
 
 def robot_file(case: tuple[bytes, bytes]) -> Verdict:
-    """An arm's TOML and URDF: loaded, modelled, and two periods in the plant."""
+    """Check an arm's TOML and URDF: loaded, modelled, and two periods in the plant."""
     with arm(*case) as path:
         try:
             robot = load_robot(path)
@@ -91,7 +91,7 @@ def robot_file(case: tuple[bytes, bytes]) -> Verdict:
 
 
 def subproblem(case: dict[str, Any]) -> Verdict:
-    """A subproblem: built, and answered by two solvers that are ours."""
+    """Check a subproblem: built, and answered by two solvers that are ours."""
     try:
         qp = NullSpaceQP(**case)
     except SubproblemError as error:
@@ -132,7 +132,7 @@ def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]])
 
 
 def result_file(data: bytes) -> Verdict:
-    """A trace's Parquet file: the trace that was saved, or a refusal; and what is in it is data only."""
+    """Check a trace's Parquet file: the trace that was saved, or a refusal; and what is in it is data only."""
     with file("trace.parquet", data) as path:
         try:
             found = Trace.load(path)
@@ -154,7 +154,7 @@ def result_file(data: bytes) -> Verdict:
 
 
 def record_file(data: bytes) -> Verdict:
-    """A sweep's record (JSON): what was sealed, or nothing."""
+    """Check a sweep's record (JSON): what was sealed, or nothing."""
     with file("record.json", data) as path:
         found = opened(path, "0")
     if found is not None and not isinstance(found, dict):

@@ -63,7 +63,7 @@ READ: dict[str, Callable[[Path], Any]] = {
 
 
 def hostile_file(case: HostileFile) -> Verdict:
-    """A file of any shape for any reader: read, or refused by its name."""
+    """Check a file of any shape for any reader: read, or refused by its name."""
     with folder() as where:
         path = Path(where, NAMES.get(case.reader, "file"))
         SHAPES[case.shape](path, case)
@@ -78,7 +78,7 @@ def hostile_file(case: HostileFile) -> Verdict:
 
 
 def extreme_number(case: tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]) -> Verdict:
-    """Numbers at the ends of their range: refused by the field's name before any work, or the run is sound."""
+    """Check numbers at the ends of their range: refused by the field's name before any work, or the run is sound."""
     kind, wanted = case
     table: dict[str, Any] = {}
     for path, value in wanted:
@@ -98,7 +98,7 @@ def extreme_number(case: tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]) ->
 
 @cache
 def small_plan() -> Plan:
-    """Eight runs that are not done in earnest."""
+    """Plan eight runs that are not done in earnest."""
     scenario = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
     return Plan(SweepConfig(grid={"control.regularization": [1e-6, 1e-5]}, seeds=4, scenario=scenario)).number_runs()
 
@@ -109,7 +109,7 @@ def _made_up(i: int) -> dict[str, Any]:
 
 
 def _do(folder: Path) -> tuple[bytes, list[str]]:
-    """All runs that are not done yet, made up; the final rows, and what was set aside."""
+    """Make up all runs that are not done yet; the final rows, and what was set aside."""
     with sweep_store.Store(folder, small_plan()) as store:
         for i in np.flatnonzero(~store.done).tolist():
             store.add(i, _made_up(i))
@@ -127,7 +127,7 @@ def _small_shards() -> Iterator[None]:
 
 
 def sweep_folder(case: Sequence[Damage]) -> Verdict:
-    """A sweep whose files are spoilt goes on to the same rows, by itself."""
+    """Check that a sweep whose files are spoilt goes on to the same rows, by itself."""
     with folder() as where, _small_shards():
         whole, _ = _do(where / "whole")
         with sweep_store.Store(where / "spoilt", small_plan()) as store:
@@ -141,7 +141,7 @@ def sweep_folder(case: Sequence[Damage]) -> Verdict:
 
 
 def study_folder(case: Sequence[Damage]) -> Verdict:
-    """A part of the study that is spoilt is none; one that is returned is what was kept."""
+    """Check that a part of the study that is spoilt is none; one that is returned is what was kept."""
     values = {"a": 1.5, "b": [1, 2], "c": None}
     arrays = {"x": np.arange(40.0).reshape(8, 5), "t": np.array(["a", "bc"])}
     with folder() as where:
@@ -168,7 +168,7 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def trace_folder(case: Sequence[Damage]) -> Verdict:
-    """What a killed run left, spoilt: its rows, or a refusal; and another run of that name is not kept from writing."""
+    """Check what a killed run left, spoilt: its rows, or a refusal; and another run of that name can write."""
     trace = good_trace()[0]
     with folder() as where:
         target = where / "run.parquet"

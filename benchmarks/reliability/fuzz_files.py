@@ -78,7 +78,7 @@ def _integer(base: str) -> Callable[[HostileFile], bytes]:
 
 
 def _npy(case: HostileFile) -> bytes:
-    """A header that promises more than there is."""
+    """Return a header that promises more than there is."""
     rng = np.random.default_rng(case.seed)
     shape = tuple(int(n) for n in rng.integers(1, 10**6, int(rng.integers(1, 4))))
     sink = io.BytesIO()
@@ -88,7 +88,7 @@ def _npy(case: HostileFile) -> bytes:
 
 
 def _constant_parquet(case: HostileFile) -> bytes:
-    """A trace of so many rows of one value: a few hundred bytes."""
+    """Return a trace of so many rows of one value: a few hundred bytes."""
     import json
 
     import pyarrow as pa
@@ -113,7 +113,7 @@ def _constant_parquet(case: HostileFile) -> bytes:
 
 
 def _trace_with_lies(case: HostileFile) -> bytes:
-    """A trace whose footer has other numbers: rows, sizes, counts."""
+    """Return a trace whose footer has other numbers: rows, sizes, counts."""
     data, rng = bytearray(good_trace()[1]), np.random.default_rng(case.seed)
     length = struct.unpack("<I", data[-8:-4])[0]
     for _ in range(int(rng.integers(1, 6))):
@@ -154,7 +154,7 @@ SHAPES: dict[str, Callable[[Path, HostileFile], None]] = {
 
 @st.composite
 def hostile_files(draw: st.DrawFn) -> HostileFile:
-    """A reader, and a file for it; half of them of a shape that is meant for this reader."""
+    """Draw a reader, and a file for it; half of them of a shape that is meant for this reader."""
     reader = draw(st.sampled_from(READERS))
     meant = {"trace": ("constant trace", "lying footer"), "urdf": ("nested XML", "wide XML", "attributes"),
              "replay_us": ("array header",), "testset": ("array header",), "part": ("array header", "noise"),
@@ -172,7 +172,7 @@ EXTREMES = (
 
 @cache
 def number_fields(table: type[BaseModel]) -> tuple[tuple[str, ...], ...]:
-    """The path of every field that takes a number."""
+    """Return the path of every field that takes a number."""
     found: list[tuple[str, ...]] = []
     for name, field in table.model_fields.items():
         inner = field.annotation
@@ -185,7 +185,7 @@ def number_fields(table: type[BaseModel]) -> tuple[tuple[str, ...], ...]:
 
 @st.composite
 def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]:
-    """A configuration, and one or two of its numbers at an end of their range."""
+    """Draw a configuration, and one or two of its numbers at an end of their range."""
     kind = draw(st.sampled_from(["scenario", "scenario", "sweep"]))
     table: type[BaseModel] = Scenario if kind == "scenario" else SweepConfig
     fields = [path for path in number_fields(table) if kind == "scenario" or path[0] != "scenario"]

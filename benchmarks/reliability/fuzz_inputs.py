@@ -38,7 +38,7 @@ junk = st.recursive(
 
 @cache
 def fields(table: type[BaseModel] = Scenario) -> tuple[tuple[str, ...], ...]:
-    """The dotted path of every field of a scenario, tables before what is in them."""
+    """Return the dotted path of every field of a scenario, tables before what is in them."""
     found: list[tuple[str, ...]] = []
     for name, field in table.model_fields.items():
         found.append((name,))
@@ -53,7 +53,7 @@ usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])
 
 @st.composite
 def scenarios(draw: st.DrawFn) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """A scenario as a table with one to three fields changed, and the names of these fields."""
+    """Draw a scenario as a table with one to three fields changed, and the names of these fields."""
     table: dict[str, Any] = {}
     names: list[str] = []
     for path in draw(st.lists(st.sampled_from(fields()), min_size=1, max_size=3, unique=True)):
@@ -107,7 +107,7 @@ bump_N = 5.0
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """A text file with a few lines, words or bytes changed, doubled or taken out; or something else entirely."""
+    """Draw a text file with a few lines, words or bytes changed, doubled or taken out; or something else entirely."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))
@@ -150,7 +150,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
 
 @st.composite
 def robot_files(draw: st.DrawFn) -> tuple[bytes, bytes]:
-    """TOML and URDF of an arm, one or both of them spoilt."""
+    """Draw TOML and URDF of an arm, one or both of them spoilt."""
     which = draw(st.integers(0, 2))
     return (
         draw(edited(ARM_TOML)) if which != 1 else ARM_TOML.encode(),
@@ -165,7 +165,7 @@ SUBPROBLEM = (
 
 @st.composite
 def subproblems(draw: st.DrawFn) -> dict[str, Any]:
-    """Arguments of NullSpaceQP: random ones that fit, then some of them replaced."""
+    """Draw arguments of NullSpaceQP: random ones that fit, then some of them replaced."""
     n = draw(st.sampled_from([7, 7, 7, 6, 3, 1]))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     u = rng.normal(size=3)

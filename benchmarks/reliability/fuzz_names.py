@@ -57,7 +57,7 @@ WRITING = st.sampled_from([
 
 @st.composite
 def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
-    """A solver, and options for the library behind it: half of the time none but those that may be set."""
+    """Draw a solver, and options for the library behind it: half of the time none but those that may be set."""
     solver = draw(st.sampled_from([name for name in ALLOWED if not name.endswith(ABSENT)]))
     own = st.sampled_from(sorted(ALLOWED[solver]))
     values = st.one_of(st.floats(0.0, 1.0), st.booleans(), st.integers(0, 50))
@@ -70,7 +70,7 @@ def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
 
 
 def name(case: tuple[str, str]) -> Verdict:
-    """A name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
+    """Check a name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
     place, text = case
     _comments(text)
     _pages(text)
@@ -87,7 +87,7 @@ def name(case: tuple[str, str]) -> Verdict:
 
 
 def option(case: tuple[str, dict[str, Any]]) -> Verdict:
-    """Options: refused by name, or the solver answers; and the current folder stays empty."""
+    """Check options: refused by name, or the solver answers; and the current folder stays empty."""
     solver, given = case
     if available().get(solver, "absent") is not None:
         return "refused"
@@ -158,7 +158,7 @@ def _comments(text: str) -> None:
 
 
 def code_of(text: str) -> str:
-    """What a C99 compiler is left with: trigraphs and joined lines resolved, comments taken out."""
+    """Return what a C99 compiler is left with: trigraphs and joined lines resolved, comments taken out."""
     for mark, meant in zip("=/'()!<>-", "#\\^[]|{}~", strict=True):
         text = text.replace(f"??{mark}", meant)
     text = re.sub(r"\\[ \t]*(\r\n|\r|\n)", "", text)

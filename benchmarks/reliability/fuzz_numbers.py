@@ -39,7 +39,7 @@ urdf_numbers = st.lists(
 
 
 def urdf_number(case: list[tuple[tuple[int, int], str]]) -> Verdict:
-    """An arm with these numbers: refused with the link or joint named, or one and the same in both engines."""
+    """Check an arm with these numbers: refused with the link or joint named, or one and the same in both engines."""
     urdf = ARM_URDF
     for (start, end), text in sorted(case, reverse=True):
         urdf = urdf[: start - 1] + quoteattr(text) + urdf[end + 1 :]
@@ -62,7 +62,7 @@ def urdf_number(case: list[tuple[tuple[int, int], str]]) -> Verdict:
 
 
 def _plain(text: str) -> bool:
-    """A decimal number as every reader takes it; the white space around it is XML's."""
+    """Return a decimal number as every reader takes it; the white space around it is XML's."""
     text = text.strip("\t\n\r")
     return text == "" or (set(text) <= set("0123456789+-.eE") and math.isfinite(float(text)))
 

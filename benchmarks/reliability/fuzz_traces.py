@@ -18,7 +18,7 @@ from moc_opt.trace.trace import Trace
 
 @cache
 def good_trace() -> tuple[Trace, bytes]:
-    """A small trace and its file."""
+    """Return a small trace and its file."""
     rng = np.random.default_rng(0)
     trace = Trace(
         {
@@ -32,7 +32,7 @@ def good_trace() -> tuple[Trace, bytes]:
 
 
 def saved(trace: Trace) -> bytes:
-    """The bytes of its file."""
+    """Return the bytes of its file."""
     with folder() as where:
         trace.save(where / "trace.parquet")
         return (where / "trace.parquet").read_bytes()
@@ -40,7 +40,7 @@ def saved(trace: Trace) -> bytes:
 
 @st.composite
 def result_files(draw: st.DrawFn) -> bytes:
-    """A trace's file with bytes changed, or a Parquet file of other columns and hostile metadata."""
+    """Draw a trace's file with bytes changed, or a Parquet file of other columns and hostile metadata."""
     if draw(st.booleans()):
         data = bytearray(good_trace()[1])
         for _ in range(draw(st.integers(1, 4))):
@@ -60,7 +60,7 @@ def result_files(draw: st.DrawFn) -> bytes:
 
 @st.composite
 def foreign_tables(draw: st.DrawFn) -> bytes:
-    """A Parquet file that claims to be a trace."""
+    """Draw a Parquet file that claims to be a trace."""
     rows = draw(st.integers(0, 4))
     columns = {
         "t_s": pa.array([0.1] * rows), "list": pa.array([[1.0]] * rows, pa.list_(pa.float64())),

@@ -45,7 +45,7 @@ GOALS = [
 
 
 def case_rows(summary: Summary) -> list[dict[str, Any]]:
-    """One per case and controller."""
+    """Return one row per case and controller."""
     return [
         {"case": case, "solver": name, **figures, "outcome": outcome(figures)}
         for case, by in summary.items()
@@ -54,7 +54,7 @@ def case_rows(summary: Summary) -> list[dict[str, Any]]:
 
 
 def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
-    """Goals, every case, and what the supervisor saw."""
+    """Make the tables: goals, every case, and what the supervisor saw."""
     rows = case_rows(summary)
     return [
         Table("Goals", GOALS, goals),
@@ -66,7 +66,7 @@ def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
 
 
 def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
-    """The result in words, computed."""
+    """Return the result in words, computed."""
     rows = case_rows(summary)
     runs = sum(r["runs"] for r in rows)
     survived, stopped = (sum(r[name] for r in rows) for name in ("survived", "stopped"))
@@ -106,7 +106,7 @@ def report(
 
 
 def by_group(summary: Summary) -> dict[str, list[dict[str, Any]]]:
-    """Rows of the cases, group by group."""
+    """Return the rows of the cases, group by group."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in case_rows(summary):
         groups.setdefault(str(row["group"]), []).append(row)

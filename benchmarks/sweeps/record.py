@@ -18,14 +18,14 @@ from moc_opt.inputs.files import parse_json, read_json, to_json
 
 
 def sealed(record: Mapping[str, Any], digest: str) -> tuple[bytes, dict[str, Any]]:
-    """A run's file for the sweep of that digest, and the record as it will be read."""
+    """Make a run's file for the sweep of that digest, and the record as it will be read."""
     text = to_json(record, indent=None, sort_keys=True)
     whole = {"crc": zlib.crc32(text.encode()), "plan": digest, "record": text}
     return to_json(whole, indent=None).encode(), json.loads(text)
 
 
 def opened(path: Path, digest: str) -> dict[str, Any] | None:
-    """The record in a file, or None where that is damaged, or of another sweep than that of the digest."""
+    """Return the record in a file, or None where that is damaged, or of another sweep than that of the digest."""
     try:
         whole = _unsealed(path)
         record = parse_json(whole["record"], str(path), StoreError)
@@ -36,7 +36,7 @@ def opened(path: Path, digest: str) -> dict[str, Any] | None:
 
 
 def _unsealed(path: Path) -> dict[str, str]:
-    """What a run's file holds: texts ``record`` and ``plan``; StoreError where it is damaged."""
+    """Return what a run's file holds: texts ``record`` and ``plan``; StoreError where it is damaged."""
     whole = read_json(path, "run of a sweep", StoreError)
     kinds = {"crc": int, "plan": str, "record": str}
     if not isinstance(whole, dict) or any(type(whole.get(name)) is not kind for name, kind in kinds.items()):
@@ -47,7 +47,7 @@ def _unsealed(path: Path) -> dict[str, str]:
 
 
 def shard_indices(path: Path, plan: Plan) -> NDArray[np.int64] | None:
-    """Which runs of the plan a shard holds; None where it is damaged, or no shard of it."""
+    """Return which runs of the plan a shard holds; None where it is damaged, or no shard of it."""
     try:
         found: NDArray[np.int64] = read_shard(path, plan.digest).column("index").to_numpy()
     except (StoreError, KeyError):
@@ -57,7 +57,7 @@ def shard_indices(path: Path, plan: Plan) -> NDArray[np.int64] | None:
 
 
 def owner(path: Path) -> str | None:
-    """The digest of the sweep that a run or shard belongs to; None where it is damaged."""
+    """Return the digest of the sweep that a run or shard belongs to; None where it is damaged."""
     try:
         return _unsealed(path)["plan"] if path.suffix == ".json" else shard_plan(path)
     except StoreError:

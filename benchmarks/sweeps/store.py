@@ -139,7 +139,7 @@ class Store:
             )
 
     def _described(self, path: Path) -> Any:
-        """The plan in the folder; None where there is none, or a damaged one, which is set aside."""
+        """Return the plan in the folder; None where there is none, or a damaged one, which is set aside."""
         if not os.path.lexists(path):
             return None
         try:
@@ -221,7 +221,7 @@ class Store:
         self._loose.clear()
 
     def _blocks(self, lost: Mapping[int, str]) -> Iterator[pa.Table]:
-        """All records in order, BLOCK rows at a time: of the shards only those are open that reach into a block."""
+        """Yield all records in order, BLOCK rows at a time; only those shards are open that reach into a block."""
         for first in range(0, len(self.plan), BLOCK):
             last = min(first + BLOCK, len(self.plan)) - 1
             inside = [path for path, of in self._shards.items() if of.min() <= last and of.max() >= first]

@@ -43,7 +43,7 @@ BUCKETS = 2 * _HALF + 1  # negative, zero, positive
 def summarise(
     folder: Path, by: Sequence[str] = ("solver",), table: str = "rows", alone: bool = False
 ) -> dict[str, dict[str, Any]]:
-    """Runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
+    """Count runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
 
     Runs that were stopped are counted, and enter no metric: theirs are figures of a part.
 
@@ -82,7 +82,7 @@ def summarise(
 
 
 def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
-    """The errors of a finished sweep and how many runs each ended, the commonest first.
+    """Return the errors of a finished sweep and how many runs each ended, the commonest first.
 
     Args:
         folder: of the sweep.
@@ -97,7 +97,7 @@ def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
 
 
 def figure_columns(schema: pa.Schema, but: Sequence[str] = ()) -> list[str]:
-    """The metrics among the columns: numbers that are neither a key nor a swept field."""
+    """Return the metrics among the columns: numbers that are neither a key nor a swept field."""
     if PLAN_KEY not in (schema.metadata or {}):
         raise StoreError("a Parquet file, but not of a sweep")
     names = schema.names
@@ -184,14 +184,14 @@ class Groups:
 
 
 def bucket(values: Array) -> NDArray[np.int64]:
-    """The bucket of each value, 0 .. BUCKETS - 1, in the order of the values."""
+    """Return the bucket of each value, 0 .. BUCKETS - 1, in the order of the values."""
     size = np.clip(np.abs(values), _SMALLEST, _LARGEST)
     step = np.ceil(np.log(size / _SMALLEST) / math.log(_GAMMA)).astype(np.int64)
     return _HALF + np.where(values == 0.0, 0, np.sign(values).astype(np.int64) * np.clip(step, 1, _HALF))
 
 
 def quantile(histogram: NDArray[np.int32], p: float) -> float:
-    """The value below which a fraction ``p`` lies, to ACCURACY."""
+    """Return the value below which a fraction ``p`` lies, to ACCURACY."""
     counts = np.cumsum(histogram, dtype=np.int64)
     place = int(np.searchsorted(counts, p * (int(counts[-1]) - 1), side="right")) - _HALF
     if place == 0:

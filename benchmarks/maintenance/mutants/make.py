@@ -55,7 +55,7 @@ class Mutant:
     source: str
 
     def row(self) -> dict[str, Any]:
-        """What a summary says of it."""
+        """Return what a summary says of it."""
         return {"line": self.line, "operator": self.operator, "before": self.before, "after": self.after}
 
 
@@ -125,7 +125,7 @@ def _operator(name: str) -> Any:
 
 
 def _lines(text: str, name: str) -> list[int]:
-    """The line of each of the operator's places."""
+    """Return the line of each of the operator's places."""
     operator = _operator(name)
     return [start[0] for node in _nodes(text) for start, _ in operator.mutation_positions(node)]
 
@@ -138,7 +138,7 @@ def _nodes(text: str) -> list[Any]:
 
 
 def _augmented(text: str) -> list[str]:
-    """``+=`` into ``-=`` and the like, which cosmic-ray leaves alone."""
+    """Return ``+=`` into ``-=`` and the like, which cosmic-ray leaves alone."""
     lines, found = text.splitlines(keepends=True), []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.AugAssign):
