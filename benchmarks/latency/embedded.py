@@ -29,7 +29,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> NativeController:
-    """The compiled tick behind the interface of the loop.
+    """Return the compiled tick behind the interface of the loop.
 
     Raises:
         MocOptError: no C compiler here, or a setting that C cannot do.
@@ -38,13 +38,13 @@ def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> Nat
 
 
 def timed(brain: NativeController, inputs: list[Inputs]) -> Timed:
-    """The compiled tick, called from Python."""
+    """Return the compiled tick, called from Python."""
     brain.start(*inputs[0])
     return Timed(spread(brain.tick), inputs)
 
 
 def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: list[Inputs]) -> float:
-    """Largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
+    """Return the largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
     brain.start(*inputs[0])
     state = driver.controller.robot.state(*inputs[0][:2])
     driver.controller.start(state, inputs[0][2], inputs[0][3])
@@ -54,7 +54,7 @@ def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: 
 def own_main(
     robot: RobotModel, settings: ControlSettings, period_s: float, inputs: list[Inputs]
 ) -> dict[str, float]:
-    """What the exported program says of itself: ``make`` in a folder of its own, then run it.
+    """Return what the exported program says of itself: ``make`` in a folder of its own, then run it.
 
     Raises:
         MocOptError: a setting that C cannot do.

@@ -6,7 +6,7 @@ ideal run (theirs), one after the other in chunks, in one process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ def record(setup: Setup) -> Recording:
 
 
 def references(setup: Setup) -> tuple[Array, Array, Array]:
-    """Tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
+    """Return the tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
     t = setup.times()
     tip, true, registered = (
         np.stack(source.at(t), axis=1) for source in (setup.reference, setup.trocar, setup.registered)
@@ -75,7 +75,7 @@ def references(setup: Setup) -> tuple[Array, Array, Array]:
 def own_ticks(
     names: Iterable[str], robot: RobotModel, settings: ControlSettings, inputs: list[Inputs], period_s: float
 ) -> tuple[dict[str, Timed], dict[str, str]]:
-    """Solver -> its whole tick; and solver -> why it cannot run in this controller."""
+    """Map solver to its whole tick; and solver -> why it cannot run in this controller."""
     timed: dict[str, Timed] = {}
     refused: dict[str, str] = {}
     for name in names:
@@ -90,7 +90,7 @@ def own_ticks(
 
 
 def spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
-    """``call`` for a tuple of its arguments."""
+    """Return ``call`` for a tuple of its arguments."""
     return lambda given: call(*given)
 
 
@@ -110,7 +110,7 @@ PARTS = {
 def parts(
     robot: RobotModel, settings: ControlSettings, solver: Solver, inputs: list[Inputs], period_s: float
 ) -> dict[str, Timed]:
-    """The parts of our tick, each on the same states: what the controller calls, called by itself."""
+    """Return the parts of our tick, each on the same states: what the controller calls, called by itself."""
     n, law = robot.n, law_of(settings, robot)
     states = [robot.state(q, v) for q, v, _, _ in inputs]
     given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]
@@ -169,7 +169,7 @@ class PeerRun(NamedTuple):
 def peer_ticks(
     names: Iterable[str], robot: RobotModel, advance: Callable[[str], None]
 ) -> tuple[dict[str, PeerRun], dict[str, str]]:
-    """Peer -> its tick on the states of its own run; and peer -> why it is not listed."""
+    """Map peer to its tick on the states of its own run; and peer -> why it is not listed."""
     work, runs, refused = job(robot), {}, {}
     for name in names:
         reason = peers.missing(name)
@@ -181,11 +181,3 @@ def peer_ticks(
         poses, given = perform(peer, robot, work)
         runs[name] = PeerRun(Timed(spread(peer.tick), given), peer.level, verdict(poses, robot, work))
     return runs, refused
-
-
-def excess_us(
-    ticks: Mapping[str, float], solves: Mapping[str, float], bare: Mapping[str, float]
-) -> dict[str, float]:
-    """What a tick costs beyond our tick without its solver and the library by hand [us], by solver."""
-    rest = ticks["exact"] - solves["exact"]
-    return {name: ticks[name] - rest - bare[name] for name in ticks if name in bare}

@@ -12,10 +12,10 @@ wrist is left out: at the straight elbow itself it would take an infinite torque
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.rcm import shaft_turn
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import dot, forward_in_place
 from moc_opt.qp.equalities import directions_across
 

@@ -18,9 +18,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import float64, njit
+from numba import float64
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]

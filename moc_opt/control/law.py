@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.control.null_space import box_limits
 from moc_opt.control.settings import PROJECTORS, ControlSettings, per_joint
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,11 @@ Four signs, each of which a sound arm stays well below:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.observer import momentum_residual
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant l
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, transpose_times
 
 Array = NDArray[np.float64]

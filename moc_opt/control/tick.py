@@ -6,7 +6,6 @@ X, N are tip and wrist, P_t the trocar; docs/method.md has the same equations in
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
@@ -26,6 +25,7 @@ from moc_opt.control.rcm import (
 )
 from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
 from moc_opt.qp.equalities import offsets

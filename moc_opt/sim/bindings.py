@@ -6,10 +6,11 @@ from functools import partial
 
 import mujoco
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives

@@ -8,11 +8,12 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, njit
+from numba import float64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.numerics.arrays import read_only, read_only_copy
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
