@@ -111,9 +111,7 @@ def experiment(given: Namespace) -> cli.Results:
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
     measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
-    environment = config.environment(
-        given, timing=f"none: {config.processes} processes at a time shared the machine"
-    )
+    environment = config.environment(given, timing=f"none: {config.processes} processes at a time shared the machine")
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     try:
         figures.save(drawn, out / "figures")

@@ -124,9 +124,7 @@ class Config(Configuration):
         """Return the whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
         base = self.base(self.best).change(solver={"name": self.best_solver})
         jobs = []
-        for i, (task, seed) in enumerate(
-            zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)
-        ):
+        for i, (task, seed) in enumerate(zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)):
             film = out / "film.webm" if i == 0 and self.procedure.film else None
             jobs.append(ProcedureJob(self.procedure, base.change(seed=seed), task, film))
         return jobs

@@ -37,9 +37,7 @@ class Config(Configuration):
         description="of the random sample, and the first of the scenarios' seeds",
     )  # fmt: skip
     seeds: int | list[int] = Field(1, description="how many, or which")
-    solvers: Literal["all"] | list[str] | None = Field(
-        None, description="None: the scenario's; dcac: no solver"
-    )
+    solvers: Literal["all"] | list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
     run_limit_s: float = Field(
         600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped with its process"
     )
@@ -93,13 +91,9 @@ def chosen_solvers(config: Config) -> tuple[list[str], dict[str, dict[str, Any]]
             table.name: {**table.settings, **config.settings.get(table.name, {})}
         }
     if table != SolverTable():
-        raise SweepError(
-            "solvers and [scenario.solver] are both given: name them in solvers, set them in [settings]"
-        )
+        raise SweepError("solvers and [scenario.solver] are both given: name them in solvers, set them in [settings]")
     found = {BASELINE: None, **available()}
-    names = (
-        [name for name, why in found.items() if why is None] if config.solvers == "all" else config.solvers
-    )
+    names = [name for name, why in found.items() if why is None] if config.solvers == "all" else config.solvers
     if not names or len(set(names)) < len(names):
         raise SweepError(f"solvers = {names}: give one or more, each once")
     for name in names:
