@@ -72,7 +72,7 @@ def summarise(
         }
     each = [(group, solver) for group in config.groups for solver in config.solvers]
     summary["verdict"] = [row for pair in each for row in verdict.verdicts(found, *pair)]
-    summary["phases"] = [row for pair in each for row in verdict.travelling(found, *pair)]
+    summary["phases"] = [row for pair in each for row in verdict.phase_changes(found, *pair)]
     summary["goals"] = verdict.goals(found, config.best, config.best_solver)
     if config.elsewhere is not None:
         summary["goals_elsewhere"] = verdict.goals(found, config.elsewhere, config.best_solver)

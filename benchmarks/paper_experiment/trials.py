@@ -175,7 +175,7 @@ def run_job(job: Job) -> Outcome:
     return outcome
 
 
-def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
+def any_transient(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
     """Return (N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
 
     Args:
@@ -194,7 +194,7 @@ def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: flo
 
 def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> None:
     """Every controller at the same ticks: see the head of the module."""
-    flags = anyone_travels(job.trial, traces)
+    flags = any_transient(job.trial, traces)
     if flags is None:
         return
     marked = {name: trace.with_columns(travelling=flags) for name, trace in traces.items()}

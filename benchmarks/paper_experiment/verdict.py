@@ -155,7 +155,7 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
     return rows
 
 
-def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
+def phase_changes(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
     """Return what the travelling elbow costs: share of the ticks, and the change of each error, by phase."""
     rows = []
     for phase in ("travelling", "settled"):
