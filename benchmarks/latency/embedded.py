@@ -14,7 +14,7 @@ from benchmarks.baselines.check import Inputs
 from benchmarks.latency.tick import spread
 from benchmarks.timing import Timed
 from moc_opt.control import ControlSettings
-from moc_opt.embedded import NativeController, export, record
+from moc_opt.embedded import NativeController, TickSpec, export, record
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -57,10 +57,10 @@ def own_main(robot: RobotModel, settings: ControlSettings, period_s: float, inpu
         OSError, subprocess.SubprocessError: no make or compiler, or the program fails its own test.
     """
     columns = [np.ascontiguousarray(column) for column in zip(*inputs, strict=True)]
-    solver = make_solver(SOLVER, robot)
-    recording = record(robot, settings, solver, period_s, *columns)
+    spec = TickSpec(robot, settings, make_solver(SOLVER, robot), period_s)
+    recording = record(spec, *columns)
     with tempfile.TemporaryDirectory() as folder:
-        export(robot, settings, solver, period_s, recording, folder)
+        export(spec, recording, folder)
         done = subprocess.run(
             ["make", "--silent", "test"], cwd=Path(folder), capture_output=True, text=True, check=True, timeout=120
         )

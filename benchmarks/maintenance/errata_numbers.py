@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
+from moc_opt.control.law import packed
 from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     null_space,
@@ -52,7 +53,7 @@ class Arm:
     ) -> NullSpaceQP:  # fmt: skip
         """Make the paper's subproblem at a state; ``weight`` scales c0, c1, c2 and rho; tip speed [m/s] along x."""
         robot, lower, upper = self.robot, np.empty(self.robot.n), np.empty(self.robot.n)
-        velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)
+        velocity_damper(state.q, np.array([robot.q_min, robot.q_max, robot.v_max]), PAPER.k0_per_s, lower, upper)
         v_tip = np.array([speed, 0.0, 0.0])
         v_wrist = consistent_wrist_velocity(v_tip, v_tip, state.tool_direction)
         return NullSpaceQP(
@@ -121,7 +122,7 @@ def torque_of_mu(arm: Arm) -> float:
                 session = printed.start(qp)
                 session.observe(v)  # type: ignore[attr-defined]
                 x = session.solve(qp).x
-                torques.append(tick.third_level(s.record, arm.robot.n, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
+                torques.append(tick.third_level(s.record, packed(arm.robot.n, K_N2=K_N2), null_space(s.A), x, 1.0))
             share = max(share, float(np.abs(torques[0] - torques[1]).max()))
     return share
 

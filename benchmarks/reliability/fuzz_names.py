@@ -20,6 +20,7 @@ from benchmarks.reliability.fuzz_case import ARM_TOML, ARM_URDF, Kind, Verdict, 
 from benchmarks.reliability.fuzz_inputs import junk, numbers
 from moc_opt.control import ControlSettings
 from moc_opt.embedded import source
+from moc_opt.embedded.support import TickSpec
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.inputs import names as rule
@@ -146,7 +147,7 @@ def _arm(place: str, text: str) -> RobotModel:
 
 @cache
 def _tick() -> Tick:
-    return build_tick(load_robot(), ControlSettings(), Exact(), 0.002)
+    return build_tick(TickSpec(load_robot(), ControlSettings(), Exact(), 0.002))
 
 
 def _comments(text: str) -> None:
