@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmarks import export, output
+from benchmarks.solver_study.closed_parts import JOBS, steps
 from benchmarks.solver_study.config import PARTS, Config
 from benchmarks.solver_study.look import look
-from benchmarks.solver_study.parts import Study
 from benchmarks.solver_study.report import print_tables, write_report
+from benchmarks.solver_study.study import Study, run_study
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.qp.equalities import expand
@@ -85,37 +86,33 @@ def compare(
             bar.advance()
 
         study = Study(config, names, out, advance)
-        bar.of(study.steps)
-        study.run()
+        bar.of(steps(study))
+        found = run_study(study, JOBS)
         if "qpbenchmark" in config.parts:
-            study.summary["qpbenchmark"] = export.ranking(out / "qpbenchmark", names)
+            found.summary["qpbenchmark"] = export.ranking(out / "qpbenchmark", names)
             advance("qpbenchmark")
-    summary = study.summary
-    summary["not_run"] = {
-        **{name: {"reason": reason} for name, reason in missing.items()},
-        **summary["not_run"],
-    }
+    summary = found.summary
+    summary["not_run"] = {name: {"reason": reason} for name, reason in missing.items()} | summary["not_run"]
     summary["clock"] = {
         "cost": {"p50_us": clock_cost_us()},
-        "assembly": {"p50_us": assembly_us(study.sequence)},
+        "assembly": {"p50_us": assembly_us(found.sequence)},
     }
 
-    seen = look(config.scenario.change(duration_s=config.closed_loop.duration_s), study.runs)
+    seen = look(config.scenario.change(duration_s=config.closed_loop.duration_s), found.runs)
     if seen is not None:
         summary["courses"] = seen.rows()
     environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     environment["parts_of_an_earlier_run"] = study.store.reused
-    environment["seconds"] = study.seconds
-    output.write_json(
-        out / "summary.json", {**summary, "words": {k: {"text": v} for k, v in study.words.items()}}
-    )
-    output.write_rows(out / "rows.parquet", study.rows + [run.row() for run in study.runs])
+    environment["seconds"] = found.seconds
+    words = {name: {"text": text} for name, text in found.words.items()}
+    output.write_json(out / "summary.json", {**summary, "words": words})
+    output.write_rows(out / "rows.parquet", found.rows + [run.row() for run in found.runs])
     output.write_json(out / "environment.json", environment)
-    write_report(out / "report.html", study, environment, seen)
+    write_report(out / "report.html", study, found, environment, seen)
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:
-        print_tables(console(), study, out)
+        print_tables(console(), study, found)
     return summary
 
 

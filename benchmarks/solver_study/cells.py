@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,12 +22,13 @@ from benchmarks.solver_study.answers import (
     asked,
     not_asked,
 )  # fmt: skip
-from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Part, Store
 from benchmarks.solver_study.worker import Worker
 from benchmarks.testsets import TestSet
 from benchmarks.timing import percentiles
 from moc_opt.qp.problem import fields, judge
+from moc_opt.qp.residuals import Residuals
 
 BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
@@ -39,17 +41,19 @@ RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 class Cell:
     """The answers of one solver under one setting to one set, judged."""
 
-    entry: Entry
+    setting: SolverSetting
     data: Data
     part: Part
 
-    def __post_init__(self) -> None:
-        found = judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
-        object.__setattr__(self, "residuals", found)
-        object.__setattr__(self, "verified", found.verified() & self.data.feasible)
+    @cached_property
+    def residuals(self) -> Residuals:
+        """Of each answer, by the judge of the linear problem."""
+        return judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
 
-    residuals: Any = None
-    verified: Any = None
+    @cached_property
+    def verified(self) -> NDArray[np.bool_]:
+        """(k,) which answers are optimal, whatever was claimed."""
+        return np.asarray(self.residuals.verified() & self.data.feasible)
 
     @property
     def status(self) -> NDArray[Any]:
@@ -74,7 +78,7 @@ class Cell:
     @property
     def _no_answer(self) -> NDArray[np.bool_]:
         """(k,) where what the solver was given has none."""
-        if not self.entry.six_rows:
+        if not self.setting.six_rows:
             return ~self.data.feasible
         return ~self.data.feasible | self.contradictory
 
@@ -142,7 +146,7 @@ class Cell:
         """One row per problem, for rows.parquet."""
         return [
             {
-                "part": part, "solver": self.entry.solver, "setting": self.entry.setting, "set": self.data.name,
+                "part": part, "solver": self.setting.solver, "setting": self.setting.name, "set": self.data.name,
                 "index": i, "status": str(self.status[i]), "iterations": int(self.part.arrays["iterations"][i]),
                 "feasible": bool(self.data.feasible[i]), "verified": bool(self.verified[i]),
                 **{name: float(getattr(self.residuals, name)[i]) for name in RESIDUALS},
@@ -153,14 +157,9 @@ class Cell:
 
 def time_figures(times: Part) -> dict[str, Any]:
     """Percentiles, and of how many solves."""
-    arrays = times.arrays
-    found: dict[str, Any] = {
-        **percentiles(arrays["solve_us"].ravel(), "solve"),
-        **percentiles(arrays["cold_us"], "cold"),
-        **percentiles(arrays["setup_us"], "setup"),
-        **percentiles(arrays["update_us"], "update"),
-        "timed_solves": int(arrays["solve_us"].size),
-    }
+    found: dict[str, Any] = {"timed_solves": int(times.arrays["solve_us"].size)}
+    for kind in ("solve", "cold", "setup", "update"):
+        found |= percentiles(times.arrays[f"{kind}_us"].ravel(), kind)
     return found
 
 
@@ -193,7 +192,7 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
     return found
 
 
-def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
+def asked_all(store: Store, worker: Worker, setting: SolverSetting, sets: Sequence[Data], limits: Limits) -> list[Cell]:
     """All sets, judged. A solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
 
     Nor is one that does not survive being set up.
@@ -203,8 +202,8 @@ def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], 
         broken = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
         unborn = any(SETTING_UP in event for cell in cells for event in cell.part.values["events"])
         given_up = unborn or broken >= BROKEN_SETS
-        part = not_asked(data) if given_up else asked(store, worker, entry, data, limits)
-        cells.append(Cell(entry, data, part))
+        part = not_asked(data) if given_up else asked(store, worker, setting, data, limits)
+        cells.append(Cell(setting, data, part))
     return cells
 
 
@@ -216,29 +215,20 @@ def load(name: str, every: int = 1) -> Data:
 
 def cold_only(times: Part) -> Part:
     """The cold part of timings, under the names that solves have."""
-    arrays = {
-        "solve_us": times.arrays["cold_us"],
-        "setup_us": times.arrays["setup_us"],
-        "cold_us": np.empty(0),
-        "update_us": np.empty(0),
-    }
-    return Part(times.values, arrays)
+    nothing = np.empty(0)
+    arrays = {"solve_us": times.arrays["cold_us"], "setup_us": times.arrays["setup_us"]}
+    return Part(times.values, {**arrays, "cold_us": nothing, "update_us": nothing})
 
 
-def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> Any:
+def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> NDArray[np.float64]:
     """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
     found = []
     for cell in cells:
-        right = cell.right
-        times = (
-            measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else np.empty((0, 0))
-        )
-        known = np.median(times, axis=0) if len(times) else np.full(len(right), np.inf)
-        found.append(np.where(right, known, np.inf))
+        times = measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else ()
+        found.append(np.where(cell.right, np.median(times, axis=0) if len(times) else np.inf, np.inf))
     return np.concatenate(found)
 
 
-def solved_duals(part: Part) -> Any:
-    y = np.array(part.arrays["y"])
-    y[part.arrays["status"] != "solved"] = np.nan
-    return y
+def solved_duals(part: Part) -> NDArray[np.float64]:
+    """The duals (k, 6) of the answers that the solver calls solved; NaN elsewhere."""
+    return np.where((part.arrays["status"] == "solved")[:, None], part.arrays["y"], np.nan)

@@ -34,7 +34,7 @@ WORDS = {
     "rcm_error_model_mean_mm": "RCM error", "torque_rate_rms_Nm_per_s": "chatter",
 }  # fmt: skip
 
-
+LEAST_TRIALS = 5  # of which a headline says anything
 # Closed-loop figures this close to each other, relative to their size, say the same: no cost, no difference in rank.
 HARMLESS = {
     "mu_mean": 0.01, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.05,
@@ -109,10 +109,12 @@ def disagreements(
     return found
 
 
-def verdict(found: Figures) -> str:
-    """What the correlations say, in words."""
+def verdict(found: Figures, trials: int) -> str:
+    """What the correlations say, in words; of fewer than `LEAST_TRIALS` trials nothing is claimed."""
     if not found:
         return "Too few solvers ran in both parts for a rank correlation."
+    if trials < LEAST_TRIALS:
+        return f"{trials} {'trial is' if trials == 1 else 'trials are'} too few to say what open loop predicts."
     said = []
     for closed in CLOSED:
         mine = [v for v in found.values() if v["closed"] == closed and v["open"] != "solve_p50_us"]

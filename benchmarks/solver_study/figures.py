@@ -20,7 +20,7 @@ def performance_profile(tau: Array, shares: Mapping[str, Array], styles: Styles 
 
     Args:
         tau: ratios (m,), from 1.
-        shares: name -> (m,), see ``study_compare.profile``.
+        shares: name -> (m,), see `compare.profile`.
         styles: how each name looks; None deals colours out anew.
     """
     drawn, styles = figure(legend_y=1.08), styles or Styles(shares)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arms import random_arm, smooth_sequence
-from benchmarks.solver_study.answers import Data
-from moc_opt.solvers.exact.solver import Exact
+from benchmarks.solver_study.answers import Data, recorded
 
 COUNT = 32
 SEED = 5
@@ -24,10 +23,7 @@ def kinematics(n: int) -> Any:
 def sequence(n: int, count: int = COUNT) -> Data:
     """``count`` subproblems of one arm with n joints, 2 ms apart; all of them feasible, as the arm moves like that."""
     problems = smooth_sequence(np.random.default_rng([SEED, n, 1]), count, arm=_arm(n))
-    rows = np.array([qp.row for qp in problems])
-    session = Exact().start(problems[0])
-    feasible = np.array([session.solve(qp).status.label == "solved" for qp in problems])
-    return Data(f"n={n}", rows, rows, feasible, partial(kinematics, n))
+    return recorded(f"n={n}", problems, partial(kinematics, n))
 
 
 def _arm(n: int) -> Any:

@@ -18,11 +18,11 @@ DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 
 
 @dataclass(frozen=True)
-class Entry:
+class SolverSetting:
     """One solver under one setting."""
 
     solver: str
-    setting: str
+    name: str
     options: Mapping[str, Any]
     reason: str
 
@@ -34,7 +34,7 @@ class Entry:
     @property
     def label(self) -> str:
         """Its name in tables."""
-        return f"{self.solver}@{self.setting}"
+        return f"{self.solver}@{self.name}"
 
 
 PAPER_FORM: dict[str, Any] = {"rows": 6, "cost_scale": 1.0}  # what a user writes down who reads the paper
@@ -147,7 +147,9 @@ TIGHT_OPTIONS: dict[str, dict[str, Any]] = {
 QPSOLVERS = "qpsolvers:"
 
 
-def entries(names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None) -> list[Entry]:
+def solver_settings(
+    names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
+) -> list[SolverSetting]:
     """Every setting of every named solver, in that order.
 
     Args:
@@ -155,10 +157,10 @@ def entries(names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | N
         overrides: solver -> settings that are laid over its recommended ones.
     """
     found = []
-    for name in names:
-        for setting, (options, reason) in of(name).items():
-            extra = (overrides or {}).get(name, {}) if setting == RECOMMENDED else {}
-            found.append(Entry(name, setting, {**options, **extra}, reason))
+    for solver in names:
+        for name, (options, reason) in of(solver).items():
+            extra = (overrides or {}).get(solver, {}) if name == RECOMMENDED else {}
+            found.append(SolverSetting(solver, name, {**options, **extra}, reason))
     return found
 
 
@@ -179,13 +181,13 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     return table
 
 
-def effective(entry: Entry) -> dict[str, Any]:
-    """What the solver really gets: our adapter's defaults with the entry's options over them."""
-    found = {**defaults(entry.solver), **entry.options}
+def effective(setting: SolverSetting) -> dict[str, Any]:
+    """What the solver really gets: our adapter's defaults with its options over them."""
+    found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period", "warm"):
         found.pop(name, None)
-    if entry.solver.startswith(QPSOLVERS):
-        advice = create(entry.solver, **entry.options).advice  # type: ignore[attr-defined]
+    if setting.solver.startswith(QPSOLVERS):
+        advice = create(setting.solver, **setting.options).advice  # type: ignore[attr-defined]
         found = {"rows": found["rows"], "cost_scale": advice.cost_scale, **advice.options}
     return found
 
@@ -206,8 +208,8 @@ def as_markdown() -> str:
     here = [name for name, reason in available().items() if reason is None]
     names = [name for name in here if name in SETTINGS or name.startswith(QPSOLVERS)]
     rows = ["| solver | setting | what it gets | why |", "|---|---|---|---|"]
-    for entry in entries(names):
-        rows.append(f"| `{entry.solver}` | {entry.setting} | {in_words(effective(entry))} | {entry.reason} |")
+    for setting in solver_settings(names):
+        rows.append(f"| `{setting.solver}` | {setting.name} | {in_words(effective(setting))} | {setting.reason} |")
     return "\n".join(rows)
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.solver_study import closed_loop
+from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study.closed_loop import BASELINE, Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
-from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Store
 from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 # Without the supervisor's residual check: what is swept is the effect of an answer, not of its replacement.
 UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}
 BOUND_SAMPLES = 9
+LATE = ("hold", "zero", "iterate")  # what answers a solve that comes too late
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,13 @@ class Point:
         label: of the value.
         value: on the axis of a figure.
         changes: of the trial's tables.
-        entry: the solver to ask in open loop too; None where the sweep is not about a solver's accuracy.
+        setting: the solver to ask in open loop too; None where the sweep is not about a solver's accuracy.
     """
 
     label: str
     value: float
     changes: Mapping[str, Mapping[str, Any]]
-    entry: Entry | None = None
+    setting: SolverSetting | None = None
 
 
 @dataclass(frozen=True)
@@ -53,15 +54,15 @@ class Sweep:
     suffix: str = ""
 
 
-def accuracy(solver: str, setting: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
-    """A solver's own setting from loose to tight."""
+def accuracy(solver: str, option: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
+    """A solver's own option from loose to tight."""
     points = []
     for value in values:
-        options = {**fixed, setting: value}
-        label = f"{setting}={value:g}"
+        options = {**fixed, option: value}
+        label = f"{option}={value:g}"
         changes = {"solver": {"name": solver, "settings": options}, "control": UNCHECKED}
-        points.append(Point(label, float(value), changes, Entry(solver, label, options, about)))
-    return Sweep(f"{solver}.{setting}", about, points, solver, "accuracy")
+        points.append(Point(label, float(value), changes, SolverSetting(solver, label, options, about)))
+    return Sweep(f"{solver}.{option}", about, points, solver, "accuracy")
 
 
 def accuracy_sweeps(full: bool) -> list[Sweep]:
@@ -121,7 +122,7 @@ def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sw
     points = []
     for share in shares:
         budget = max(float(np.percentile(times, 100.0 - share)), 1e-3)
-        for late in ("hold", "zero", "iterate"):
+        for late in LATE:
             changes: dict[str, dict[str, Any]] = {
                 "solver": {"name": name, "settings": {}, "replay_us": times},
                 "control": {"supervisor": {"budget_us": budget, "late": late}},
@@ -153,9 +154,9 @@ def run_sweep(
                 baselines[trial.name], timed=False, travel=False,
             )
         )
-    found = closed_loop.combined(runs)
+    found = combine.combined(runs)
     values = {name: value for name, value in found.items() if not name.endswith("_us")}
-    values |= closed_loop.changes(runs, [baselines[trial] for trial in cases])
+    values |= combine.changes(runs, [baselines[trial] for trial in cases])
     return {"value": point.value, **values}
 
 
