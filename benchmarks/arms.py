@@ -110,9 +110,7 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
     return Arm(axes, points, TOOL * tool, np.zeros(3))
 
 
-def problem_of(
-    arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float
-) -> NullSpaceQP:
+def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
     """The subproblem of ``arm`` at q whose references are met by ``x_inside``."""
     J_tip, J_wrist = arm.jacobians(q)
     return NullSpaceQP(

@@ -93,10 +93,7 @@ def compare(
             advance("qpbenchmark")
     summary = found.summary
     summary["not_run"] = {name: {"reason": reason} for name, reason in missing.items()} | summary["not_run"]
-    summary["clock"] = {
-        "cost": {"p50_us": clock_cost_us()},
-        "assembly": {"p50_us": assembly_us(found.sequence)},
-    }
+    summary["clock"] = {"cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": assembly_us(found.sequence)}}
 
     seen = look(config.scenario.change(duration_s=config.closed_loop.duration_s), found.runs)
     if seen is not None:

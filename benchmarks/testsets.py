@@ -81,9 +81,7 @@ class TestSet:
         """
         path = folder / f"{name}.npz"
         if not path.exists():
-            raise CertificateError(
-                f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets"
-            )
+            raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")
         arrays = read_arrays(path, f"test set {name!r}:", CertificateError)
         try:
             return cls(name, arrays["rows"], arrays["x"], arrays["feasible"])
@@ -101,9 +99,7 @@ def at_pose(
     lower, upper = np.empty(robot.n), np.empty(robot.n)
     velocity_damper(q, robot.q_min, robot.q_max, robot.v_max, k0, lower, upper)
     v_wrist = consistent_wrist_velocity(v_tip, v_wrist, state.tool_direction)
-    return NullSpaceQP(
-        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, damping=damping, q=q
-    )
+    return NullSpaceQP(state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, damping=damping, q=q)
 
 
 # Of the control law that was recorded, whatever the defaults become: the elbow travels as fast as its joints can.

@@ -149,9 +149,7 @@ def time(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, ans
     return Part({"reason": ""}, {"solve_us": np.array(rounds), "setup_us": setup, "cold_us": cold, "update_us": update})
 
 
-def asked(
-    store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool = True
-) -> Part:
+def asked(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool = True) -> Part:
     """`ask`, or what an earlier run was answered."""
     key = store.key(
         part="answers", solver=setting.solver, options=setting.options, rows=data.rows, warm=warm,
@@ -160,9 +158,7 @@ def asked(
     return store.get(key) or store.put(key, ask(worker, setting, data, limits, warm))
 
 
-def timed(
-    store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool
-) -> Part:
+def timed(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool) -> Part:
     """`time`, or what an earlier run measured."""
     key = store.key(
         part="times", solver=setting.solver, options=setting.options, rows=data.rows, rounds=limits.rounds,

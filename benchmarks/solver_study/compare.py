@@ -16,13 +16,7 @@ Array = NDArray[np.float64]
 Figures = Mapping[str, Mapping[str, Any]]
 
 # Of both tables: name -> whether more is better.
-OPEN = {
-    "primal_p50": False,
-    "relative_p50": False,
-    "loss_p50": False,
-    "loss_max": False,
-    "solve_p50_us": False,
-}
+OPEN = {"primal_p50": False, "relative_p50": False, "loss_p50": False, "loss_max": False, "solve_p50_us": False}
 CLOSED = {
     "mu_mean": True, "tip_error_model_mean_mm": False, "rcm_error_model_mean_mm": False,
     "torque_rate_rms_Nm_per_s": False,
@@ -94,11 +88,7 @@ def disagreements(
     for i in np.argsort(-np.abs(a - b), kind="stable")[:count]:
         if a[i] == b[i]:
             break
-        better = (
-            "better in closed loop than in open loop"
-            if b[i] < a[i]
-            else "worse in closed loop than in open loop"
-        )
+        better = "better in closed loop than in open loop" if b[i] < a[i] else "worse in closed loop than in open loop"
         x, y = open_loop[names[i]][one], closed_loop[names[i]][other]
         found.append({
             "name": names[i], "open_rank": float(a[i]), "closed_rank": float(b[i]), "open": float(x),
@@ -125,9 +115,7 @@ def verdict(found: Figures, trials: int) -> str:
         if best["p_value"] > 0.05:
             said.append(f"no residual of open loop predicts {WORDS[closed]} (the closest: {r:+.2f})")
         elif r > 0.0:
-            said.append(
-                f"{WORDS[closed]} follows the {WORDS[best['open']]} of open loop (rank correlation {r:+.2f})"
-            )
+            said.append(f"{WORDS[closed]} follows the {WORDS[best['open']]} of open loop (rank correlation {r:+.2f})")
         else:
             said.append(
                 f"{WORDS[closed]} goes against the {WORDS[best['open']]} of open loop: the more accurate answers are "

@@ -48,9 +48,7 @@ class TestSets(Settings):
 
     KIND: ClassVar[str] = "[testsets]"
     names: Literal["all"] | list[str] = "all"
-    timed: list[str] = Field(
-        ["circle", "circle-rho0", "random"], description="under default and tight settings too"
-    )
+    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under default and tight settings too")
     every: int = Field(1, ge=1, description="take each every-th problem")
     rounds: int = Field(8, ge=1)
     seconds: float = Field(0.1, gt=0.0, description="of timing a set, at most")

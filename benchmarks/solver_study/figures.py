@@ -69,7 +69,5 @@ def sweep_panels(
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
         )  # fmt: skip
     drawn.update_xaxes(title=x_label, row=len(metrics), col=1)
-    drawn.update_layout(
-        template=TEMPLATE, height=60 + 150 * len(metrics), legend={"y": 1.08, "yanchor": "bottom"}
-    )
+    drawn.update_layout(template=TEMPLATE, height=60 + 150 * len(metrics), legend={"y": 1.08, "yanchor": "bottom"})
     return drawn

@@ -50,9 +50,7 @@ class Look:
             )
             add_map(page, self.found, what=f"trial {self.trial}", styles=styles)
         pair = {name: self.traces[name] for name in baseline_and_best(self.traces)}
-        add_replay(
-            page, folder, self.scenario.robot.arm(), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles
-        )
+        add_replay(page, folder, self.scenario.robot.arm(), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles)
 
 
 def look(scenario: Scenario, runs: Sequence[Run]) -> Look | None:

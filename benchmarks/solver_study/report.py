@@ -45,9 +45,7 @@ def print_tables(console: Console, study: Study, found: Findings) -> None:
     console.print(f"written: {study.out}/{files}")
 
 
-def write_report(
-    path: Path, study: Study, found: Findings, environment: Mapping[str, Any], look: Look | None
-) -> None:
+def write_report(path: Path, study: Study, found: Findings, environment: Mapping[str, Any], look: Look | None) -> None:
     """One page that opens by itself, and the replay beside it."""
     made = tables(found.summary)
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
@@ -140,8 +138,7 @@ def _open_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Tab
             "Solve time, warm: empirical distribution, with the deadline of a tick.",
         )
         page.figure(
-            figures.latency_ecdf(samples, deadline, tail=True),
-            "The same, its tail: how rare are the late ones?",
+            figures.latency_ecdf(samples, deadline, tail=True), "The same, its tail: how rare are the late ones?"
         )
     page.table(made["open_loop_cold"])
 

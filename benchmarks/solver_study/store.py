@@ -112,10 +112,7 @@ def circumstances() -> str:
         except importlib.metadata.PackageNotFoundError:
             continue
     digest = hashlib.sha256()
-    files = [
-        *sorted((ROOT / "moc_opt").rglob("*.py")),
-        *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*")),
-    ]
+    files = [*sorted((ROOT / "moc_opt").rglob("*.py")), *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*"))]
     files += [ROOT / "benchmarks" / f"{name}.py" for name in SOURCES]
     for file in files:
         if "report" not in file.parts and file.exists():

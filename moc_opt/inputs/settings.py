@@ -67,7 +67,7 @@ class Settings(BaseModel):
     def __init__(self, **values: Any) -> None:
         for name in values:
             if name not in type(self).model_fields:
-                raise UnknownNameError(self.KIND, name, type(self).model_fields)
+                raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, type(self).model_fields)
         try:
             super().__init__(**values)
         except ValidationError as error:

@@ -78,9 +78,7 @@ def beside(target: str) -> str:
     """
     path, _, place = target.partition("#")
     if not all(PIECE.fullmatch(piece) for piece in path.split("/")):
-        raise ReportError(
-            f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'"
-        )
+        raise ReportError(f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'")
     return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 

@@ -73,9 +73,7 @@ def map_figure(
         marker={"symbol": "square", "size": 11, "color": BAD, "line": {"color": MUTED, "width": 0.5}},
     )  # fmt: skip
     step = degrees[1] - degrees[0]
-    drawn.update_xaxes(
-        title_text="time [s]", showgrid=False, range=[found.t_s[0], found.t_s[-1]], constrain="domain"
-    )
+    drawn.update_xaxes(title_text="time [s]", showgrid=False, range=[found.t_s[0], found.t_s[-1]], constrain="domain")
     drawn.update_yaxes(
         title_text="elbow swivel [°]", showgrid=False, dtick=30, range=_shown(degrees, allowed, float(step))
     )
@@ -122,9 +120,7 @@ def _best(drawn: go.Figure, t: Array, y: Array, mu: Array) -> None:
         line={"color": BEST, **line}, showlegend=False, hovertemplate=HOVER,
     )  # fmt: skip
     # The map is light on dark pages too, the legend is not: its sample has the colour of the text.
-    drawn.add_scatter(
-        x=[None], y=[None], mode="lines", name="best", legendgroup="best", line={"color": INK, **line}
-    )
+    drawn.add_scatter(x=[None], y=[None], mode="lines", name="best", legendgroup="best", line={"color": INK, **line})
 
 
 def _starts(drawn: go.Figure, courses: Iterable[Course]) -> None:

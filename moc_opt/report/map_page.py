@@ -104,9 +104,7 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     for reading in known:
         if not _never(reading):
             since = (
-                f" (from {reading.from_s:.1f} s on for good)"
-                if reading.from_s > 0.0 and reading.near < 1.0
-                else ""
+                f" (from {reading.from_s:.1f} s on for good)" if reading.from_s > 0.0 and reading.near < 1.0 else ""
             )
             timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
     limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
@@ -161,9 +159,7 @@ def grey_in_words(reading: Reading) -> str:
     return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
 
 
-def course_table(
-    readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = ""
-) -> Table:
+def course_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = "") -> Table:
     """One row for each kind of course, in their order."""
     rows = []
     for first in kinds:

@@ -57,11 +57,7 @@ class Notation:
             written = format(round(number) if self.spec.endswith("d") else number, self.spec)
             return _tidy(written) if "e" in written else written
         if self.integral:
-            return (
-                f"{round(number):_}".replace("_", NARROW_SPACE)
-                if abs(number) >= 10_000
-                else f"{round(number)}"
-            )
+            return f"{round(number):_}".replace("_", NARROW_SPACE) if abs(number) >= 10_000 else f"{round(number)}"
         if number == 0.0:
             return "0"
         rounded = f"{number:.{self.digits - 1}e}"
@@ -113,6 +109,4 @@ def pretty_power(power: int) -> str:
 
 def printable(text: str) -> str:
     """Without control and direction characters: a name from elsewhere must not steer terminal or page."""
-    return "".join(
-        c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text
-    )
+    return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

@@ -39,9 +39,7 @@ def robot_of(trace: Trace) -> RobotModel:
     table = _robot_table(trace)
     if not table.get("name"):
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
-    return load_robot(
-        table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg")
-    )
+    return load_robot(table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg"))
 
 
 def _robot_table(trace: Trace) -> dict[str, Any]:

@@ -50,17 +50,13 @@ class Column:
 
     def __post_init__(self) -> None:
         if self.digits < 1:
-            raise ReportError(
-                f"column {self.key!r}: digits = {self.digits}: give one or more significant digits"
-            )
+            raise ReportError(f"column {self.key!r}: digits = {self.digits}: give one or more significant digits")
         if self.better not in (None, "low", "high"):
             raise ReportError(f"column {self.key!r}: better = {self.better!r} is none of 'low', 'high', None")
         try:
             Notation(spec=self.format)(1.0)
         except ValueError as error:
-            raise ReportError(
-                f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one"
-            ) from error
+            raise ReportError(f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one") from error
 
 
 @dataclass(frozen=True)
@@ -175,9 +171,7 @@ class Table:
 
     def to_text(self) -> str:
         """The table as plain text, as wide as it needs to be."""
-        console = Console(
-            file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False
-        )
+        console = Console(file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False)
         console.print(self.to_rich())
         written: str = console.file.getvalue()  # type: ignore[attr-defined]
         return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
@@ -201,7 +195,5 @@ def _cell(value: Any, written: Notation) -> Cell:
 
 
 def _rich(cell: Cell, pad: int) -> Text:
-    spaces = (
-        " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
-    )
+    spaces = " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
     return Text(cell.text + spaces, style="bold" if cell.best else "dim" if cell.why else "")

@@ -16,9 +16,7 @@ from moc_opt.tasks.curves import CURVES, Circle, Line, PlanarCurve, Sinusoid, Sp
 class Path:
     """A planar curve put into space: it begins at `start` and lies in the plane of two unit vectors."""
 
-    def __init__(
-        self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike
-    ) -> None:
+    def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve.
 
         Args:
@@ -117,13 +115,7 @@ def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, norm
 
 
 def sinusoid(
-    start: ArrayLike,
-    heading: ArrayLike,
-    *,
-    amplitude: float,
-    wavelength: float,
-    periods: float,
-    normal: ArrayLike,
+    start: ArrayLike, heading: ArrayLike, *, amplitude: float, wavelength: float, periods: float, normal: ArrayLike
 ) -> Path:
     """Sine wave about the axis through `start` along `heading`; it begins on the axis, going to the left.
 

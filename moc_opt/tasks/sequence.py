@@ -58,9 +58,7 @@ class ReferenceSequence:
         for i, leg in enumerate(self.legs):
             if i > 0:
                 if number(f"t_start of leg {i}", leg.t_start) < 0.0:
-                    raise TaskError(
-                        f"t_start = {leg.t_start!r} s of leg {i} is negative: give a rest of zero or more"
-                    )
+                    raise TaskError(f"t_start = {leg.t_start!r} s of leg {i} is negative: give a rest of zero or more")
                 last = self.legs[i - 1]
                 gap = leg.rows(leg.t_start)[0] - last.rows(last.t_start + last.duration)[0]
                 if float(np.abs(gap).max()) > _TOUCH_M:

@@ -59,10 +59,7 @@ class WaitingReference:
         self.brake_s = long * self.period_s
         """Length of the longer average [s]: one over the steepest slope of the rate."""
         self._first, self._second = _MovingAverage(long), _MovingAverage(max(1, long // 2))
-        self._shift_v, self._shift_a = (
-            positive("shift_v_max", shift_v_max),
-            positive("shift_a_max", shift_a_max),
-        )
+        self._shift_v, self._shift_a = (positive("shift_v_max", shift_v_max), positive("shift_a_max", shift_a_max))
         self._shift_rate = positive("shift_rate_per_s", shift_rate_per_s)
         if 2.0 * self._shift_rate * self.period_s > 1.0:
             raise TaskError(

@@ -96,6 +96,4 @@ def check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Non
         width = known.shape.removeprefix("(N,").strip(" )")
         fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", str(shape[1]))
         if kind not in wanted or not fits:
-            raise TraceError(
-                f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}"
-            )
+            raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")

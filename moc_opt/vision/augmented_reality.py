@@ -100,7 +100,7 @@ class Augmented:
         self.view, self.why = make_view(robot, self.camera, self.board, seed=noise)
         self.source = "drawn" if isinstance(self.view, DrawnView) else "mujoco"
         self._finder = BoardFinder(self.board, self.believed)
-        self._tracker = BoardTracker((TrackerSettings() if tracker is None else tracker).limits())
+        self._tracker = BoardTracker(tracker)
 
     def look(self, t: float, q: ArrayLike | None = None, *, board_in_base: Pose | None = None) -> Look:
         """Take a picture, find the board in it, and tell the tracker.
@@ -179,9 +179,7 @@ class Augmented:
         seen, boards = [], []
         for t in times.tolist():
             pose = None if q is None else q(t)
-            tracked = self.look(
-                t, pose, board_in_base=None if board_in_base is None else board_in_base(t)
-            ).tracked
+            tracked = self.look(t, pose, board_in_base=None if board_in_base is None else board_in_base(t)).tracked
             if tracked.pose is None:
                 raise TaskError("board: it was not found before the run: call locate() before watch()")
             seen.append(tracked.seen)
@@ -224,9 +222,7 @@ class Augmented:
             PlantError: the film cannot be written.
         """
         return save_video(
-            file,
-            self._frames(trace, path, np.asarray(trocar, dtype=np.float64)),
-            self.camera.settings.rate_Hz,
+            file, self._frames(trace, path, np.asarray(trocar, dtype=np.float64)), self.camera.settings.rate_Hz
         )
 
     def _frames(self, trace: Trace, path: Path, trocar: Array) -> Iterator[Picture]:
@@ -243,6 +239,4 @@ class Augmented:
             markers = len(self._finder.corners(picture))
             text = f"{t:.2f} s   " + (f"{markers} markers" if markers else "board lost")
             share = done / (len(line) - 1)
-            yield overlay.draw(
-                picture, task=line, progress=share, tip=trace.tip_m[k], trocar=trocar, text=text
-            )
+            yield overlay.draw(picture, task=line, progress=share, tip=trace.tip_m[k], trocar=trocar, text=text)

@@ -163,10 +163,7 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType(
         "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
         # 4 cm long, 2 cm from crest to trough.
         "sinusoid": BoardTask(
-            "sinusoid",
-            {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
-            start_m=(-0.02, 0.0),
-            depth_m=0.12,
+            "sinusoid", {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}, start_m=(-0.02, 0.0), depth_m=0.12
         ),
         # 3 cm across, from the middle outwards.
         "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
@@ -186,9 +183,7 @@ def board_task(name: str) -> BoardTask:
     return BOARD_TASKS[name]
 
 
-def board_below(
-    trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)
-) -> Pose:
+def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)) -> Pose:
     """Pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
 
     Args:

@@ -49,9 +49,7 @@ class Camera:
 
     def project(self, points_in_base: ArrayLike) -> Array:
         """Pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for what is behind the camera."""
-        points = self.camera_in_base.inverse().apply(
-            np.atleast_2d(np.asarray(points_in_base, dtype=np.float64))
-        )
+        points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         pixels = points @ self.matrix.T
         return np.asarray(pixels[:, :2] / depth[:, None])
@@ -60,11 +58,7 @@ class Camera:
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
         """The camera that the settings describe: it looks at the phantom's middle, its top towards the board's y."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
-        away = [
-            math.sin(tilt) * math.cos(azimuth),
-            math.sin(tilt) * math.sin(azimuth),
-            math.cos(tilt),
-        ]
+        away = [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
         eye = settings.distance_m * np.array(away)
         # Seen from along the board's y, its y is still the upper side while the tilt is below a right angle.
         return cls(settings, phantom_in_base @ looking_at(eye, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))

@@ -61,9 +61,7 @@ def pose_accuracy(
     """
     settings = BoardSettings() if board is None else board
     sheet = settings.board()
-    eye = Camera(
-        CameraSettings() if camera is None else camera, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4))
-    )
+    eye = Camera(CameraSettings() if camera is None else camera, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4)))
     view, _ = make_view(robot, eye, sheet, seed=seed)
     finder = BoardFinder(sheet, eye)
     rng = np.random.default_rng(seed)

@@ -93,9 +93,7 @@ class BoardFinder:
             return None
         points = np.concatenate([self._corners[marker] for marker in seen])
         pixels = np.concatenate(list(seen.values()))
-        count, turns, places, _ = cv2.solvePnPGeneric(
-            points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE
-        )
+        count, turns, places, _ = cv2.solvePnPGeneric(points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE)
         both = [self._refine(_column(turns[i]), _column(places[i]), points, pixels) for i in range(count)]
         fits = [(pose, self._misses(pose, points, pixels)) for pose in both if pose is not None]
         if not fits:

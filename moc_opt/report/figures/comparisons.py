@@ -56,9 +56,7 @@ def accuracy_against_time(
     known = {name: point for name, point in points.items() if np.isfinite(point).all()}
     for name, (time, error) in known.items():
         if time <= 0.0 or error < 0.0:
-            raise ReportError(
-                f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0"
-            )
+            raise ReportError(f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0")
     known = {name: (time, max(error, floor)) for name, (time, error) in known.items()}
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
@@ -120,9 +118,7 @@ def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
     for name, outcomes in counts.items():
         for outcome, number in outcomes.items():
             if outcome not in OUTCOMES or not number >= 0.0:
-                raise ReportError(
-                    f"{name!r}: {outcome!r} = {number}: give numbers >= 0 of {', '.join(OUTCOMES)}"
-                )
+                raise ReportError(f"{name!r}: {outcome!r} = {number}: give numbers >= 0 of {', '.join(OUTCOMES)}")
     totals = np.array([sum(counts[name].values()) for name in names])
     drawn = figure(barmode="stack", bargap=0.35)
     for outcome, (words, color, shape) in OUTCOMES.items():
@@ -151,9 +147,4 @@ def outcomes(summary: Mapping[str, float], total: float) -> dict[str, float]:
     both = summary["claimed_solved"] - summary["silently_wrong"]
     unclaimed = summary["verified_solved"] - both
     failed = total - summary["claimed_solved"] - unclaimed
-    return {
-        "verified": both,
-        "unclaimed": unclaimed,
-        "failed": failed,
-        "silently_wrong": summary["silently_wrong"],
-    }
+    return {"verified": both, "unclaimed": unclaimed, "failed": failed, "silently_wrong": summary["silently_wrong"]}

@@ -63,9 +63,7 @@ def time_series(
             )  # fmt: skip
             named.add(name)
             scanned = (
-                ~np.isnan(trace.mu_bound)
-                if column == "mu" and "mu_bound" in trace.columns
-                else np.zeros(1, bool)
+                ~np.isnan(trace.mu_bound) if column == "mu" and "mu_bound" in trace.columns else np.zeros(1, bool)
             )
             if scanned.any():
                 drawn.add_scatter(

@@ -142,9 +142,7 @@ def log_axis(
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
-        raise ReportError(
-            f"{title}: a log axis needs values, and positive ones; leave the figure out and say why"
-        )
+        raise ReportError(f"{title}: a log axis needs values, and positive ones; leave the figure out and say why")
     logs = np.log10(shown)
     low, high = float(logs.min()), float(logs.max())
     free = margin * max(high - low, 0.5)
@@ -153,10 +151,7 @@ def log_axis(
     if powers:
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
-        ticks = {
-            "tickvals": [10.0**power for power in exponents],
-            "ticktext": [*map(pretty_power, exponents)],
-        }
+        ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
     else:
         ticks = {"nticks": 7, "exponentformat": "none"}
     # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.

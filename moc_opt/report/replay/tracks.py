@@ -108,8 +108,5 @@ def _panel(trace: Trace, column: str, ticks: NDArray[np.intp], block: Block) -> 
     if column == "mu" and "mu_bound" in trace.columns:
         known = np.isfinite(trace.mu_bound)
         if known.any():
-            panel |= {
-                "bound_t": block.put(trace.t_s[known]),
-                "bound": block.put(trace.mu_bound[known]),
-            }
+            panel |= {"bound_t": block.put(trace.t_s[known]), "bound": block.put(trace.mu_bound[known])}
     return panel
