@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import Crashed, Hung, Raised, Worker, WorkerError
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.solving import RAISED, answers, cold_times, warm_times
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Crashed, Hung, Raised, Worker, WorkerError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.exact.solver import Exact
 

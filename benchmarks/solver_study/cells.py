@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study.answers import (
     CRASHED,
     HUNG,
@@ -24,10 +25,9 @@ from benchmarks.solver_study.answers import (
 )  # fmt: skip
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Worker
 from benchmarks.testsets import TestSet
 from benchmarks.timing import percentiles
-from moc_opt.qp.problem import fields, judge
+from moc_opt.qp.problem import compute_residuals, fields
 from moc_opt.qp.residuals import Residuals
 
 BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
@@ -47,8 +47,8 @@ class Cell:
 
     @cached_property
     def residuals(self) -> Residuals:
-        """Of each answer, by the judge of the linear problem."""
-        return judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
+        """Of each answer, in the linear problem."""
+        return compute_residuals(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
 
     @cached_property
     def verified(self) -> NDArray[np.bool_]:

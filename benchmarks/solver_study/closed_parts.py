@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import Worker, spread
 from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
 from benchmarks.solver_study.answers import Data, Limits, asked, recorded
 from benchmarks.solver_study.cells import Cell
@@ -15,7 +16,6 @@ from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import ClosedLoop, Sweeps
 from benchmarks.solver_study.study import Findings, Part, Study
 from benchmarks.solver_study.sweeps import Point, Sweep
-from benchmarks.solver_study.worker import Worker, spread
 from moc_opt.inputs.names import file_stem
 from moc_opt.scenario import Scenario
 

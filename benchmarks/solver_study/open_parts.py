@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import Worker, spread
 from benchmarks.solver_study import compare, growth
 from benchmarks.solver_study.answers import Limits, asked, recorded, timed
 from benchmarks.solver_study.cells import (
@@ -20,7 +21,6 @@ from benchmarks.solver_study.cells import (
 )
 from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, effective, in_words
 from benchmarks.solver_study.study import Findings, Study
-from benchmarks.solver_study.worker import Worker, spread
 from moc_opt.qp.problem import NullSpaceQP
 
 DUAL_SETS = ("circle", "random")

@@ -45,7 +45,10 @@ def print_tables(console: Console, study: Study, found: Findings) -> None:
     console.print(f"written: {study.out}/{files}")
 
 
-def write_report(path: Path, study: Study, found: Findings, environment: Mapping[str, Any], look: Look | None) -> None:
+def write_report(
+    path: Path, study: Study, found: Findings, environment: Mapping[str, Any], look: Look | None,
+    figures: bool = False,
+) -> None:
     """One page that opens by itself, and the replay beside it."""
     made = tables(found.summary)
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
@@ -75,7 +78,7 @@ def write_report(path: Path, study: Study, found: Findings, environment: Mapping
             page.section(title)
             page.table(made[part])
     page.environment(environment)
-    save_page(page, path)
+    save_page(page, path, figures=figures)
 
 
 def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study.closed_loop import BASELINE, Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -93,7 +93,8 @@ def damping_sweep() -> Sweep:
     """rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
     values = [0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
     points = [
-        Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "damping": v}, "solver": {"name": "exact"}}) for v in values
+        Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "regularization": v}, "solver": {"name": "exact"}})
+        for v in values
     ]
     return Sweep("damping", "rho with c2 = 1e-3, solver exact", points, group="damping")
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop
 from benchmarks.solver_study.closed_loop import (
     BASELINE,
@@ -16,7 +17,6 @@ from benchmarks.solver_study.closed_loop import (
 )
 from benchmarks.solver_study.combine import combined, summary
 from benchmarks.solver_study.store import Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests import broken_solvers

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import answers, growth, settings
 from benchmarks.solver_study.answers import Data, Limits, asked, timed
 from benchmarks.solver_study.cells import Cell, asked_all, load, time_figures, totals
 from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, SolverSetting, solver_settings
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
@@ -123,7 +123,7 @@ def test_an_answer_without_form_costs_one_answer(broken):
 
 def test_a_solver_that_refuses_is_not_asked(worker):
     found = cell(worker, SolverSetting("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
-    assert "damping" in found.refused
+    assert "regularization" in found.refused
     assert found.counts()["not_asked"] == 8
     assert cell(worker, SolverSetting("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
         "UnknownName"

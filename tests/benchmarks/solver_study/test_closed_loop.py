@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import sweeps
 from benchmarks.solver_study.closed_loop import trials
 from benchmarks.solver_study.store import Store
@@ -13,7 +14,6 @@ from benchmarks.solver_study.sweeps import (
     damping_sweep,
     deadline_sweep,
 )
-from benchmarks.solver_study.worker import Worker
 from moc_opt.errors import ScenarioError
 from moc_opt.scenario import Scenario, make_solver, run
 
