@@ -276,7 +276,7 @@ def test_change_of_the_plant_keeps_what_it_is():
 
 
 def test_change_is_validated():
-    with pytest.raises(UnknownNameError, match="unknown scenario key .colour"):
+    with pytest.raises(UnknownNameError, match=r"unknown scenario key .colour"):
         Scenario().change(colour="red")
     with pytest.raises(UnknownNameError, match=r"\[control\] key 'C2'"):
         Scenario().change(control={"C2": 1.0})

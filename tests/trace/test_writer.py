@@ -194,7 +194,7 @@ def test_a_defect_says_one_line_and_where_the_rows_are(tmp_path, capsys, monkeyp
     said = capsys.readouterr().err
     assert said.count("\n") == 1
     assert said.startswith(f"ZeroDivisionError: a defect of two lines ({Path(__file__).name}:")
-    assert len(Trace.load(target)) == 148  # two measurements before the first tick: as the loop is made, and at its start
+    assert len(Trace.load(target)) == 148  # two measurements come before the loop
 
 
 def test_a_run_that_does_not_fit_the_memory_is_refused_before_it_begins(tmp_path, monkeypatch):
