@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.output import save_page
 from benchmarks.solver_study import compare
 from benchmarks.solver_study import figures as study_figures
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly
 from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.look import Look
 from benchmarks.solver_study.study import Findings, Study
-from benchmarks.solver_study.tables import FOOTNOTE, STEADY, tables
+from benchmarks.solver_study.tables import FOOTNOTE, STEADY
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
@@ -31,26 +28,26 @@ METRICS = {
 }  # fmt: skip
 
 
-def print_tables(console: Console, study: Study, found: Findings) -> None:
-    """The tables on the screen, and where the files are."""
-    made = tables(found.summary)
-    for part in SCREEN:
-        if part in made:
-            for piece in made[part].fitted(console.width):
-                console.print(piece)
-    console.print(headline(found.summary, found.words))
+def sentences(study: Study, found: Findings) -> list[str]:
+    """What stands below the tables on the screen."""
+    said = [headline(found.summary, found.words)]
     if study.store.reused:
-        console.print(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
-    files = "summary.json rows.parquet environment.json report.html (all tables) replay.html"
-    console.print(f"written: {study.out}/{files}")
+        said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
+    return said
 
 
-def write_report(
-    path: Path, study: Study, found: Findings, environment: Mapping[str, Any], look: Look | None,
-    figures: bool = False,
-) -> None:
-    """One page that opens by itself, and the replay beside it."""
-    made = tables(found.summary)
+def report_page(
+    study: Study, found: Findings, made: Mapping[str, Table], environment: Mapping[str, Any], look: Look | None
+) -> Page:
+    """Build one page that opens by itself; the replay is written beside it.
+
+    Args:
+        study: what was asked for.
+        found: in all its parts.
+        made: part -> its table.
+        environment: of environment.json.
+        look: at the first trial; None where nothing ran in closed loop.
+    """
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
     page.headline(headline(found.summary, found.words))
     page.section("How to read this")
@@ -71,14 +68,14 @@ def write_report(
     _open_loop(page, study, found, made)
     _closed_loop(page, study, found, made)
     if look is not None:
-        look.add_section(page, path.parent)
+        look.add_section(page, study.out)
     _sweeps(page, found, made)
     for part, title in LAST.items():
         if part in made:
             page.section(title)
             page.table(made[part])
     page.environment(environment)
-    save_page(page, path, figures=figures)
+    return page
 
 
 def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
