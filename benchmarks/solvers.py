@@ -30,7 +30,7 @@ from moc_opt.solvers import available
 
 
 def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str]]:
-    """Names that can run here, and name -> reason for those that cannot.
+    """Return the names that can run here, and name -> reason for those that cannot.
 
     Raises:
         UnknownNameError: a name that no solver has.
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def assembly_us(problems: Sequence[NullSpaceQP]) -> float:
-    """Median time [us] of assembling P, p and the five rows, which every session does once a tick in a loop."""
+    """Measure the median time [us] of assembling P, p and the five rows, as every session does once a tick."""
     fresh = [NullSpaceQP.from_row(qp.row.copy()) for qp in problems]
     assembled(fresh[0])
     times = each_us(assembled, fresh)

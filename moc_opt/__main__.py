@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; 0, 2 with a message where the input is wrong, 3 where a run did not end "completed"."""
+    """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
     parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser(
@@ -173,7 +173,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -
 
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
-    """The page first: it is there even where no browser can draw the files."""
+    """Write the page, then the figures: the page is there even where no browser can draw the files."""
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 

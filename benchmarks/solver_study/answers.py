@@ -58,13 +58,13 @@ class Data:
         return (self.rows.shape[1] - 10) // 10
 
     def thinned(self, every: int) -> Data:
-        """Each every-th problem."""
+        """Keep every ``every``-th problem."""
         part = slice(None, None, every)
         return replace(self, rows=self.rows[part], judged=self.judged[part], feasible=self.feasible[part])
 
 
 def recorded(name: str, problems: Sequence[NullSpaceQP], kinematics: Any = None) -> Data:
-    """A sequence as a set; its feasibility is ``exact``'s word, which the certified sets bear out."""
+    """Make a set of a sequence; its feasibility is as ``exact`` claims, which is right on all certified sets."""
     rows = np.array([qp.row for qp in problems])
     session = Exact().start(problems[0])
     feasible = np.array([session.solve(qp).status.label == "solved" for qp in problems])
@@ -72,7 +72,7 @@ def recorded(name: str, problems: Sequence[NullSpaceQP], kinematics: Any = None)
 
 
 def not_asked(data: Data) -> Part:
-    """A part without answers."""
+    """Return a part without answers."""
     count = len(data.rows)
     arrays: dict[str, NDArray[Any]] = {
         "status": np.full(count, NOT_ASKED, dtype="<U12"), "iterations": np.zeros(count, int),
@@ -82,7 +82,7 @@ def not_asked(data: Data) -> Part:
 
 
 def ask(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool) -> Part:
-    """All answers of one solver to one set, whatever it takes to get them.
+    """Collect all answers of one solver to one set; a hang or a crash costs one answer.
 
     Returns:
         ``reason`` why the solver does not take the problems ("": it does), ``events`` (what it raised and how its
@@ -125,7 +125,7 @@ def ask(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm
 
 
 def time(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool) -> Part:
-    """Times [us] of one solver on one set; empty where an answer of it never came.
+    """Measure the times [us] of one solver on one set; empty where an answer of it never came.
 
     Returns:
         ``reason`` why there are none, and arrays ``solve_us`` (rounds, k), ``setup_us``, ``cold_us``, ``update_us``.
@@ -150,7 +150,7 @@ def time(worker: Worker, setting: SolverSetting, data: Data, limits: Limits, ans
 
 
 def asked(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, warm: bool = True) -> Part:
-    """`ask`, or what an earlier run was answered."""
+    """Ask as `ask` does, or take the answers of an earlier run."""
     key = store.key(
         part="answers", solver=setting.solver, options=setting.options, rows=data.rows, warm=warm,
         patience=limits.patience_s, arm=data.kinematics is not None,
@@ -159,7 +159,7 @@ def asked(store: Store, worker: Worker, setting: SolverSetting, data: Data, limi
 
 
 def timed(store: Store, worker: Worker, setting: SolverSetting, data: Data, limits: Limits, answered: bool) -> Part:
-    """`time`, or what an earlier run measured."""
+    """Measure as `time` does, or take the times of an earlier run."""
     key = store.key(
         part="times", solver=setting.solver, options=setting.options, rows=data.rows, rounds=limits.rounds,
         seconds=limits.seconds, cold=limits.cold, answered=answered, arm=data.kinematics is not None,

@@ -99,7 +99,7 @@ class Cell:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """How many answers were what; what is right adds up with what is wrong to the problems."""
+        """Count the answers by outcome; right and wrong ones add up to the number of problems."""
         status, feasible = self.status, self.data.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
         certified = infeasible & ~feasible
@@ -134,7 +134,7 @@ class Cell:
         return found
 
     def summary(self, times: Part | None = None) -> dict[str, Any]:
-        """Everything, for summary.json."""
+        """Return counts, residuals and times for summary.json."""
         found: dict[str, Any] = {**self.counts(), **self.figures()}
         if self.refused:
             found["reason"] = self.refused
@@ -143,7 +143,7 @@ class Cell:
         return {**found, **({} if times is None else time_figures(times))}
 
     def rows(self, part: str) -> list[dict[str, Any]]:
-        """One row per problem, for rows.parquet."""
+        """Return one row per problem, for rows.parquet."""
         return [
             {
                 "part": part, "solver": self.setting.solver, "setting": self.setting.name, "set": self.data.name,
@@ -156,7 +156,7 @@ class Cell:
 
 
 def time_figures(times: Part) -> dict[str, Any]:
-    """Percentiles, and of how many solves."""
+    """Compute percentiles of the times, and say of how many solves."""
     found: dict[str, Any] = {"timed_solves": int(times.arrays["solve_us"].size)}
     for kind in ("solve", "cold", "setup", "update"):
         found |= percentiles(times.arrays[f"{kind}_us"].ravel(), kind)
@@ -164,17 +164,17 @@ def time_figures(times: Part) -> dict[str, Any]:
 
 
 def share_right(counts: Mapping[str, Any]) -> float:
-    """Of the problems, how many were answered rightly; see `Cell.right`."""
+    """Return the share of problems that were answered rightly; see `Cell.right`."""
     return float(counts["right"] / counts["solves"]) if counts.get("solves") else 0.0
 
 
 def answers_rightly(counts: Mapping[str, Any]) -> bool:
-    """Whether a solver's times may be compared with others': see `RIGHTLY`."""
+    """Return whether a solver's times may be compared with others': see `RIGHTLY`."""
     return share_right(counts) >= RIGHTLY
 
 
 def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
-    """One solver under one setting over all its sets: sums of counts, largest of maxima, worst of percentiles."""
+    """Sum up one solver under one setting over its sets: sums of counts, largest of maxima, worst of percentiles."""
     found: dict[str, Any] = {}
     for cell in cells:
         for name, count in cell.counts().items():
@@ -193,7 +193,7 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
 
 
 def asked_all(store: Store, worker: Worker, setting: SolverSetting, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """All sets, judged. A solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
+    """Ask for all sets; a solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
 
     Nor is one that does not survive being set up.
     """
@@ -208,20 +208,20 @@ def asked_all(store: Store, worker: Worker, setting: SolverSetting, sets: Sequen
 
 
 def load(name: str, every: int = 1) -> Data:
-    """A certified set as the study needs it."""
+    """Load a certified set."""
     kept = TestSet.load(name)
     return Data(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
 
 
 def cold_only(times: Part) -> Part:
-    """The cold part of timings, under the names that solves have."""
+    """Return the cold part of timings, under the names that solves have."""
     nothing = np.empty(0)
     arrays = {"solve_us": times.arrays["cold_us"], "setup_us": times.arrays["setup_us"]}
     return Part(times.values, {**arrays, "cold_us": nothing, "update_us": nothing})
 
 
 def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> NDArray[np.float64]:
-    """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
+    """Return the median time of each problem over the rounds [us], infinite where it was not answered rightly."""
     found = []
     for cell in cells:
         times = measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else ()
@@ -230,5 +230,5 @@ def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> NDArray[np.
 
 
 def solved_duals(part: Part) -> NDArray[np.float64]:
-    """The duals (k, 6) of the answers that the solver calls solved; NaN elsewhere."""
+    """Return the duals (k, 6) of the answers that the solver calls solved; NaN elsewhere."""
     return np.where((part.arrays["status"] == "solved")[:, None], part.arrays["y"], np.nan)

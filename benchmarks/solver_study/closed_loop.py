@@ -77,7 +77,7 @@ class Run:
         return Trace({**thin, **{name: self.columns[name] for name in POSES}})
 
     def row(self) -> dict[str, Any]:
-        """One row of rows.parquet."""
+        """Return one row of rows.parquet."""
         return {
             "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
             "error": self.error, "raised": self.raised or None, **self.metrics,
@@ -85,12 +85,12 @@ class Run:
 
 
 def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The columns with a row for each tick."""
+    """Return the columns with a row for each tick."""
     return {name: column for name, column in columns.items() if name not in (*POSES, TRANSIENT)}
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
-    """One scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
+    """Make one scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
     start = {"pose": "random", "swivel": "random"}
     return {
         f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
@@ -106,7 +106,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """The trial under DCAC (with MOC's gains) or under MOC with the named solver."""
+    """Return the trial under DCAC (with MOC's gains) or under MOC with the named solver."""
     if controller == BASELINE:
         return trial.change(control=trial.control.matched_dcac())
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
@@ -161,7 +161,7 @@ def run_one(
     store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
     travel: bool = True,
 ) -> Run:
-    """One scenario in the worker, or from the store.
+    """Run one scenario in the worker, or take its run from the store.
 
     Args:
         store: of finished runs.
@@ -200,7 +200,7 @@ def run_all(
     timed: int = 1,
     processes: int = 1,
 ) -> list[Run]:
-    """Every controller on every trial, the baseline first; in the order of the trials.
+    """Run every controller on every trial, the baseline first; in the order of the trials.
 
     Args:
         cases: name -> trial.
@@ -238,7 +238,7 @@ def run_all(
 
 
 def with_steady_errors(runs: Sequence[Run]) -> list[Run]:
-    """The runs of one trial with their errors in the steady state, over the same ticks for all of them.
+    """Return the runs of one trial with their errors in the steady state, over the same ticks for all of them.
 
     Steady are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
     which leads its elbow nowhere, has no say in them, nor has a run that broke off.

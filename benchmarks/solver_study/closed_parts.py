@@ -21,13 +21,13 @@ from moc_opt.scenario import Scenario
 
 
 def cases(study: Study, part: ClosedLoop | Sweeps) -> dict[str, Scenario]:
-    """The trials of a part, by name."""
+    """Return the trials of a part, by name."""
     base = study.config.scenario.change(duration_s=part.duration_s)
     return closed_loop.trials(base, part.tasks, [study.config.seed + i for i in range(part.seeds)])
 
 
 def controllers(study: Study, so_far: Findings) -> Findings:
-    """Every solver in the controller, and the baseline, on every trial."""
+    """Run every solver in the controller, and the baseline, on every trial."""
     part = study.config.closed_loop
     runs = closed_loop.run_all(
         cases(study, part), {s.solver: s.options for s in study.controllers}, study.advance, study.store,
@@ -37,7 +37,7 @@ def controllers(study: Study, so_far: Findings) -> Findings:
 
 
 def chosen_sweeps(study: Study) -> list[Sweep]:
-    """The sweeps over accuracy, damping and box whose solvers can run here."""
+    """Return the sweeps over accuracy, damping and box whose solvers can run here."""
     values = study.config.sweeps.values
     many = values == "many"
     found = [*sweeps.accuracy_sweeps(many), sweeps.damping_sweep(), sweeps.box_sweep(many)]
@@ -47,7 +47,7 @@ def chosen_sweeps(study: Study) -> list[Sweep]:
 
 
 def all_sweeps(study: Study, so_far: Findings) -> Findings:
-    """Accuracy, damping, box and deadlines; the accuracy sweeps' points in open loop too."""
+    """Sweep accuracy, damping, box and deadlines; the accuracy sweeps' points in open loop too."""
     store, processes = study.store, study.config.processes
     trials = cases(study, study.config.sweeps)
     done = spread(list(trials.values()), lambda w, trial: sweeps.run_baseline(store, w, trial), processes)
@@ -118,7 +118,7 @@ def _recommended(so_far: Findings, trials: set[str]) -> dict[str, tuple[dict[str
 
 
 def prediction(opened: compare.Figures, closed: compare.Figures, trials: int) -> Findings:
-    """Whether open loop predicts closed loop, over the points of the accuracy sweeps and the recommended settings."""
+    """Say whether open loop predicts closed loop, over the accuracy sweeps' points and the recommended settings."""
     pairs = {
         "relative_p50": "mu_mean", "primal_p50": "tip_error_model_mean_mm", "loss_p50": "torque_rate_rms_Nm_per_s",
     }  # fmt: skip
@@ -141,7 +141,7 @@ JOBS: dict[str, Part] = {
 
 
 def steps(study: Study) -> int:
-    """How often the parts call ``study.advance``."""
+    """Return how often the parts call ``study.advance``."""
     config = study.config
     points = sum(len(sweep.points) for sweep in chosen_sweeps(study))
     points += len(sweeps.LATE) * len(config.sweeps.late_percent) * len(study.deadline_solvers)

@@ -11,17 +11,17 @@ RANKED = "answers_rightly"  # flag of the rows whose times are compared
 
 
 def count(key: str, title: str, better: Any = None, text: str = "") -> Column:
-    """How many."""
+    """Make a column of counts."""
     return Column(key, title, format=".0f", better=better, help=text)
 
 
 def residual(key: str, title: str, text: str = "", better: Any = "low") -> Column:
-    """A residual as a power of ten."""
+    """Make a column of residuals, as powers of ten."""
     return Column(key, title, format=".1e", better=better, help=text)
 
 
 def time(key: str, title: str, text: str = "") -> Column:
-    """A time [us]; the best is marked among those who answer rightly."""
+    """Make a column of times [us]; the best is marked among the solvers that answer rightly."""
     return Column(key, title, unit="us", format=".1f", better="low", help=text, among=RANKED)
 
 
@@ -39,12 +39,12 @@ def times(suffix: str = "") -> list[Column]:
 
 
 def error(key: str, title: str) -> Column:
-    """An error [mm]."""
+    """Make a column of errors [mm]."""
     return Column(key, title, unit="mm", digits=3, better="low")
 
 
 def change(key: str, title: str) -> Column:
-    """A change against DCAC, as a text with its interval."""
+    """Make a column of changes against DCAC, texts with their intervals."""
     return Column(key, title, unit="%", help="against DCAC's mean, with its 95 % interval")
 
 

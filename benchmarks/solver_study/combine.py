@@ -21,7 +21,7 @@ AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", 
 
 
 def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
-    """Controller -> metric over its trials, and its change against the baseline with an interval; see ``combined``."""
+    """Sum up controller -> metric over its trials, and its change against the baseline; see ``combined``."""
     by_name: dict[str, list[Run]] = {}
     for run in runs:
         by_name.setdefault(run.controller, []).append(run)
@@ -29,7 +29,7 @@ def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
 
 
 def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
-    """Change against the baseline [percent] on the trials that both finished: a ratio of means, with its interval.
+    """Compute the change against the baseline [percent] on the trials that both finished, with its interval.
 
     The mean of the trials' own gains is another number, and is not given.
     """
@@ -49,7 +49,7 @@ def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
 
 
 def combined(runs: Sequence[Run]) -> dict[str, Any]:
-    """The runs of one controller as one: means of means, largest of maxima, sums of counts, pooled times.
+    """Combine the runs of one controller: means of means, largest of maxima, sums of counts, pooled times.
 
     Runs that broke off enter none of these; ``runs``, ``broke_off``, ``stopped`` and ``oscillated`` count them.
     Means in the steady state are weighted by their number of ticks. Times, and what the clock decides, are those of

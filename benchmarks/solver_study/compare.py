@@ -37,7 +37,7 @@ HARMLESS = {
 
 
 def levels(values: Sequence[float], metric: str) -> Array:
-    """The values in steps of what is harmless, so that noise decides no rank; as they are where one is not positive."""
+    """Round the values to steps of what is harmless, so that noise decides no rank; not where one is not positive."""
     array = np.asarray(values, dtype=float)
     if metric not in HARMLESS or not (array > 0.0).all():
         return array
@@ -45,14 +45,14 @@ def levels(values: Sequence[float], metric: str) -> Array:
 
 
 def ranks(values: Sequence[float] | Array, more_is_better: bool) -> Array:
-    """1 for the best; ties share the mean of their ranks."""
+    """Rank the values, 1 for the best; ties share the mean of their ranks."""
     array = np.asarray(values, dtype=float)
     found: Array = stats.rankdata(-array if more_is_better else array)
     return found
 
 
 def correlations(open_loop: Figures, closed_loop: Figures) -> dict[str, dict[str, Any]]:
-    """Spearman's rank correlation of each open-loop with each closed-loop figure, over the names in both.
+    """Compute Spearman's rank correlation of each open-loop with each closed-loop figure, over the names in both.
 
     Both are ranked from good to bad, so that +1 says: what is better in open loop is better in closed loop.
 
@@ -78,7 +78,7 @@ def correlations(open_loop: Figures, closed_loop: Figures) -> dict[str, dict[str
 def disagreements(
     open_loop: Figures, closed_loop: Figures, one: str, other: str, count: int = 5
 ) -> list[dict[str, Any]]:
-    """Where the two rankings lie furthest apart: name, both ranks, both values, and in words."""
+    """Find where the two rankings lie furthest apart: name, both ranks, both values, and in words."""
     names = _shared(open_loop, one, closed_loop, other)
     if len(names) < 4:
         return []
@@ -100,7 +100,7 @@ def disagreements(
 
 
 def verdict(found: Figures, trials: int) -> str:
-    """What the correlations say, in words; of fewer than `LEAST_TRIALS` trials nothing is claimed."""
+    """Say in words what the correlations mean; of fewer than `LEAST_TRIALS` trials nothing is claimed."""
     if not found:
         return "Too few solvers ran in both parts for a rank correlation."
     if trials < LEAST_TRIALS:
@@ -133,7 +133,7 @@ def _shared(one: Figures, a: str, other: Figures, b: str) -> list[str]:
 
 
 def dual_distances(problems: Sequence[NullSpaceQP], duals: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
-    """How far the multipliers (k, 6) of any two solvers lie apart on the same problems.
+    """Measure how far the multipliers (k, 6) of any two solvers lie apart on the same problems.
 
     Each distance is |y_a - y_b|_inf over c2 |grad_mu|_inf, so that 1 is the size of the whole cost. ``along`` is the
     part on the null vector [u; -u] of the six rows, which no optimality condition determines; ``across`` the rest.
@@ -161,7 +161,7 @@ def dual_distances(problems: Sequence[NullSpaceQP], duals: Mapping[str, Array]) 
 
 
 def dual_verdict(six: Figures, five: Figures) -> str:
-    """What the distances say, in words."""
+    """Say in words what the distances mean."""
     if not six or not five:
         return "Fewer than two solvers gave duals on six and on five rows."
     worst = max(six, key=lambda pair: six[pair]["p50"])
@@ -177,7 +177,7 @@ def dual_verdict(six: Figures, five: Figures) -> str:
 
 
 def profile(costs: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """Dolan and More's performance profiles (2002).
+    """Compute Dolan and More's performance profiles (2002).
 
     Args:
         costs: name -> cost per problem (k,), infinite where it was not solved; at least 0.

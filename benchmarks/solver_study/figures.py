@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def performance_profile(tau: Array, shares: Mapping[str, Array], styles: Styles | None = None) -> go.Figure:
-    """Share of problems over the ratio to the fastest (log axis); what ends below 1 left problems unsolved.
+    """Draw the share of problems over the ratio to the fastest (log axis); what ends below 1 left problems unsolved.
 
     Args:
         tau: ratios (m,), from 1.
@@ -39,7 +39,7 @@ def sweep_panels(
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]], metrics: Mapping[str, str], x_label: str,
     references: Mapping[str, float] | None = None, zero: float | None = None,
 ) -> go.Figure:  # fmt: skip
-    """What is swept over a log axis, one panel per metric below each other.
+    """Draw what is swept over a log axis, one panel per metric below each other.
 
     Args:
         sweeps: name -> points with ``value`` and the metrics.

@@ -15,7 +15,7 @@ Rows = Mapping[str, Mapping[str, Any]]
 
 
 def headline(summary: Mapping[str, Rows], words: Mapping[str, str]) -> str:
-    """The result in words.
+    """Say the result in words.
 
     Args:
         summary: part -> solver or controller -> metric.

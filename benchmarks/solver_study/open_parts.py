@@ -29,7 +29,7 @@ GROWING = ("solve_p50_us", "solve_p99_us", "setup_p50_us", "update_p50_us")
 
 
 def recorded_sequence(study: Study, so_far: Findings) -> Findings:
-    """Every solver warm and cold on the recorded sequence, as we recommend it."""
+    """Ask every solver warm and cold for the recorded sequence, under the recommended settings."""
     config, data = study.config, recorded("recorded", so_far.sequence)
     limits = Limits(max(2.0, config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.open_loop.cold)
     thin = data.thinned(max(1, len(data.rows) // config.open_loop.cold))
@@ -56,7 +56,7 @@ def recorded_sequence(study: Study, so_far: Findings) -> Findings:
 
 
 def certified_sets(study: Study, so_far: Findings) -> Findings:
-    """Every setting of every solver on every set; the answers several at a time, the times one by one."""
+    """Ask every solver under every setting for every set; the answers several at a time, the times one by one."""
     table = study.config.testsets
     chosen = [load(name, table.every) for name in table.chosen()]
     limits = table.limits()
@@ -93,7 +93,7 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
 
 
 def more_joints(study: Study, so_far: Findings) -> Findings:
-    """How times grow with the joints, as we recommend each solver."""
+    """Measure how times grow with the joints, under the recommended settings."""
     limits = study.config.testsets.limits()
     sets = {n: growth.sequence(n) for n in study.config.growth.joints}
     found: dict[str, dict[str, Any]] = {}
@@ -118,7 +118,7 @@ def more_joints(study: Study, so_far: Findings) -> Findings:
 
 
 def duals(study: Study, so_far: Findings) -> Findings:
-    """The same problems on six rows and on five: how far apart are any two solvers' multipliers?"""
+    """Measure how far apart any two solvers' multipliers are on the same problems with six rows and with five."""
     config = study.config
     limits = config.testsets.limits()
     sets = [load(name, max(2, config.testsets.every)) for name in DUAL_SETS]

@@ -29,7 +29,7 @@ METRICS = {
 
 
 def sentences(study: Study, found: Findings) -> list[str]:
-    """What stands below the tables on the screen."""
+    """Return what stands below the tables on the screen."""
     said = [headline(found.summary, found.words)]
     if study.store.reused:
         said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")

@@ -150,7 +150,7 @@ QPSOLVERS = "qpsolvers:"
 def solver_settings(
     names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[SolverSetting]:
-    """Every setting of every named solver, in that order.
+    """Return every setting of every named solver, in that order.
 
     Args:
         names: of the registry; a solver without a row in the table (a plug-in) is studied as it comes.
@@ -165,7 +165,7 @@ def solver_settings(
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Setting -> (options, reason) of one solver."""
+    """Return name of a setting -> (options, reason) of one solver."""
     if name in SETTINGS:
         return SETTINGS[name]
     if not name.startswith(QPSOLVERS):
@@ -182,7 +182,7 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
 
 
 def effective(setting: SolverSetting) -> dict[str, Any]:
-    """What the solver really gets: our adapter's defaults with its options over them."""
+    """Return all options the solver gets: our adapter's defaults with its options over them."""
     found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period", "warm"):
         found.pop(name, None)
@@ -193,7 +193,7 @@ def effective(setting: SolverSetting) -> dict[str, Any]:
 
 
 def in_words(options: Mapping[str, Any]) -> str:
-    """Settings on one line."""
+    """Write settings on one line."""
     parts = []
     for name, value in options.items():
         if isinstance(value, Mapping):
@@ -204,7 +204,7 @@ def in_words(options: Mapping[str, Any]) -> str:
 
 
 def as_markdown() -> str:
-    """The table of docs/solvers.md: every solver that can run here, plug-ins left out."""
+    """Write the table of docs/solvers.md: every solver that can run here, plug-ins left out."""
     here = [name for name, reason in available().items() if reason is None]
     names = [name for name in here if name in SETTINGS or name.startswith(QPSOLVERS)]
     rows = ["| solver | setting | what it gets | why |", "|---|---|---|---|"]

@@ -113,7 +113,7 @@ Part = Callable[[Study, Findings], Findings]
 
 
 def record_sequence(config: Config) -> list[NullSpaceQP]:
-    """What a closed-loop run with ``exact`` asks, tick by tick."""
+    """Record the subproblems of a closed-loop run with ``exact``, one a tick."""
     (case,) = trials(config.scenario, [config.open_loop.task], [config.seed]).values()
     return open_loop.record(case.change(duration_s=config.open_loop.ticks * config.scenario.plant.period_s))
 

@@ -55,7 +55,7 @@ class Sweep:
 
 
 def accuracy(solver: str, option: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
-    """A solver's own option from loose to tight."""
+    """Sweep an option of one solver from loose to tight."""
     points = []
     for value in values:
         options = {**fixed, option: value}
@@ -66,7 +66,7 @@ def accuracy(solver: str, option: str, values: Sequence[float], about: str, **fi
 
 
 def accuracy_sweeps(full: bool) -> list[Sweep]:
-    """Tolerances, iterations and steps; costs unscaled, so that a tolerance means what it says."""
+    """Sweep tolerances, iterations and steps; costs unscaled, so that tolerances hold for the cost itself."""
     powers = [10.0**-k for k in range(1, 10)] if full else [1e-1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9]
     raw = {"cost_scale": 1.0}
     tolerance = "tolerance on the unscaled cost, five rows"
@@ -90,7 +90,7 @@ def accuracy_sweeps(full: bool) -> list[Sweep]:
 
 
 def damping_sweep() -> Sweep:
-    """rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
+    """Sweep rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
     values = [0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
     points = [
         Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "regularization": v}, "solver": {"name": "exact"}})
@@ -100,7 +100,7 @@ def damping_sweep() -> Sweep:
 
 
 def box_sweep(full: bool) -> Sweep:
-    """k0 from the paper's 0.1 up, and what stands for the answer of an infeasible subproblem."""
+    """Sweep k0 from the paper's 0.1 up, and what replaces the answer of an infeasible subproblem."""
     values = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0] if full else [0.1, 0.5, 2.0, 5.0]
     points = [
         Point(
@@ -114,7 +114,7 @@ def box_sweep(full: bool) -> Sweep:
 
 
 def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sweep:
-    """A budget that so many percent of the recorded times exceed, and what is fed back for a late answer.
+    """Sweep a budget that so many percent of the recorded times exceed, and what replaces a late answer.
 
     The times are replayed from the recording, tick by tick, so that the run can be repeated exactly.
     """
@@ -139,7 +139,7 @@ def run_sweep(
     cases: Mapping[str, Scenario],
     baselines: Mapping[str, Run],
 ) -> dict[str, Any]:
-    """One point on all trials; several run at a time, so its times say nothing and are left out.
+    """Run one point on all trials; several run at a time, so its times are left out.
 
     The bound is taken at few ticks and travel not at all: a sweep compares its points with each other.
     """
@@ -161,7 +161,7 @@ def run_sweep(
 
 
 def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
-    """DCAC with the gains of the others."""
+    """Run DCAC with the gains of the others."""
     return closed_loop.run_one(
         store, worker, closed_loop.variant(trial.change(bound_samples=BOUND_SAMPLES), BASELINE), BASELINE, None,
         timed=False, travel=False,
@@ -169,7 +169,7 @@ def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
 
 
 def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
-    """What `beginning_of_cost` found, a clause for each sweep."""
+    """Say in words what `beginning_of_cost` found, a clause for each sweep."""
     said = []
     for name, found in begins.items():
         labels = set(found.values())
@@ -183,7 +183,7 @@ def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
 
 
 def beginning_of_cost(points: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """From loose to tight: from which value on a metric stays within its tolerance of the tightest one's.
+    """Find from which value on, from loose to tight, a metric stays within its tolerance of the tightest one's.
 
     Returns:
         Metric -> label of the loosest value from which on every tighter one is as good as the tightest.

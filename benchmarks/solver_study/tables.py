@@ -46,14 +46,14 @@ STEADY = (
 
 
 def ranked(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """A row with its share of right answers, and whether its times are compared."""
+    """Return a row with its share of right answers, and whether its times are compared."""
     if "right" not in metrics:
         return dict(metrics)
     return {**metrics, "right_percent": 100.0 * share_right(metrics), RANKED: answers_rightly(metrics)}
 
 
 def tables(summary: Summary) -> dict[str, Table]:
-    """Part of the summary -> its table, in the order of the page."""
+    """Make the tables: part of the summary -> its table, in the order of the page."""
     found: dict[str, Table] = {}
 
     def add(part: str, title: str, columns: Sequence[Column], rows: Any = None, caption: str = "") -> None:
@@ -118,7 +118,7 @@ def _with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def troubles(summary: Summary) -> list[dict[str, Any]]:
-    """A row for each solver and part in which it raised an exception, hung or crashed: the first time, in words."""
+    """List each solver and part in which it raised an exception, hung or crashed: the first time, in words."""
     return [
         {"solver": name, "part": part, "trouble": row["trouble"]}
         for part, rows in summary.items()

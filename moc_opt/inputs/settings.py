@@ -1,4 +1,4 @@
-"""Settings that speak plainly: frozen pydantic models whose errors name field, value and cure."""
+"""Tables of settings: frozen pydantic models whose errors name field, value and cure."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """A headless Chromium, closed in the end.
+    """Start a headless Chromium, and close it in the end.
 
     Raises:
         BrowserMissingError: playwright or a browser is missing.
@@ -101,7 +101,7 @@ def browser() -> Iterator[Browser]:
 
 
 def browser_path() -> str | None:
-    """The browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
+    """Return the browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
 
     Raises:
         BrowserError: MOC_OPT_BROWSER names no program.

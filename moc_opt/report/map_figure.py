@@ -32,7 +32,7 @@ SHARED = ("9px,9px", "5px,13px", "3px,15px")
 def map_figure(
     found: SwivelMap, styles: Styles | None = None, *, titles: Mapping[str, str] | None = None
 ) -> go.Figure:
-    """Time to the right, swivel upwards, mu as colour, grey where no pose is allowed; a line for every run.
+    """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
     A run that folds the arm another way than the map is dotted: the colours under it are not its own. Where several
     runs go the same way, the line changes between their colours.

@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Saved traces under the names of their files, and the arm that they share.
+    """Load saved traces under the names of their files, and the arm that they share.
 
     Raises:
         ReportError: there are none, or they are not of one robot and tool.
@@ -30,7 +30,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def robot_of(trace: Trace) -> RobotModel:
-    """The arm that a trace was run with, from its `meta`.
+    """Load the arm that a trace was run with, from its `meta`.
 
     Raises:
         ReportError: the trace does not say.

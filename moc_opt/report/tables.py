@@ -94,7 +94,7 @@ class Table:
             raise ReportError(f"table {self.title!r}: two columns have the same key in {', '.join(keys)}")
 
     def cells(self, column: Column) -> list[Cell]:
-        """The column, one cell per row, written in one notation."""
+        """Return the column, one cell per row, written in one notation."""
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, column.digits, column.format)
         cells = [_cell(value, written) for value in values]
@@ -117,7 +117,7 @@ class Table:
         return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
 
     def to_rich(self, *, stacked: bool = False) -> RichTable:
-        """The table for a terminal; with ``stacked`` headings of several words stand one word below the other."""
+        """Draw the table for a terminal; with ``stacked`` each word of a heading has a line of its own."""
         drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left")
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(self.caption)) if self.caption else None
@@ -136,7 +136,7 @@ class Table:
         return drawn
 
     def fitted(self, width: int) -> list[RichTable]:
-        """The table in parts that a terminal of this width [characters] can show, the first column in each.
+        """Split the table into parts that a terminal of this width [characters] can show, the first column in each.
 
         A column that is wider by itself gets a part of its own. The caption stands below the last part.
         """
@@ -170,7 +170,7 @@ class Table:
         return GAP + max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
 
     def to_text(self) -> str:
-        """The table as plain text, as wide as it needs to be."""
+        """Write the table as plain text, as wide as it needs to be."""
         console = Console(file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False)
         console.print(self.to_rich())
         written: str = console.file.getvalue()  # type: ignore[attr-defined]
@@ -178,7 +178,7 @@ class Table:
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
-    """Numbers to the right, unless there are none."""
+    """Align numbers to the right, texts to the left."""
     values = [cell for cell in cells if cell.why is None]
     return "right" if all(cell.numeric for cell in values) and cells else "left"
 

@@ -43,7 +43,7 @@ class Path:
         )
 
     def at(self, s: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, unit tangent and curvature vector at an arc length.
+        """Return point, unit tangent and curvature vector at an arc length.
 
         Args:
             s: arc length [m] in [0, length], a number or a vector (k,).
@@ -58,7 +58,7 @@ class Path:
         return p, dp, ddp
 
     def point(self, s: float) -> tuple[float, ...]:
-        """The nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
+        """Return the nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
         x, y, tx, ty, k = self.curve.at(s)
         (ox, ax, bx), (oy, ay, by), (oz, az, bz) = self._axes
         u, v = -k * ty, k * tx

@@ -34,7 +34,7 @@ class TipReference(Protocol):
         """Its acceleration is nowhere above this [m/s^2]."""
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as rows (3, 3) at a time [s]; at rest before and after."""
+        """Return X_d, dX_d, ddX_d as rows (3, 3) at a time [s]; at rest before and after."""
 
 
 class ReferenceSequence:
@@ -78,12 +78,12 @@ class ReferenceSequence:
         return [offset + leg.t_start for offset, leg in zip(self._offsets, self.legs, strict=True)]
 
     def at(self, t: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, velocity, acceleration; arguments, shapes and errors as for `Reference.at`."""
+        """Return point, velocity, acceleration; arguments, shapes and errors as for `Reference.at`."""
         x, dx, ddx = sampled("t", t, self.rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
 
         Raises:
             TaskError: t is NaN.

@@ -107,7 +107,7 @@ class Reference:
         object.__setattr__(self, "duration", duration(self.path, self.v_max, self.a_max))
 
     def at(self, t: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, velocity and acceleration of the reference.
+        """Return point, velocity and acceleration of the reference.
 
         Before t_start it rests at the start of the path, after t_start + duration at its end.
 
@@ -124,7 +124,7 @@ class Reference:
         return x, dx, ddx
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
 
         Raises:
             TaskError: t is NaN.

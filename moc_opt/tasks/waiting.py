@@ -109,7 +109,7 @@ class WaitingReference:
         return self._d.copy()
 
     def step(self, go_on: bool, shift: ArrayLike | None = None) -> Array:
-        """The reference of this tick, and on to the next one.
+        """Return the reference of this tick, and go on to the next one.
 
         Args:
             go_on: whether the path may go on; told wrongly, or on and off at every tick, it is only slower.
@@ -202,7 +202,7 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """The camera's answers at the control ticks: each holds from its picture to the next one.
+    """Carry the camera's answers over to the control ticks: each holds from its picture to the next one.
 
     Args:
         times: (N,) of the ticks [s].

@@ -149,11 +149,11 @@ class Stored(Mapping[str, NDArray[Any]]):
         return sum(self.rows * dtype.itemsize * (self._widths[name] or 1) for name, dtype in self._types.items())
 
     def head(self, rows: int) -> Stored:
-        """The first rows of them."""
+        """Return the first rows of them."""
         return Stored(self._paths, rows)
 
     def blocks(self) -> Iterator[Stored]:
-        """The rows of one file after the other."""
+        """Yield the rows of one file after the other."""
         for path in self._paths:
             yield Stored([path])
 

@@ -52,7 +52,7 @@ def _opened(path: str | os.PathLike[str], **options: Any) -> Iterator[Any]:
 
 
 def described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int | None], dict[str, Any]]:
-    """Rows, types, widths and meta of a file, from its footer alone."""
+    """Read rows, types, widths and meta of a file, from its footer alone."""
     import pyarrow as pa
 
     name = str(path)
@@ -124,7 +124,7 @@ def to_arrow(array: NDArray[Any]) -> Any:
 
 
 def from_arrow(column: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The array that `to_arrow` was given."""
+    """Return the array that `to_arrow` was given."""
     import pyarrow as pa
 
     array = column.combine_chunks()

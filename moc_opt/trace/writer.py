@@ -75,11 +75,11 @@ class TraceWriter:
         write(self.folder / f"{first:09d}.parquet", columns, {})
 
     def rows(self) -> int:
-        """How many there are so far."""
+        """Return how many there are so far."""
         return self.columns().rows if _blocks(self.folder) else 0
 
     def columns(self) -> Stored:
-        """The rows so far.
+        """Return the rows so far.
 
         Raises:
             TraceError: there are none.
@@ -135,12 +135,12 @@ def _with(columns: Stored, more: Columns) -> Iterator[Columns]:
 
 
 def parts_of(path: Path) -> Path:
-    """The folder of blocks beside a file."""
+    """Return the folder of blocks beside a file."""
     return path.with_name(f"{path.name}.parts")
 
 
 def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
-    """The columns of a trace's file; where only blocks are there, theirs, and the meta that was known.
+    """Return the columns of a trace's file; where only blocks are there, theirs, and the meta that was known.
 
     Raises:
         TraceError: neither is there, or it is damaged.

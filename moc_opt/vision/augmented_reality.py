@@ -55,7 +55,7 @@ class Watch:
     """the tracked board in the base frame; the last one while it is lost"""
 
     def shifts(self, anchor: Pose, point: ArrayLike) -> Array:
-        """How far a point (3,) of a task, planned at the pose `anchor`, has moved with the board, (k, 3) [m]."""
+        """Return how far a point (3,) of a task, planned at the pose `anchor`, has moved with the board, (k, 3) [m]."""
         place = np.asarray(point, dtype=np.float64)
         return np.array([(board @ anchor.inverse()).apply(place) - place for board in self.boards])
 
@@ -187,11 +187,11 @@ class Augmented:
         return Watch(times, np.array(seen), tuple(boards))
 
     def task(self, task: BoardTask | str, board_in_base: Pose) -> Path:
-        """A virtual task in the base frame, for a board at this (estimated) pose; see `Board.task_in_base`."""
+        """Carry a virtual task into the base frame, for a board at this (estimated) pose; see `Board.task_in_base`."""
         return self.board.task_in_base(task, board_in_base)
 
     def accuracy(self, estimate: Pose, task: BoardTask | str | None = None) -> dict[str, float]:
-        """How far an estimate of the board in the base frame is from the truth, calibration error included.
+        """Measure how far an estimate of the board in the base frame is from the truth, calibration error included.
 
         Returns:
             board_position_mm, board_angle_deg, and with a task: task_error_max_mm, the largest distance between
@@ -207,7 +207,7 @@ class Augmented:
         return found
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """The run as the surgeon sees it, one picture for each of the camera's.
+        """Film the run as the surgeon sees it, one picture for each of the camera's.
 
         Args:
             file: .webm, .mp4 or .avi, or a folder for numbered PNG.

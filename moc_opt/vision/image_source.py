@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def make_view(robot: RobotModel, camera: Camera, board: Board, *, seed: int = 0) -> tuple[View, str | None]:
-    """The source of pictures that the camera's settings ask for, and why it is not MuJoCo if "auto" wanted that.
+    """Make the source of pictures that the camera's settings ask for, and why it is not MuJoCo if "auto" wanted that.
 
     Raises:
         PlantError: "mujoco" was asked for and cannot be used here.

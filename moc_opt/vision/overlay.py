@@ -41,7 +41,7 @@ class Overlay:
         trocar: ArrayLike | None = None,
         text: str = "",
     ) -> Picture:
-        """A copy of the picture with the overlay.
+        """Draw the overlay into a copy of the picture.
 
         Args:
             picture: (H, W, 3).

@@ -48,7 +48,7 @@ class DrawnView:
         return self._camera
 
     def picture(self, scene: Scene) -> Picture:
-        """The camera's picture (H, W, 3), blue green red."""
+        """Take the camera's picture (H, W, 3), blue green red."""
         width, height = self._camera.size_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         pose = self._camera.camera_in_base.inverse() @ scene.board_in_base
@@ -102,5 +102,5 @@ def _cover(board: Board, marker: int) -> Array:
 
 
 def cover_radius(board: Board) -> float:
-    """Radius of a patch that hides a marker [m]: not so large that it reaches into the neighbours."""
+    """Return the radius of a patch that hides a marker [m]: not so large that it reaches into the neighbours."""
     return min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m)

@@ -28,7 +28,7 @@ _THIN = 1e-4  # half the thickness of the board and of the covers [m]
 
 
 def gl_platform() -> str:
-    """The off-screen platform of this machine: MUJOCO_GL if it names one, else the first whose library is there.
+    """Return the off-screen platform of this machine: MUJOCO_GL if it names one, else the first whose library is there.
 
     Raises:
         PlantError: there is none; the message says what to install.
@@ -105,7 +105,7 @@ class RenderedView:
         self._closer()
 
     def picture(self, scene: Scene) -> Picture:
-        """The camera's picture (H, W, 3), blue green red.
+        """Take the camera's picture (H, W, 3), blue green red.
 
         Raises:
             PlantError: the view was closed, or the scene's pose is not this arm's.

@@ -69,11 +69,11 @@ class BoardSettings(VisionSettings):
         return self
 
     def board(self) -> Board:
-        """The board that they describe."""
+        """Return the board that they describe."""
         return Board(self.columns, self.rows, self.marker_m, self.gap_m)
 
     def is_lost(self, t: float) -> bool:
-        """Whether nothing of the board can be seen at time t [s]."""
+        """Return whether nothing of the board can be seen at time t [s]."""
         return any(start <= t < end for start, end in self.lost_s)
 
 

@@ -16,7 +16,7 @@ from moc_opt.report.notation import pretty_units
 def box_plots(
     groups: Mapping[str, Samples], value_label: str, *, log: bool = False, styles: Styles | None = None
 ) -> go.Figure:
-    """Box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
+    """Draw box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
 
     Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths (Tukey); samples
     beyond are points, at most forty a box, the outermost always among them.

@@ -22,7 +22,7 @@ _ECDF_POINTS, _STRIP_POINTS, _KERNEL_POINTS = 400, 160, 161
 def latency_ecdf(
     samples: Samples, deadline_us: float | None = None, *, tail: bool = False, styles: Styles | None = None
 ) -> go.Figure:
-    """The fraction of solves or ticks that are done within a time, on a log axis of time.
+    """Draw the fraction of solves or ticks that are done within a time, on a log axis of time.
 
     Args:
         samples: name -> times [us]; NaN (no solve) is left out, infinity (never done) counts as late; a name
@@ -63,7 +63,7 @@ def latency_ecdf(
 
 
 def latency_violin(samples: Samples, deadline_us: float | None = None, *, styles: Styles | None = None) -> go.Figure:
-    """One violin per name on a log axis of time: density of log10(time), median, quartiles, 99th percentile.
+    """Draw one violin per name on a log axis of time: density of log10(time), median, quartiles, 99th percentile.
 
     Infinite times have no place on the axis: their number stands beside the name.
 
@@ -98,7 +98,7 @@ def residual_strip(
     samples: Samples, value_label: str, *,
     limit: float | None = None, floor: float = 1e-18, styles: Styles | None = None,
 ) -> go.Figure:  # fmt: skip
-    """One row per name on a log axis: its residuals as points, the middle half as a bar, the worst as a cross.
+    """Draw one row per name on a log axis: its residuals as points, the middle half as a bar, the worst as a cross.
 
     Args:
         samples: name -> residuals, not negative; NaN is left out, zeros and less than `floor` are drawn at `floor`,
@@ -171,7 +171,7 @@ def _marks(drawn: go.Figure, row: int, name: str, style: Style, values: Mapping[
 
 
 def known_samples(name: str, values: ArrayLike, *, signed: bool = False) -> Floats:
-    """The samples that are not NaN, maybe none; not negative unless `signed`."""
+    """Return the samples that are not NaN, maybe none; not negative unless `signed`."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if not signed and (known < 0.0).any():

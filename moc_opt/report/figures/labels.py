@@ -12,7 +12,7 @@ TOLERATED_PX2, SHYNESS_PX2 = 25.0, 20.0
 
 
 def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str] = ()) -> dict[str, str | None]:
-    """On which side of its point each name stands, in plotly's words.
+    """Choose on which side of its point each name stands, in plotly's words.
 
     Greedy: the names of `front` choose first, then the others in their order; each takes the side where it covers
     least of what is there.

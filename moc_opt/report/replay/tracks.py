@@ -46,7 +46,7 @@ class Block:
 
 
 def frame_times(runs: Mapping[str, Trace]) -> Array:
-    """Times [s] of the frames, the same for all runs: from the first tick of any to the last of any."""
+    """Return times [s] of the frames, the same for all runs: from the first tick of any to the last of any."""
     start = min(float(trace.t_s[0]) for trace in runs.values())
     end = max(float(trace.t_s[-1]) for trace in runs.values())
     count = int(np.ceil((end - start) * FRAMES_PER_S)) + 1

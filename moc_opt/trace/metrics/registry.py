@@ -130,13 +130,13 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
 
 
 def floats(trace: Trace, column: str) -> Floats:
-    """A column of numbers; of vectors, their lengths."""
+    """Return a column of numbers; of vectors, their lengths."""
     values = np.asarray(getattr(trace, column), dtype=np.float64)
     return values if values.ndim == 1 else lengths(values)
 
 
 def known(trace: Trace, column: str) -> Floats:
-    """The entries of a column that are not NaN; there must be one."""
+    """Return the entries of a column that are not NaN; there must be one."""
     values = floats(trace, column)
     values = values[~np.isnan(values)]
     if values.size == 0:
@@ -145,10 +145,10 @@ def known(trace: Trace, column: str) -> Floats:
 
 
 def count(ticks: NDArray[Any]) -> float:
-    """How many ticks are marked."""
+    """Return how many ticks are marked."""
     return float(np.count_nonzero(ticks))
 
 
 def lengths(rows: Floats) -> Floats:
-    """Euclidean length of each row."""
+    """Return the Euclidean length of each row."""
     return np.asarray(np.sqrt((rows * rows).sum(axis=1)), dtype=np.float64)
