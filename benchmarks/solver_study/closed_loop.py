@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import Hung, Worker, WorkerError, beat, spread
+from benchmarks.crew import spread
+from benchmarks.processes import Hung, Worker, WorkerError, beat
 from benchmarks.solver_study.store import Part, Store
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault

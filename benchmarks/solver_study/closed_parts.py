@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import Worker, spread
+from benchmarks.crew import spread
+from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
 from benchmarks.solver_study.answers import Data, Limits, asked, recorded
 from benchmarks.solver_study.cells import Cell

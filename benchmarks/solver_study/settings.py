@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks import markdown
 from moc_opt.solvers import available, create
 from moc_opt.solvers.registry import defaults
 
@@ -207,10 +208,10 @@ def as_markdown() -> str:
     """Write the table of docs/solvers.md: every solver that can run here, plug-ins left out."""
     here = [name for name, reason in available().items() if reason is None]
     names = [name for name in here if name in SETTINGS or name.startswith(QPSOLVERS)]
-    rows = ["| solver | setting | what it gets | why |", "|---|---|---|---|"]
-    for setting in solver_settings(names):
-        rows.append(f"| `{setting.solver}` | {setting.name} | {in_words(effective(setting))} | {setting.reason} |")
-    return "\n".join(rows)
+    return markdown.table(
+        ("solver", "setting", "what it gets", "why"),
+        [(f"`{s.solver}`", s.name, in_words(effective(s)), s.reason) for s in solver_settings(names)],
+    )
 
 
 if __name__ == "__main__":
