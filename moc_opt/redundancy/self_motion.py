@@ -131,10 +131,7 @@ class _Curve:
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
         chain = robot.chain
         self._arm = kernels.Constraint(
-            chain.rotations,
-            chain.origins,
-            chain.axes,
-            chain.prismatic,
+            chain.joints,
             chain.offsets,
             robot.moves,
             robot.q_min,

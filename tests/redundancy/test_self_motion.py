@@ -124,10 +124,7 @@ def test_a_tool_off_the_last_axis_leaves_a_curve(odd_robot: RobotModel) -> None:
 def test_forward_kernel_is_the_model(odd_robot: RobotModel) -> None:
     chain, rng = odd_robot.chain, np.random.default_rng(2)
     arm = kernels.Constraint(
-        chain.rotations,
-        chain.origins,
-        chain.axes,
-        chain.prismatic,
+        chain.joints,
         chain.offsets,
         odd_robot.moves,
         odd_robot.q_min,
