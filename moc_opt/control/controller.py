@@ -18,6 +18,7 @@ from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import Session, Solution, Solver
@@ -102,7 +103,7 @@ class Controller:
         n = self.robot.n
         self._share = 0.0  # of the third level
         self._Z = np.zeros((0, n))
-        self._tau = _read_only(np.zeros(n))
+        self._tau = read_only(np.zeros(n))
         self._supervisor.forget()
         self.subproblem: NullSpaceQP | None = None
         self.solution: Solution | None = None
@@ -145,7 +146,7 @@ class Controller:
         """
         self._forget()
         self._Z = manipulability.null_space(state.A)
-        self._tau = _read_only(np.array(state.h))
+        self._tau = read_only(np.array(state.h))
         if self._observer is not None:
             self._observer.start(state)
         if self.solver is not None:
@@ -219,7 +220,7 @@ class Controller:
 
     def set_applied_torque(self, tau: Array) -> None:
         """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
-        self._tau = _read_only(np.array(tau, dtype=np.float64))
+        self._tau = read_only(np.array(tau, dtype=np.float64))
 
     def _build(self, state: RobotState, tip_ref: Array, trocar: Array) -> NullSpaceQP:
         row = np.empty(self._row_length)
@@ -271,8 +272,3 @@ def _started(solver: Solver, qp: NullSpaceQP) -> tuple[Session, bool]:
     except BaseException as error:  # foreign code may raise anything
         raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
     raise ControlError(f"solver {name} cannot run in this controller: {reason}")
-
-
-def _read_only(array: Array) -> Array:
-    array.setflags(write=False)
-    return array

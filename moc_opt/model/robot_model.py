@@ -19,6 +19,7 @@ from moc_opt.model import kinematics_kernels as kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData, load_data
 
@@ -53,7 +54,7 @@ class RobotModel:
         self._pin_data = self._pin.createData()
         self._side_data = self._pin.createData()
         frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
-        self._offsets = _read_only(np.array([frame.placement.translation for frame in frames]))
+        self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
         self._mount, self._tip_offset = np.ascontiguousarray(frames[0].placement.rotation.T), self._offsets[0]
         if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
@@ -63,7 +64,7 @@ class RobotModel:
         self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
         self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
-        self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
+        self._moves = read_only(np.ones((2, n), dtype=np.bool_))
         self._moves = self._find_moves()
         self._kinematics: Kinematics | None = None
 
@@ -213,7 +214,7 @@ class RobotModel:
         rng = np.random.default_rng(0)
         states = [self.state(rng.uniform(self.q_min, self.q_max)) for _ in range(4)]
         columns = np.array([np.linalg.norm(s.A.reshape(2, 3, self.n), axis=1) for s in states])
-        return _read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
+        return read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
 
 
 def load_robot(
@@ -230,12 +231,6 @@ def load_robot(
     if not CARTESIAN.keys() <= robot.data.gains.keys():
         robot.data = replace(robot.data, gains={**derived_gains(robot), **robot.data.gains})
     return robot
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    # Always, so that the kernels are compiled for one kind of argument only.
-    array.flags.writeable = False
-    return array
 
 
 def _numbers(body: Any) -> list[float]:

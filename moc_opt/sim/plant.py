@@ -10,6 +10,7 @@ from numba import float64, int64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
@@ -320,48 +321,42 @@ class Plant:
     @property
     def q(self) -> Array:
         """(n,) true joint positions [rad]; a read-only copy, as all that follow."""
-        return _readonly(self._q)
+        return read_only(self._q.copy())
 
     @property
     def v(self) -> Array:
         """(n,) true joint velocities [rad/s]."""
-        return _readonly(self._v)
+        return read_only(self._v.copy())
 
     @property
     def applied_torque(self) -> Array:
         """(n,) torque of the drives in the last period, delayed and saturated, without ripple [Nm]."""
-        return _readonly(self._joints.torque)
+        return read_only(self._joints.torque.copy())
 
     @property
     def tip(self) -> Array:
         """(3,) true tip [m]."""
-        return _readonly(self._xpos[self._tip])
+        return read_only(self._xpos[self._tip].copy())
 
     @property
     def wrist(self) -> Array:
         """(3,) true wrist centre [m]."""
-        return _readonly(self._xpos[self._wrist])
+        return read_only(self._xpos[self._wrist].copy())
 
     @property
     def mount_rotation(self) -> Array:
         """(3, 3) true orientation of the force/torque sensor, world from sensor."""
-        return _readonly(self._mount)
+        return read_only(self._mount.copy())
 
     @property
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
         row = np.empty(2 * self.data.n + 9)
         self.write_truth(row)
-        return _readonly(row[-3:])
+        return read_only(row[-3:].copy())
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         array = np.asarray(value, dtype=np.float64)
         if array.shape != (self.data.n,) or not np.isfinite(array).all():
             raise PlantError(f"{name} = {array.tolist()!r:.200}: give {self.data.n} finite numbers")
         return array
-
-
-def _readonly(array: Array) -> Array:
-    copy = array.copy()
-    copy.flags.writeable = False
-    return copy

@@ -11,6 +11,7 @@ from numba import float64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
@@ -126,14 +127,14 @@ class Encoders:
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """First reading at (q, v), each (n,): the velocity estimate begins at v."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), _frozen(v)
         self._velocity[:] = v
         return self._sample(q, 0.0)
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), _frozen(v)
         return self._sample(q, self._gain)
 
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
@@ -258,13 +259,8 @@ def _vector(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise PlantError(f"{name} must be finite and of shape {shape}: it is {array.tolist()!r:.100}")
-    return _sealed(array)
+    return read_only(array)
 
 
 def _frozen(array: Array) -> Array:
-    return _sealed(array.copy())
-
-
-def _sealed(array: Array) -> Array:
-    array.flags.writeable = False
-    return array
+    return read_only(array.copy())
