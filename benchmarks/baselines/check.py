@@ -67,7 +67,10 @@ def job(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> J
 
 
 def perform(peer: Peer, robot: RobotModel, work: Job) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given."""
+    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given.
+
+    No plant and no safety filter: most peers answer with velocities, which the closed loop's step does not take.
+    """
     q, v = work.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(work.tip_refs), robot.n)), []
     for k in range(len(poses)):
