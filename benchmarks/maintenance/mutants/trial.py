@@ -23,6 +23,8 @@ from typing import Any
 from benchmarks.processes import Crashed, Hung, Raised, Worker
 
 OURS = ("moc_opt", "benchmarks", "tests")
+COMPILERS = ("numba", "moc_opt.numerics.cache")
+"""Modules that ``njit`` comes from."""
 _LIBRARIES = (
     "numpy", "scipy.linalg", "scipy.optimize", "numba", "pinocchio", "casadi", "mujoco", "pydantic", "pytest",
     "hypothesis.strategies", "qpsolvers", "pyarrow.parquet",
@@ -66,7 +68,7 @@ def dependents(root: Path, module: str) -> frozenset[str]:
 def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
     """Return the modules whose compiled kernels may hold what stands in that line of a module.
 
-    All that ``dependents`` finds; none where a module without numba has the line in a function: a kernel takes
+    All that ``dependents`` finds; none where a module without ``njit`` has the line in a function: a kernel takes
     constants and kernels from other modules, and compiles no plain function.
     """
     path = root.joinpath(*module.split(".")).with_suffix(".py")
@@ -74,7 +76,7 @@ def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
     inside = any(
         isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or line) for node in tree.body
     )
-    if inside and not any(name.split(".")[0] == "numba" for name in _imported(tree, ())):
+    if inside and not any(name.startswith(COMPILERS) for name in _imported(tree, ())):
         return frozenset()
     return dependents(root, module)
 
