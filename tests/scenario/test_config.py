@@ -553,3 +553,11 @@ def test_observer_helps_moc_too():
         run(base.change(control={"observer_gain_per_s": g})).tip_error_m[800:].mean() for g in (20.0, 0.0)
     ]
     assert tips[0] < 0.5 * tips[1]
+
+
+def test_recorded_solve_times_are_replayed_from_the_first_tick_on():
+    """The discarded tick before the loop uses up none of them, and they begin anew at their end."""
+    times = [11.0, 12.0, 13.0]
+    setup = Setup(Scenario(duration_s=0.01, solver={"replay_us": times}, **BARE))
+    assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]
+    assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]
