@@ -19,7 +19,7 @@ from benchmarks.latency.goals import GOALS
 from benchmarks.markdown import fill_section, table
 from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
-from benchmarks.solver_study.closed_loop import BASELINE
+from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.tables import STEADY
 from benchmarks.statistics import spread
 from moc_opt.errors import MocOptError

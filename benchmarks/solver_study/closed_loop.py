@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks.crew import spread
 from benchmarks.processes import Hung, Worker, WorkerError, beat
+from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.solver_study.store import Part, Store
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
@@ -24,7 +25,6 @@ from moc_opt.trace.trace import Trace
 
 Array = NDArray[Any]
 
-BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
 KEPT = (
     "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_model_m", "trocar_force_N",
     "solve_us", "tick_us",
@@ -88,29 +88,6 @@ class Run:
 def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return the columns with a row for each tick."""
     return {name: column for name, column in columns.items() if name not in (*POSES, TRANSIENT)}
-
-
-def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
-    """Make one scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
-    start = {"pose": "random", "swivel": "random"}
-    return {
-        f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
-        for task in tasks
-        for seed in seeds
-    }
-
-
-def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
-    q = scenario.Setup(trial).q_start.tolist()
-    return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
-
-
-def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under DCAC (with MOC's gains) or under MOC with the named solver."""
-    if controller == BASELINE:
-        return trial.change(control=trial.control.matched_dcac())
-    return trial.change(solver={"name": controller, "settings": dict(settings or {})})
 
 
 def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool) -> Iterator[Part]:

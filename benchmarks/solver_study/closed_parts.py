@@ -12,6 +12,8 @@ from benchmarks.crew import spread
 from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
 from benchmarks.solver_study.answers import Data, Limits, asked, recorded
+from benchmarks.solver_study.cases import trials as draw_trials
+from benchmarks.solver_study.cases import variant
 from benchmarks.solver_study.cells import Cell
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import ClosedLoop, Sweeps
@@ -24,7 +26,7 @@ from moc_opt.scenario import Scenario
 def cases(study: Study, part: ClosedLoop | Sweeps) -> dict[str, Scenario]:
     """Return the trials of a part, by name."""
     base = study.config.scenario.change(duration_s=part.duration_s)
-    return closed_loop.trials(base, part.tasks, [study.config.seed + i for i in range(part.seeds)])
+    return draw_trials(base, part.tasks, [study.config.seed + i for i in range(part.seeds)])
 
 
 def controllers(study: Study, so_far: Findings) -> Findings:
@@ -97,7 +99,7 @@ def _deadlines(study: Study, trials: Mapping[str, Scenario], baselines: Mapping[
     found, first = [], next(iter(trials.values()))
     with Worker() as worker:
         for name in study.deadline_solvers:
-            trial = closed_loop.variant(first, name, study.config.settings.get(name, {}))
+            trial = variant(first, name, study.config.settings.get(name, {}))
             run = closed_loop.run_one(study.store, worker, trial, name, baselines[first.name])
             if not run.columns:
                 continue

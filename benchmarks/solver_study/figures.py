@@ -15,15 +15,14 @@ from moc_opt.report.figures.style import TEMPLATE, Styles, figure, label, log_ax
 Array = NDArray[np.float64]
 
 
-def performance_profile(tau: Array, shares: Mapping[str, Array], styles: Styles | None = None) -> go.Figure:
+def performance_profile(tau: Array, shares: Mapping[str, Array]) -> go.Figure:
     """Draw the share of problems over the ratio to the fastest (log axis); what ends below 1 left problems unsolved.
 
     Args:
         tau: ratios (m,), from 1.
         shares: name -> (m,), see `compare.profile`.
-        styles: how each name looks; None deals colours out anew.
     """
-    drawn, styles = figure(legend_y=1.08), styles or Styles(shares)
+    drawn, styles = figure(legend_y=1.08), Styles(shares)
     for name, share in shares.items():
         drawn.add_scatter(
             x=tau, y=np.round(share, 4), mode="lines", name=label(name),
@@ -37,7 +36,7 @@ def performance_profile(tau: Array, shares: Mapping[str, Array], styles: Styles 
 
 def sweep_panels(
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]], metrics: Mapping[str, str], x_label: str,
-    references: Mapping[str, float] | None = None, zero: float | None = None,
+    zero: float | None = None,
 ) -> go.Figure:  # fmt: skip
     """Draw what is swept over a log axis, one panel per metric below each other.
 
@@ -45,7 +44,6 @@ def sweep_panels(
         sweeps: name -> points with ``value`` and the metrics.
         metrics: metric -> label of its panel.
         x_label: of the common axis.
-        references: metric -> value of a dotted line.
         zero: where a value of 0 is drawn on the log axis; None leaves it out.
     """
     styles, names = Styles(sweeps), list(sweeps)
@@ -61,8 +59,6 @@ def sweep_panels(
                 marker={"symbol": styles[name].symbol, "size": 7},
                 hovertemplate="%{x:.3g}: %{y:.4g}<extra>%{fullData.name}</extra>",
             )  # fmt: skip
-        if references and metric in references:
-            drawn.add_hline(y=references[metric], line={"dash": "dot", "width": 1}, row=row, col=1)
         drawn.update_xaxes(type="log", row=row, col=1)
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,

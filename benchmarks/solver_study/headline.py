@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly, share_right
-from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.study import NONLINEAR
 from benchmarks.statistics import spread

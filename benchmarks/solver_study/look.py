@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.look import add_replay, trial_map
-from benchmarks.solver_study.closed_loop import BASELINE, Run
+from benchmarks.solver_study.cases import BASELINE
+from benchmarks.solver_study.closed_loop import Run
 from moc_opt.redundancy.manipulability_map import SwivelMap
 from moc_opt.redundancy.map_analysis import read_trajectory
 from moc_opt.report.figures.style import Styles

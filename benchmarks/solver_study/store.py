@@ -26,8 +26,8 @@ from moc_opt.inputs.files import file_in, parse_json, read_arrays, read_bytes, t
 ROOT = Path(__file__).resolve().parents[2]
 # What decides a part's content, beside the package itself; reports and figures do not.
 SOURCES = (
-    "timing", "arms", "processes", "solver_study/closed_loop", "solver_study/open_loop", "solver_study/answers",
-    "solver_study/solving", "solver_study/sweeps", "solver_study/growth",
+    "timing", "arms", "processes", "solver_study/cases", "solver_study/closed_loop", "solver_study/open_loop",
+    "solver_study/answers", "solver_study/solving", "solver_study/sweeps", "solver_study/growth",
 )  # fmt: skip
 META = "_meta"
 MOST_BYTES = 2**27

@@ -10,7 +10,8 @@ from time import perf_counter
 from typing import Any
 
 from benchmarks.solver_study import open_loop
-from benchmarks.solver_study.closed_loop import Run, trials
+from benchmarks.solver_study.cases import trials
+from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import Config
 from benchmarks.solver_study.settings import QPSOLVERS, RECOMMENDED, SolverSetting, solver_settings
 from benchmarks.solver_study.store import Store

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine
-from benchmarks.solver_study.closed_loop import BASELINE, Run
+from benchmarks.solver_study.cases import BASELINE, variant
+from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Store
@@ -163,7 +164,7 @@ def run_sweep(
 def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
     """Run DCAC with the gains of the others."""
     return closed_loop.run_one(
-        store, worker, closed_loop.variant(trial.change(bound_samples=BOUND_SAMPLES), BASELINE), BASELINE, None,
+        store, worker, variant(trial.change(bound_samples=BOUND_SAMPLES), BASELINE), BASELINE, None,
         timed=False, travel=False,
     )
 

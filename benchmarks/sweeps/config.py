@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from benchmarks.config import Configuration, runnable
-from benchmarks.solver_study.closed_loop import BASELINE
+from benchmarks.solver_study.cases import BASELINE
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes
 from moc_opt.errors import UnknownNameError, shown

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.solver_study.closed_loop import BASELINE, variant
+from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.sweeps.config import Config, chosen_seeds, chosen_solvers
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes, random_draws, with_value

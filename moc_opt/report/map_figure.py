@@ -87,6 +87,8 @@ def map_figure(
     return drawn
 
 
+LEAP_DEG = 25.0
+"""From one time to the next: a line that turns by more has a gap there."""
 HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.name}</extra>"
 
 
@@ -142,9 +144,9 @@ def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:
     )  # fmt: skip
 
 
-def _broken(t: Array, degrees: Array, jump: float = 25.0) -> tuple[Array, Array]:
+def _broken(t: Array, degrees: Array) -> tuple[Array, Array]:
     """The line with a gap wherever it leaps."""
-    leaps = np.flatnonzero(np.abs(np.diff(degrees)) > jump) + 1
+    leaps = np.flatnonzero(np.abs(np.diff(degrees)) > LEAP_DEG) + 1
     return np.insert(t, leaps, np.nan), np.insert(degrees, leaps, np.nan)
 
 

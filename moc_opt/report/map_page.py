@@ -189,7 +189,7 @@ def trajectory_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequen
     return Table(f"Trajectories on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
 
 
-def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
+def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
     """Return a page with the map of saved traces, named as their files are.
 
     Raises:
@@ -198,7 +198,7 @@ def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Pag
         TraceError: a file is missing, damaged, or no trace.
     """
     traces, robot = load_runs(files)
-    page = Page(title or "Manipulability along the path", " and ".join(traces))
+    page = Page("Manipulability along the path", " and ".join(traces))
     add_map(page, manipulability_map(robot, traces))
     return page
 

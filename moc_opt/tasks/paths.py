@@ -79,7 +79,7 @@ class Path:
 
 
 def line(start: ArrayLike, end: ArrayLike) -> Path:
-    """Straight path between two different points (3,) [m].
+    """Make a straight path between two different points (3,) [m].
 
     Raises:
         TaskError: a point is not usable, or both are the same.
@@ -95,13 +95,12 @@ def line(start: ArrayLike, end: ArrayLike) -> Path:
 
 
 def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, normal: ArrayLike) -> Path:
-    """One full turn, counter-clockwise seen from the tip of the normal; end and start meet smoothly.
+    """Make one full turn, counter-clockwise seen from the tip of the normal; end and start meet smoothly.
 
     Args:
         start: a point of the circle, where it begins, (3,) [m].
         center_direction: from there to its centre, (3,), any length; its part along the normal is taken out.
-        radius: [m].
-        normal: of its plane, (3,).
+        radius, normal: as in `Circle` and `Path`.
 
     Raises:
         TaskError: a size is not positive and finite, or the directions do not span a plane.
@@ -117,34 +116,17 @@ def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, norm
 def sinusoid(
     start: ArrayLike, heading: ArrayLike, *, amplitude: float, wavelength: float, periods: float, normal: ArrayLike
 ) -> Path:
-    """Sine wave about the axis through `start` along `heading`; it begins on the axis, going to the left.
+    """Make a sine wave about the axis through `start` along `heading`; it begins on the axis, going to the left.
 
-    Args:
-        start: where it begins, (3,) [m].
-        heading: its axis, (3,), any length; the part along the normal is taken out.
-        amplitude: [m], from the axis to a crest.
-        wavelength: [m], measured along the axis.
-        periods: their number, whole or not.
-        normal: of its plane, (3,).
-
-    Raises:
-        TaskError: a size is not positive and finite, or the directions do not span a plane.
+    Arguments as in `Sinusoid` and `Path`; errors as in `circle`.
     """
     return Path(Sinusoid(amplitude, wavelength, periods), start, normal=normal, heading=heading)
 
 
 def spiral(start: ArrayLike, heading: ArrayLike, *, turns: float, radius: float, normal: ArrayLike) -> Path:
-    """Archimedean spiral from its centre `start` outwards, counter-clockwise seen from the tip of the normal.
+    """Make an Archimedean spiral from its centre `start` outwards, counter-clockwise seen from the tip of the normal.
 
-    Args:
-        start: its centre, where it begins, (3,) [m].
-        heading: its direction there, (3,), any length; the part along the normal is taken out.
-        turns: their number, whole or not.
-        radius: the final distance from the centre [m].
-        normal: of its plane, (3,).
-
-    Raises:
-        TaskError: a size is not positive and finite, or the directions do not span a plane.
+    Arguments as in `Spiral` and `Path`; errors as in `circle`.
     """
     return Path(Spiral(turns, radius), start, normal=normal, heading=heading)
 

@@ -16,6 +16,7 @@ Array = NDArray[np.float64]
 Shaft = Callable[[Array], tuple[Array, Array]]
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)  # blue, green, red
+SHAFT_RADIUS_M = 0.004  # of the tool as it is drawn
 _FINER = 2  # pixels drawn for each pixel of the picture, each way: the markers' edges come out smooth
 
 
@@ -23,7 +24,7 @@ class DrawnView:
     """Draws the board by a perspective warp, covers and the tool's shaft as polygons, then exposes the sensor."""
 
     def __init__(
-        self, camera: Camera, board: Board, *, shaft: Shaft | None = None, radius_m: float = 0.004, seed: int = 0
+        self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0
     ) -> None:
         """Prepare.
 
@@ -32,10 +33,9 @@ class DrawnView:
             board: what it looks at.
             shaft: pose q (n,) of the arm -> tip (3,) and another point (3,) of its shaft, base frame [m];
                 None: the tool is not drawn.
-            radius_m: of the shaft [m].
             seed: of the sensor's noise.
         """
-        self._camera, self._board, self._shaft, self._radius = camera, board, shaft, radius_m
+        self._camera, self._board, self._shaft = camera, board, shaft
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)
         self._to_board = np.linalg.inv(texture_matrix(board))
         self._sensor = Sensor(camera.settings, seed)
@@ -82,7 +82,7 @@ class DrawnView:
         if far[2] < least:
             far = near + (near[2] - least) / (near[2] - far[2]) * (far - near)
         side = np.cross(far - near, near)
-        side = self._radius * side / max(float(np.linalg.norm(side)), 1e-12)
+        side = SHAFT_RADIUS_M * side / max(float(np.linalg.norm(side)), 1e-12)
         quad = np.array([near + side, far + side, far - side, near - side])
         self._fill(page, self._camera.camera_in_base.apply(quad), STEEL)
 

@@ -19,7 +19,7 @@ from moc_opt.sim.mjcf import TOOL_BODY, build_spec, compile_model
 from moc_opt.vision.board import Board
 from moc_opt.vision.camera import Camera, Picture, Scene, Sensor
 from moc_opt.vision.markers import board_picture
-from moc_opt.vision.pinhole import COVER, STEEL, TISSUE, cover_radius
+from moc_opt.vision.pinhole import COVER, SHAFT_RADIUS_M, STEEL, TISSUE, cover_radius
 
 Array = NDArray[np.float64]
 
@@ -55,7 +55,7 @@ class RenderedView:
     """
 
     def __init__(
-        self, data: RobotData, camera: Camera, board: Board, *, radius_m: float = 0.004, seed: int = 0
+        self, data: RobotData, camera: Camera, board: Board, *, seed: int = 0
     ) -> None:
         """Build the scene and its GL context.
 
@@ -63,7 +63,6 @@ class RenderedView:
             data: the robot.
             camera: the true camera.
             board: what it looks at.
-            radius_m: of the tool's shaft [m].
             seed: of the sensor's noise.
 
         Raises:
@@ -74,7 +73,7 @@ class RenderedView:
         width, height = camera.size_px
         self._frame = np.empty((height, width, 3), dtype=np.uint8)
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
-        self._model = compile_model(data.name, _spec(data, camera, board, radius_m))
+        self._model = compile_model(data.name, _spec(data, camera, board))
         self._data = mujoco.MjData(self._model)
         self._covers = {marker: self._model.geom(_cover_name(marker)).id for marker in board.ids}
         self._shaft = self._model.geom("shaft").id
@@ -133,7 +132,7 @@ class RenderedView:
         return self._sensor.expose(np.ascontiguousarray(self._frame[::-1, :, ::-1]))
 
 
-def _spec(data: RobotData, camera: Camera, board: Board, radius_m: float) -> mujoco.MjSpec:
+def _spec(data: RobotData, camera: Camera, board: Board) -> mujoco.MjSpec:
     """The arm's model with camera, light, board, covers and shaft."""
     spec = build_spec(data, substep_s=1e-3)
     spec.compiler.discardvisual = False  # a model that comes from a URDF drops every shape that cannot collide
@@ -155,7 +154,7 @@ def _spec(data: RobotData, camera: Camera, board: Board, radius_m: float) -> muj
         name="shaft",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,
         fromto=[0.0, 0.0, 0.0, 0.0, 0.0, data.tool_length],
-        size=[radius_m, 0.0, 0.0],
+        size=[SHAFT_RADIUS_M, 0.0, 0.0],
         rgba=[*_rgb(STEEL), 1.0],
         **_WEIGHTLESS,
     )

@@ -15,7 +15,8 @@ from benchmarks import look
 from benchmarks.paper_experiment import look as paper_look
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Measurement, Outcome
 from benchmarks.solver_study import look as solvers_look
-from benchmarks.solver_study.closed_loop import BASELINE, POSES_EVERY, Run, finish
+from benchmarks.solver_study.cases import BASELINE
+from benchmarks.solver_study.closed_loop import POSES_EVERY, Run, finish
 from moc_opt.errors import BrowserMissingError
 from moc_opt.redundancy.map_analysis import End
 from moc_opt.report import export

@@ -58,14 +58,16 @@ def test_no_writer_puts_a_file_in_the_place_of_a_pipe_or_device(tmp_path):
     (tmp_path / "folder").mkdir()
     os.symlink("/dev/null", tmp_path / "null")
     for name in ("fifo", "folder", "null"):
-        path, before = tmp_path / name, os.lstat(tmp_path / name)
+        path = tmp_path / name
+        before = os.lstat(path)
         with pytest.raises(TraceError, match=f"{name}.*a folder, pipe or device is there"):
             Setup(made).trace(lambda tick: pytest.fail("it ran first"), path)
         with pytest.raises(TraceError, match="pipe or device is there"):
             trace.save(path)
         with pytest.raises(ReportError, match="pipe or device is there"):
             save_document(path, "text", "page", str)
-        assert os.lstat(path) == before
+        after = os.lstat(path)  # its time of access may differ: links are followed
+        assert (after.st_ino, after.st_mode, after.st_mtime_ns) == (before.st_ino, before.st_mode, before.st_mtime_ns)
     assert sorted(os.listdir(tmp_path)) == ["fifo", "folder", "null"]
 
 
@@ -151,8 +153,7 @@ def test_files_from_outside_are_opened_in_one_place():
     # Of the package's own files, and of a trace through the readers of trace_file.
     allowed = {
         "moc_opt/inputs/files.py", "moc_opt/inputs/memory.py", "moc_opt/trace/parquet_file.py",
-        "moc_opt/trace/writer.py",
-        "moc_opt/report/document.py", "moc_opt/scenario/setup.py", "moc_opt/embedded/program.py",
+        "moc_opt/trace/writer.py", "moc_opt/scenario/setup.py", "moc_opt/embedded/program.py",
         "moc_opt/numerics/cache.py",
     }  # fmt: skip
     found = set()

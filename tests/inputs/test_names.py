@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from benchmarks.reliability.fuzz_names import code_of, hostile_names
 from moc_opt.control import ControlSettings
 from moc_opt.embedded.export import c_files
+from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import RobotError, ScenarioError, SolverError
 from moc_opt.inputs import names
 from moc_opt.model.robot_model import RobotModel, load_robot
@@ -105,8 +106,8 @@ def test_a_solver_that_prints_code_is_only_a_comment(robot):
         def __repr__(self):
             return "*/ int evil(void) { return 1; } /* *\\\n/ int worse; *??/\n/ int worst; /*"
 
-    plain = c_files(robot, ControlSettings(), Exact(), 0.002)[1]
-    _, texts = c_files(robot, ControlSettings(), Talks(), 0.002)
+    plain = c_files(TickSpec(robot, ControlSettings(), Exact(), 0.002))[1]
+    _, texts = c_files(TickSpec(robot, ControlSettings(), Talks(), 0.002))
     assert code_of(texts["moc_tick.h"]) == code_of(plain["moc_tick.h"])
     assert texts["moc_tick.c"] == plain["moc_tick.c"]
 
@@ -155,5 +156,5 @@ def test_allowed_names_reach_the_header(robot):
     for old, new in zip(robot.data.joint_names, joints, strict=True):
         text = text.replace(f'"{old}"', f'"{new}"')
     other = RobotModel(replace(robot.data, joint_names=joints, urdf=text))
-    _, texts = c_files(other, ControlSettings(), Exact(), 0.002)
+    _, texts = c_files(TickSpec(other, ControlSettings(), Exact(), 0.002))
     assert ", ".join(joints) in texts["moc_tick.h"]

@@ -5,16 +5,8 @@ import pytest
 
 from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop
-from benchmarks.solver_study.closed_loop import (
-    BASELINE,
-    Run,
-    placed,
-    run_all,
-    run_one,
-    trials,
-    variant,
-    with_steady_errors,
-)
+from benchmarks.solver_study.cases import BASELINE, placed, trials, variant
+from benchmarks.solver_study.closed_loop import Run, run_all, run_one, with_steady_errors
 from benchmarks.solver_study.combine import combined, summary
 from benchmarks.solver_study.store import Store
 from moc_opt.scenario import Scenario, run

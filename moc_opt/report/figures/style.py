@@ -41,7 +41,7 @@ DARK = MappingProxyType(
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x", "pentagon", "star")
 FONT = "Inter, 'Helvetica Neue', Helvetica, Arial, 'Liberation Sans', sans-serif"
-HEIGHT_PX, MAX_POWERS = 380, 6
+HEIGHT_PX, LEGEND_PX, MAX_POWERS = 380, 620.0, 6
 
 
 @dataclass(frozen=True)
@@ -117,10 +117,10 @@ def figure(**layout: object) -> go.Figure:
     return go.Figure(layout={"template": TEMPLATE, **layout})
 
 
-def legend_height(names: Iterable[str], width: float = 620.0) -> int:
+def legend_height(names: Iterable[str]) -> int:
     """Return the height that a legend above a plot takes [px]: the figure is made higher by it."""
     lengths = [len(name) for name in names]
-    columns = max(1, int(width / (6.6 * max(lengths, default=1) + 46.0)))
+    columns = max(1, int(LEGEND_PX / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
 
 

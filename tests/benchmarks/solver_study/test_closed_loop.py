@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.processes import Worker
 from benchmarks.solver_study import sweeps
-from benchmarks.solver_study.closed_loop import trials
+from benchmarks.solver_study.cases import trials
 from benchmarks.solver_study.store import Store
 from benchmarks.solver_study.sweeps import (
     accuracy_sweeps,
