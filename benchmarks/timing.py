@@ -18,7 +18,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 
 
 def clock_cost_us(samples: int = 2000) -> float:
-    """What reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
+    """Return what reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
     gaps = np.empty(samples)
     for i in range(samples):
         begin = perf_counter_ns()
@@ -54,24 +54,6 @@ def each_us(
     return np.array(times) * 1e-3
 
 
-def side_by_side(
-    calls: dict[str, Callable[[Any], Any]], items: Sequence[Any], rounds: int = 5
-) -> dict[str, Array]:
-    """Time several calls on the same items in turn, round by round, so that drift of the machine hits all alike.
-
-    Returns:
-        name -> (rounds, items) [us].
-    """
-    names = list(calls)
-    found: dict[str, list[Array]] = {name: [] for name in names}
-    for name in names:  # a first round that is not timed fills caches and compiles
-        each_us(calls[name], items[: min(len(items), 50)])
-    for r in range(rounds):
-        for name in names[r % len(names) :] + names[: r % len(names)]:
-            found[name].append(each_us(calls[name], items))
-    return {name: np.array(times) for name, times in found.items()}
-
-
 class Timed(NamedTuple):
     """One entry of `interleaved`: what is called, on which items, after which preparation."""
 
@@ -80,9 +62,7 @@ class Timed(NamedTuple):
     prepare: Callable[[Any], Any] | None = None
 
 
-def interleaved(
-    entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100
-) -> dict[str, Array]:
+def interleaved(entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100) -> dict[str, Array]:
     """Time several calls side by side: each goes through its own items, ``chunk`` of them at a time, in turn.
 
     Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
@@ -117,7 +97,7 @@ def interleaved(
 
 
 def ratios(times: Array, base: Array) -> Array:
-    """Ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
+    """Return the ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
     found: Array = np.median(times, axis=1) / np.median(base, axis=1)
     return found
 
@@ -134,11 +114,8 @@ def figures(times: Array, prefix: str) -> dict[str, float]:
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """{prefix_p50_us, prefix_p99_us, ...} of the finite times; empty where there is none."""
+    """Return {prefix_p50_us, prefix_p99_us, ...} of the finite times; empty where there is none."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}
-    return {
-        f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q))
-        for name, q in PERCENTILES.items()
-    }
+    return {f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q)) for name, q in PERCENTILES.items()}

@@ -25,14 +25,10 @@ class _Climb(mink.tasks.BaseTask):  # type: ignore[misc]
     """A linear cost along the gradient of the manipulability; the solver's damping bounds it."""
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
-        self._gradient, self._step, self._zero = (
-            TipGradient(robot),
-            CLIMB * period_s,
-            np.zeros((robot.n, robot.n)),
-        )
+        self._gradient, self._step, self._zero = (TipGradient(robot), CLIMB * period_s, np.zeros((robot.n, robot.n)))
 
     def compute_qp_objective(self, configuration: Any) -> Any:
-        """H (n, n) and c (n,)."""
+        """Return H (n, n) and c (n,)."""
         return mink.tasks.Objective(self._zero, -self._step * self._gradient(configuration.data.qpos))
 
 
@@ -55,7 +51,7 @@ class Mink:
         self._turn = self._configuration.get_transform_frame_to_world(tip, "body").rotation()
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint velocities (n,) [rad/s]."""
+        """Return the joint velocities (n,) [rad/s]."""
         self._configuration.update(q)
         aim = tip_ref[0] + tip_ref[1] / STIFFNESS_PER_S
         self._tip.set_target(mink.SE3.from_rotation_and_translation(self._turn, aim))

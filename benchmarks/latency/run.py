@@ -14,7 +14,7 @@ from benchmarks.latency import embedded, setup, solve, tick
 from benchmarks.latency import loop as speed_loop
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
-from benchmarks.latency.goals import judge_goals
+from benchmarks.latency.goals import goal_verdicts
 from benchmarks.solver_study.open_loop import expand
 from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.embedded import NativeController
@@ -42,9 +42,7 @@ class Run:
         self._missing: dict[str, str] = {}
         found = available()
         self._solvers = self._choose("solver", config.tick.solvers, found)
-        self._adapters = self._choose(
-            "adapter", _all(config.adapters.names, BARE), {n: found.get(n, "") for n in BARE}
-        )
+        self._adapters = self._choose("adapter", _all(config.adapters.names, BARE), {n: found.get(n, "") for n in BARE})
         self._peers = _all(config.peers.names, peers.PEERS)
         for name in self._peers:
             if name not in peers.PEERS:
@@ -56,7 +54,7 @@ class Run:
         self._native: NativeController | None = None
 
     def steps(self) -> int:
-        """How often ``measure`` advances."""
+        """Tell how often ``measure`` advances."""
         loop = self.config.loop
         return (
             7 + len(self._peers) + 2 * (1 + loop.runs) + 2 * loop.two_process_rounds
@@ -64,7 +62,7 @@ class Run:
         )  # fmt: skip
 
     def measure(self, advance: Advance) -> dict[str, Any]:
-        """Everything: part -> name -> metric."""
+        """Measure everything: part -> name -> metric."""
         table = self.config.tick
         recording = tick.record(Setup(self._scenario.change(duration_s=table.ticks * self._period)))
         inputs, problems = recording.inputs, recording.problems
@@ -87,7 +85,7 @@ class Run:
         self.rows += rows
         summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
         summary["not_run"] = {name: {"reason": reason} for name, reason in self._missing.items()}
-        summary["goals"] = judge_goals(summary)
+        summary["goals"] = goal_verdicts(summary)
         return summary
 
     def _choose(self, kind: str, names: list[str], found: Mapping[str, str | None]) -> list[str]:
@@ -97,9 +95,7 @@ class Run:
         self._missing |= {f"{kind} {name}": str(found[name]) for name in names if found[name] is not None}
         return [name for name in names if found[name] is None]
 
-    def _timed(
-        self, part: str, entries: Mapping[str, Timed], rounds: int, prefix: str
-    ) -> dict[str, dict[str, float]]:
+    def _timed(self, part: str, entries: Mapping[str, Timed], rounds: int, prefix: str) -> dict[str, dict[str, float]]:
         """Time entries side by side; their times join the rows, their figures are returned: see `timing.figures`."""
         times = interleaved(entries, rounds, CHUNK)
         self._keep(part, times)
@@ -131,14 +127,10 @@ class Run:
         return {"c": found}
 
     def _ticks(self, inputs: list[Any], advance: Advance) -> dict[str, Any]:
-        """Our ticks and the peers' side by side."""
-        own, refused = tick.own_ticks(
-            self._solvers, self._robot, self._scenario.control, inputs, self._period
-        )
+        """Return our ticks and the peers' side by side."""
+        own, refused = tick.own_ticks(self._solvers, self._robot, self._scenario.control, inputs, self._period)
         runs, absent = tick.peer_ticks(self._peers, self._robot, advance)
-        self._missing |= {f"solver {k}": v for k, v in refused.items()} | {
-            f"peer {k}": v for k, v in absent.items()
-        }
+        self._missing |= {f"solver {k}": v for k, v in refused.items()} | {f"peer {k}": v for k, v in absent.items()}
         entries = dict(own)
         if self._native is not None:
             entries["c"] = embedded.timed(self._native, inputs)
@@ -183,9 +175,7 @@ class Run:
         pairs, refused = solve.adapters(self._adapters, self._robot, problems)
         self._missing |= {f"adapter {name}": reason for name, reason in refused.items()}
         found: dict[str, dict[str, float]] = {}
-        entries = {
-            f"{name} / {kind}": timed for name, kinds in pairs.items() for kind, timed in kinds.items()
-        }
+        entries = {f"{name} / {kind}": timed for name, kinds in pairs.items() for kind, timed in kinds.items()}
         if not entries:
             return found
         times = interleaved(entries, self.config.adapters.rounds, CHUNK)
@@ -202,7 +192,7 @@ class Run:
         return found
 
     def _beyond(self, summary: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-        """What a tick costs beyond our own part and the library by hand."""
+        """Return what a tick costs beyond our own part and the library by hand."""
         ticks = {name: metrics["tick_p50_us"] for name, metrics in summary["tick"].items()}
         hand = {name: metrics["by_hand_p50_us"] for name, metrics in summary["adapters"].items()}
         rest = ticks["exact"] - summary["exact"]["recorded"]["solve_p50_us"]
@@ -217,9 +207,7 @@ class Run:
         self.rows += rows
         if table.two_process_rounds:
             short = self._scenario.change(duration_s=min(4.0, table.duration_s))
-            found["two processes"] = speed_loop.two_processes(
-                short, 2 * table.runs, table.two_process_rounds, advance
-            )
+            found["two processes"] = speed_loop.two_processes(short, 2 * table.runs, table.two_process_rounds, advance)
         found["memory"] = speed_loop.memory(self._scenario, *table.memory_s)
         advance("memory")
         return found

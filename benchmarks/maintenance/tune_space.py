@@ -30,13 +30,11 @@ class Range(Settings):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if not self.low < self.high or (self.log and self.low <= 0.0):
-            raise ValueError(
-                f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true"
-            )
+            raise ValueError(f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true")
         return self
 
     def at(self, place: float) -> float | bool:
-        """The value at a place in [0, 1], to three significant digits: a preset is read by people."""
+        """Return the value at a place in [0, 1], to three significant digits: a preset is read by people."""
         if self.choices is not None:
             return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
         if self.log:
@@ -61,15 +59,8 @@ class Config(Configuration):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def quick(self) -> Config:
-        """The same search with few candidates: for a first look and for the tests."""
-        few = {
-            "random": 3,
-            "local": 1,
-            "finalists": 2,
-            "trials": 2,
-            "final_trials": 2,
-            "tasks": self.tasks[:1],
-        }
+        """Return the same search with few candidates: for a first look and for the tests."""
+        few = {"random": 3, "local": 1, "finalists": 2, "trials": 2, "final_trials": 2, "tasks": self.tasks[:1]}
         return self.model_copy(update=few)
 
 
@@ -90,7 +81,7 @@ class Candidate:
 
 
 def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = ()) -> Candidate:
-    """A candidate from the whole space, or near one of some others."""
+    """Draw a candidate from the whole space, or near one of some others."""
     size = len(config.space)
     if near:
         centre = np.array(near[int(rng.integers(len(near)))].places)

@@ -7,16 +7,15 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
-from benchmarks.config import Configuration
+from benchmarks.config import Configuration, runnable
 from benchmarks.paper_experiment.ablation import Ablation, AblationJob, changed
 from benchmarks.paper_experiment.ablation import jobs as ablation_jobs
 from benchmarks.paper_experiment.procedure import ProcedureJob, ProcedureSettings
 from benchmarks.paper_experiment.trials import BASELINES, Job, seeds, trials
-from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
-from moc_opt.solvers import available
 from moc_opt.vision.board import board_task
 
 STREAM = 0  # of seeds; the search has its own
@@ -84,12 +83,7 @@ class Config(Configuration):
             raise UnknownNameError("best_solver", self.best_solver, self.solvers)
         for task in (*self.tasks, self.swivel.task):
             board_task(task)
-        here = available()
-        for name in self.solvers:
-            if name not in here:
-                raise UnknownNameError("solver", name, here)
-            if here[name] is not None:
-                raise ScenarioError(f"solvers: {name!r} cannot run here: {here[name]}")
+        runnable(self.solvers)
         robot = load_robot(self.scenario.robot.name)
         for name in self.solvers:
             make_solver(name, robot, **self.settings.get(name, {}))
@@ -102,7 +96,7 @@ class Config(Configuration):
             Setup(changed(self.base(self.ablation.group), case))
 
     def quick(self) -> Self:
-        """The same experiment on less data: for a first look and for the tests."""
+        """Return the same experiment on less data: for a first look and for the tests."""
         less = {
             "tasks": self.tasks[:1], "trials": 2, "swivel": self.swivel.model_copy(update={"starts": 3}),
             "procedure": self.procedure.model_copy(update={"poses": 20, "film": False}),
@@ -111,35 +105,33 @@ class Config(Configuration):
         return self.model_copy(update=less)
 
     def base(self, group: str) -> Scenario:
-        """The scenario that a group's trials share."""
+        """Return the scenario that a group's trials share."""
         table = self.groups[group]
         return self.scenario.change(control=table.control, task=table.task, start=table.start)
 
     def same_path(self, group: str) -> bool:
-        """Whether a group's trials follow the paths of the best group, at the same time."""
+        """Tell whether a group's trials follow the paths of the best group, at the same time."""
         mine, best = self.groups[group], self.groups[self.best]
         return (mine.task, mine.start) == (best.task, best.start)
 
     def procedures(self, out: Path) -> list[ProcedureJob]:
-        """The whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
+        """Return the whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
         base = self.base(self.best).change(solver={"name": self.best_solver})
         jobs = []
-        for i, (task, seed) in enumerate(
-            zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)
-        ):
+        for i, (task, seed) in enumerate(zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)):
             film = out / "film.webm" if i == 0 and self.procedure.film else None
             jobs.append(ProcedureJob(self.procedure, base.change(seed=seed), task, film))
         return jobs
 
     def ablation_jobs(self) -> list[AblationJob]:
-        """Every case of the ablation on every trial of every draw; none without cases."""
+        """Return every case of the ablation on every trial of every draw; none without cases."""
         if not self.ablation.cases:
             return []
         base = self.base(self.ablation.group)
         return ablation_jobs(self.ablation, base, self.tasks, self.trials, self.seed, STREAM)
 
     def jobs(self) -> list[Job]:
-        """Every group on every trial; the trials are the same for all groups."""
+        """Return every group on every trial; the trials are the same for all groups."""
         drawn = seeds(self.seed, STREAM, self.trials * len(self.tasks))
         controllers = (*BASELINES, *self.solvers)
         jobs = []

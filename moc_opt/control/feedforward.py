@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.control.rcm import shaft_turn
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import dot, forward_in_place
 from moc_opt.qp.equalities import directions_across
@@ -33,16 +34,11 @@ def desired_wrist_acceleration(
     trocar_velocity: Array,
     span: float,
 ) -> Array:
-    """ddN_d (3,) [m/s^2] of N_d = X + L e, the trocar's own acceleration left out.
+    """Compute ddN_d (3,) [m/s^2] of N_d = X + L e, the trocar's own acceleration left out.
 
     With r = P_t - X = |r| e:  e'' = (I - e e^T)(r'' - 2 |r|' e')/|r| - |e'|^2 e.
     """
-    r = trocar - tip
-    distance = np.sqrt(dot(r, r))
-    e = r / distance
-    slip = trocar_velocity - tip_velocity
-    closing = dot(e, slip)
-    turn = (slip - closing * e) / distance
+    distance, e, closing, turn = shaft_turn(tip, tip_velocity, trocar, trocar_velocity)
     pull = -tip_acceleration - 2.0 * closing * turn
     bend: Array = (pull - dot(e, pull) * e) / distance - dot(turn, turn) * e
     return tip_acceleration + span * bend
@@ -50,7 +46,7 @@ def desired_wrist_acceleration(
 
 @njit(cache=True, nogil=True)
 def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
-    """A5 (5, n): the tip's rows and the wrist's across u; and the two directions across u, (2, 3)."""
+    """Return A5 (5, n), the tip's rows and the wrist's across u, and the two directions across u (2, 3)."""
     n = A.shape[1]
     across, directions = np.empty((2, 3)), directions_across(u[0], u[1], u[2])
     for c in range(3):
@@ -68,7 +64,7 @@ def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
 def motion_feedforward(
     A: Array, u: Array, M_factor: Array, drift: Array, tip_acceleration: Array, wrist_acceleration: Array
 ) -> Array:
-    """Torque (n,) [Nm] that gives tip and wrist these accelerations (3,) each, on top of gravity and Coriolis."""
+    """Compute the torque (n,) [Nm] that gives tip and wrist these accelerations (3,) beyond gravity and Coriolis."""
     A5, across = independent_rows(A, u)
     n, gap = A.shape[1], wrist_acceleration - drift[3:]
     a, c = np.empty(5), np.empty(5)

@@ -16,33 +16,44 @@ from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, t
 
 Array = NDArray[np.float64]
 
-PROJECTORS = ("dynamic", "static", "as_published")
+
+@njit(cache=True, nogil=True)
+def shaft_turn(
+    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array
+) -> tuple[float, Array, float, Array]:
+    """Compute how the line from tip to trocar lies and turns.
+
+    Returns:
+        |P_t - X| [m]; e (3,); its rate of change e^T (dP_t - dX) [m/s]; and
+        de/dt = (I - e e^T)(dP_t - dX)/|P_t - X| (3,) [1/s].
+    """
+    e, turn, square = np.empty(3), np.empty(3), 0.0
+    for i in range(3):
+        e[i], turn[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
+        square += e[i] * e[i]
+    distance = np.sqrt(square)
+    for i in range(3):
+        e[i] /= distance
+    closing = dot(e, turn)
+    for i in range(3):
+        turn[i] = (turn[i] - closing * e[i]) / distance
+    return distance, e, closing, turn
 
 
 @njit(cache=True, nogil=True)
 def desired_wrist(
     tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
 ) -> tuple[Array, Array]:
-    """Wrist centre that puts the shaft through the trocar, and its velocity, (3,) [m], [m/s].
-
-    dN_d = dX + L de/dt,  de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
-    """
-    e, slip, square = np.empty(3), np.empty(3), 0.0
+    """Compute N_d = X + L e, which puts the shaft through the trocar, and dN_d = dX + L de/dt, (3,) [m], [m/s]."""
+    _, e, _, turn = shaft_turn(tip, tip_velocity, trocar, trocar_velocity)
     for i in range(3):
-        e[i], slip[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
-        square += e[i] * e[i]
-    distance = np.sqrt(square)
-    along = dot(e, slip) / square
-    wrist, velocity = np.empty(3), np.empty(3)
-    for i in range(3):
-        wrist[i] = tip[i] + span * e[i] / distance
-        velocity[i] = tip_velocity[i] + span * (slip[i] - along * e[i]) / distance
-    return wrist, velocity
+        e[i], turn[i] = tip[i] + span * e[i], tip_velocity[i] + span * turn[i]
+    return e, turn
 
 
 @njit(cache=True, nogil=True)
 def published_share(tip: Array, wrist: Array, trocar: Array, span: float, rcm_lambda: float) -> float:
-    """What |N_d - N| has to be multiplied by to become the paper's |e_N1| = d / lambda with a constant lambda.
+    """Return the factor that makes |N_d - N| the paper's |e_N1| = d / lambda with a constant lambda.
 
     d = |P_t - X| sin(theta) is the RCM error and theta the angle between e and the shaft N - X; |N_d - N| is
     2 L sin(theta/2), hence the true lambda is |P_t - X|/L cos(theta/2). It varies with the tip's depth, and the
@@ -61,20 +72,20 @@ def published_share(tip: Array, wrist: Array, trocar: Array, span: float, rcm_la
 
 @njit(cache=True, nogil=True)
 def project_dynamic(J_tip: Array, W: Array, mobility_factor: Array, tau: Array) -> Array:
-    """(I - J_T^T Jbar_T^T) tau with Jbar_T = M^-1 J_T^T Lambda_T: no acceleration of the tip."""
+    """Compute (I - J_T^T Jbar_T^T) tau with Jbar_T = M^-1 J_T^T Lambda_T: no acceleration of the tip."""
     free: Array = tau - transpose_times(J_tip, solve_factored(mobility_factor, transpose_times(W, tau)))
     return free
 
 
 @njit(cache=True, nogil=True)
 def project_static(J_tip: Array, tau: Array) -> Array:
-    """(I - J_T^T pinv(J_T)^T) tau: no force at the tip in rest; idempotent, but not dynamic."""
+    """Compute (I - J_T^T pinv(J_T)^T) tau: no force at the tip in rest; idempotent, but not dynamic."""
     free: Array = tau - transpose_times(J_tip, solve_factored(cholesky(gram(J_tip)), times(J_tip, tau)))
     return free
 
 
 @njit(cache=True, nogil=True)
 def project_as_published(J_tip: Array, tau: Array) -> Array:
-    """(I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
+    """Compute (I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
     free: Array = tau - transpose_times(J_tip, times(J_tip, tau))
     return free

@@ -1,4 +1,4 @@
-"""The compiled parts of the guard: torque limits, what a measurement may be, and the tip's squared error."""
+"""The compiled parts of the safety filter: torque limits, what a measurement may be, and the tip's squared error."""
 
 from __future__ import annotations
 
@@ -65,10 +65,12 @@ def limit_torque(
 
 
 @njit(cache=True, nogil=True)
-def believable(
-    q: Array, v: Array, q_before: Array, jump: float, ticks: int, per_tick: Array, fastest: Array
-) -> bool:
-    """Whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest; NaN never is."""
+def believable(q: Array, v: Array, q_before: Array, jump: float, ticks: int, bounds: Array) -> bool:
+    """Say whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest.
+
+    ``bounds`` (2, n): rows per_tick and fastest. NaN is never believable.
+    """
+    per_tick, fastest = bounds[0], bounds[1]
     for i in range(q.shape[0]):
         if not (abs(q[i] - q_before[i]) <= jump + ticks * per_tick[i] and abs(v[i]) <= fastest[i]):
             return False
@@ -77,7 +79,7 @@ def believable(
 
 @njit(cache=True, nogil=True)
 def squared_error(tip: Array, tip_ref: Array) -> float:
-    """|tip - X_d|^2 [m^2], X_d the first row of tip_ref (3, 3)."""
+    """Compute |tip - X_d|^2 [m^2], X_d the first row of tip_ref (3, 3)."""
     square = 0.0
     for i in range(3):
         square += (tip[i] - tip_ref[0, i]) ** 2
@@ -86,7 +88,7 @@ def squared_error(tip: Array, tip_ref: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def holding_friction(weight: Array, tau_max: Array, share: float, friction: Array) -> None:
-    """Fill friction (n,) [Nm] of brakes that hold the arm in a stop, whatever its drives are worth.
+    """Fill friction (n,) [Nm] of the brakes that hold the arm in a stop, however weak its drives are.
 
     ``share`` of the drive's largest torque, and one and a half times what that drive cannot carry of the weight (n,).
     """

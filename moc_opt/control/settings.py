@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ def _current_projector(value: Any) -> Any:
     return "as_published" if value == "printed" else value
 
 
+Projector = Literal["dynamic", "static", "as_published"]
+PROJECTORS: tuple[Projector, ...] = get_args(Projector)
 PRESETS = ("paper", "tuned", "robust")
 
 
@@ -116,7 +118,7 @@ class ControlSettings(Settings):
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
     )
-    projector: Annotated[Literal["dynamic", "static", "as_published"], BeforeValidator(_current_projector)] = Field(
+    projector: Annotated[Projector, BeforeValidator(_current_projector)] = Field(
         default="dynamic", description="of level 2: docs/errata.md has all three; 'printed' is the old name of the last"
     )
     feedforward: bool = Field(
@@ -158,22 +160,22 @@ class ControlSettings(Settings):
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
-        """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
+        """Make the paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
         return cls(**{**PAPER, **cls.present_names(changes)})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
-        """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
+        """Make what ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
         return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod
     def robust(cls, **changes: Any) -> ControlSettings:
-        """Softer than ``tuned``, for loops with more delay; see ``ROBUST``."""
+        """Make softer gains than ``tuned``, for loops with more delay; see ``ROBUST``."""
         return cls(**{**ROBUST, **cls.present_names(changes)})
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """A named set of settings; ``changes`` override fields.
+        """Make a named set of settings; ``changes`` override fields.
 
         Raises:
             UnknownNameError: no such preset; the message lists them.
@@ -194,11 +196,11 @@ class ControlSettings(Settings):
         return bool(np.any(np.asarray(self.dcac_damping) > 0.0))
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Changes that make these settings DCAC with the gains that they use now: the baseline of a fair comparison."""
+        """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {"law": "dcac", "gains": self.gains or self.law}
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """K_X .. D_N2 as numbers: settings first, then the robot's table.
+        """Return K_X .. D_N2 as numbers: settings first, then the robot's table.
 
         Args:
             tables: the robot's [gains.*].
@@ -229,7 +231,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np.float64]:
-    """One number for all joints, or one per joint, as (n,) numbers of 0 or more.
+    """Return one number for all joints, or one per joint, as (n,) numbers of 0 or more.
 
     Raises:
         ControlError: another length, or something that is no such number; the message says ``where`` it stands.

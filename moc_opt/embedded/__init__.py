@@ -1,7 +1,8 @@
 """The control tick as dependency-free C: written out by CasADi, exported, or compiled and loaded back.
 
 Read first: ``export`` (which files a folder gets) and ``source`` (how the equations become C); ``symbolic``
-and ``dynamics`` hold the equations. ``c/`` holds the files that are copied as they are; ``native`` loads the
+and ``dynamics`` hold the equations. ``c/`` holds the files that are copied as they are, and the templates (``.in``);
+``native`` loads the
 bare tick into Python, ``guarded`` the whole of it. ``support`` refuses settings that the C does not have.
 Imported by scenario; what users read is docs/embedded.md.
 """
@@ -10,6 +11,6 @@ from moc_opt.embedded.compiler import CompilerError
 from moc_opt.embedded.export import export, record
 from moc_opt.embedded.native import NativeController
 from moc_opt.embedded.source import Recording
-from moc_opt.embedded.support import check_supported
+from moc_opt.embedded.support import TickSpec, check_supported
 
-__all__ = ["CompilerError", "NativeController", "Recording", "check_supported", "export", "record"]
+__all__ = ["CompilerError", "NativeController", "Recording", "TickSpec", "check_supported", "export", "record"]

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.session import check_references
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.export import c_files
 from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
+from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP
@@ -28,7 +30,7 @@ _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
 class NativeController:
-    """`Controller` in C, with the interface that the loop asks of its brain (`sim.loop.LoggedController`).
+    """`Controller` in C, as the closed loop calls it (`sim.protocols.LoggedController`).
 
     Same torque to rounding, and the same columns in the trace except ``solve_us``: inside the compiled tick
     the solver has no clock of its own. Where the rows of tip and wrist lose rank, `exact` may still find an
@@ -80,7 +82,7 @@ class NativeController:
         self._started = True
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] for this period.
+        """Compute the torque (n,) [Nm] of this period.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
@@ -91,14 +93,7 @@ class NativeController:
             RobotError, ControlError: an input or the torque is not finite; the controller's state is as before.
             ControlError: not started, or a reference of the wrong shape.
         """
-        if not self._started:
-            raise ControlError(
-                "tick before start: call start(q, v, tip_ref, trocar) once before the first tick"
-            )
-        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
-            raise ControlError(
-                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
-            )
+        check_references(self._started, tip_ref, trocar)
         self._q[:] = q
         self._v[:] = v
         self._tip_ref[:] = tip_ref
@@ -110,7 +105,7 @@ class NativeController:
         return self._tau.copy()
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
+        """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
         self._state["torque"][:] = tau
 
     @property
@@ -139,11 +134,11 @@ class NativeController:
         return self._state["external_torque"].copy()
 
     def terms(self) -> dict[str, NDArray[Any]]:
-        """Copies of what the last tick knew, by name: mu, grad_mu, M ...; see `layout.layout`."""
+        """Copy the terms of the last tick, by name: mu, grad_mu, M ...; see `layout.layout`."""
         return {name: view.copy() for name, view in self._report.items()}
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """The third level's columns; none but the status under DCAC."""
+        """Create the third level's columns; none but the status under DCAC."""
         n = self.robot.n
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"),
@@ -161,7 +156,7 @@ class NativeController:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's columns; these are those that ``columns`` gave last."""
+        """Write the last tick's columns, those that ``columns`` gave last."""
         if self.solver is None:
             return
         self._reports[row] = self._whole_report
@@ -190,7 +185,7 @@ class NativeController:
 def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
     """Layout and C files of (robot data, settings, solver, period): the second run of a law need not write it again."""
     data, settings, solver, period = pickle.loads(pickled)
-    tick, texts = c_files(RobotModel(data), settings, solver, period)
+    tick, texts = c_files(TickSpec(RobotModel(data), settings, solver, period))
     return tick.layout, texts
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.resources import files
 
 from moc_opt.embedded.symbolic import Tick
@@ -17,7 +16,7 @@ SOLVING = ("moc_supervisor", "moc_answer", "moc_singular")
 
 
 def read(*names: str) -> dict[str, str]:
-    """The text of files by name; a name without an ending is a pair of .h and .c."""
+    """Read files, text by name; a name without an ending is a pair of .h and .c."""
     found: list[str] = []
     for name in names:
         found += [name] if "." in name else [f"{name}.h", f"{name}.c"]
@@ -26,27 +25,16 @@ def read(*names: str) -> dict[str, str]:
 
 
 def solves(tick: Tick) -> bool:
-    """Whether its law asks for an x at every tick."""
+    """Say whether the law of this tick solves a subproblem."""
     return any(field.name == "x" for field in tick.layout.report)
 
 
 def bare(tick: Tick) -> dict[str, str]:
-    """What the bare tick stands on."""
+    """Read what the bare tick needs beside what is generated."""
     return read(*TICK, *(FALLBACK if solves(tick) else ()))
 
 
 def guarded(tick: Tick) -> dict[str, str]:
-    """Supervisor, guard and what they stand on, for the law of this tick."""
+    """Read supervisor, safety filter and what they need, for the law of this tick."""
     return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))
 
-
-def makefile(names: Iterable[str], flags: str, tested: bool) -> str:
-    """The Makefile for files of these names; `tested`: with the recorded run of the whole controller."""
-    names = sorted(names)
-    parts = [name for name in names if name.startswith("moc_") and name.endswith(".c")]
-    headers = [name for name in names if name.startswith("moc_") and name.endswith(".h")]
-    tests = ["moc_tick_test", *(["moc_safe_test"] if tested else [])]
-    text = read("Makefile.in")["Makefile.in"]
-    for place, words in (("flags", [flags]), ("parts", parts), ("headers", headers), ("tests", tests)):
-        text = text.replace(f"@{place}@", " ".join(words))
-    return text

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.maintenance import readme
+from benchmarks.markdown import fill_section
 
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
@@ -96,7 +97,7 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 15 | 7 |" in text
     assert "means over 15 trials from random poses" in text
     assert "`exact`: 65.5 [50, 80] %" in text
-    assert "Settled are the ticks of a trial at which" in text
+    assert "Steady are the ticks of a trial at which" in text
     assert "`nlp-sqp`*" in text
     assert "qpsolvers" not in text
     assert "50 problems" in text
@@ -168,4 +169,4 @@ def test_what_is_wrong_is_said_and_the_readme_stays(folder, break_it, said, caps
 def test_this_readme_has_both_places():
     text = (Path(__file__).resolve().parents[3] / "README.md").read_text()
     for name in ("solvers", "paper"):
-        assert readme.filled(text, name, "new") != text
+        assert fill_section(text, name, "new", "README") != text
