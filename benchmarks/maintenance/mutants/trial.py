@@ -65,18 +65,23 @@ def dependents(root: Path, module: str) -> frozenset[str]:
     return frozenset(found)
 
 
+TAKEN_BY_KERNELS = ("moc_opt.qp.layout", "moc_opt.qp.reduction")
+"""Modules of plain functions that `moc_opt.qp.equalities` hands to kernels."""
+
+
 def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
     """Return the modules whose compiled kernels may hold what stands in that line of a module.
 
     All that ``dependents`` finds; none where a module without ``njit`` has the line in a function: a kernel takes
-    constants and kernels from other modules, and compiles no plain function.
+    constants and kernels from other modules, and compiles no plain function but those of ``TAKEN_BY_KERNELS``.
     """
     path = root.joinpath(*module.split(".")).with_suffix(".py")
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inside = any(
         isinstance(node, ast.FunctionDef) and node.lineno <= line <= (node.end_lineno or line) for node in tree.body
     )
-    if inside and not any(name.startswith(COMPILERS) for name in _imported(tree, ())):
+    compiles = any(name.startswith(COMPILERS) for name in _imported(tree, ()))
+    if inside and not compiles and module not in TAKEN_BY_KERNELS:
         return frozenset()
     return dependents(root, module)
 

@@ -1,9 +1,8 @@
 """The equalities of one subproblem eliminated, and the closed form where one freedom (the elbow swivel) is left.
 
-All kernels take rows in pieces of eight numbers (``moc_opt.numerics.simd``). They follow Golub and Van Loan, Matrix
-Computations, 3.4.8 (complete pivoting), and take numbers as they are: a division by zero gives infinity, as numpy's
-does. They are compiled into their caller: to hand a matrix over costs as much as to add two rows, and where the
-caller knows how wide a row is, no loop over it is left.
+Kernels follow Golub and Van Loan, Matrix Computations, 3.4.8 (complete pivoting), and take numbers as they are: a
+division by zero gives infinity, as numpy's does. Rows are padded with zeros to m numbers, a multiple of eight; kernels
+are compiled into their caller, which knows m as a constant for up to 16 joints: no loop over a row is left then.
 """
 
 from __future__ import annotations
@@ -14,22 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.simd import (
-    above,
-    first,
-    keep,
-    larger,
-    largest,
-    least,
-    lesser,
-    load,
-    magnitude,
-    part,
-    store,
-    total,
-    unit,
-    zeros,
-)
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.residuals import RANK_TOLERANCE, TIED
@@ -37,12 +20,17 @@ from moc_opt.qp.residuals import RANK_TOLERANCE, TIED
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+inlined = njit(
+    cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath={"reassoc", "contract", "nsz"}
+)
+"""Compiled into its caller, where the width of a row is a constant; sums may be taken in any order."""
+
 DOUBTFUL = 1e3  # a sixth pivot below this multiple of its tolerance is looked at more closely
-LEFT = 1e-6  # |A x - b| that a dropped row may be left with [m/s]: the judge's primal tolerance
+LEFT = 1e-6  # |A x - b| that a dropped row may be left with [m/s]: the primal tolerance of the residual check
 IDLE_COLUMN = 1e-14  # a free column smaller than this moves neither tip nor wrist
 
 OK, EMPTY, STUCK = 0, 1, 2
-OPEN, B = 6, 6  # row of W that has 1 for every row of A that is no pivot yet; place of b behind A
+OPEN, SPARE, B = 6, 7, 6  # row of W that has 1 for every row of A that is no pivot yet; scratch; place of b behind A
 # Rows of V: x; how it moves along the plane; w = P x + p + A^T y; the largest entry of a column.
 X, Z, FORCE, REACH = 0, 1, 2, 3
 
@@ -51,7 +39,7 @@ class Plane(NamedTuple):
     """A x = b while it is eliminated.
 
     Attributes:
-        W: (7, m + 8) rows of A, and from column m on the row operations, the identity at first, and b.
+        W: (8, m + 8) rows of A, and from column m on the row operations, the identity at first, and b.
         order: (n + 1,) pivot columns, then the free ones that move tip or wrist, ascending.
         pivots: (6,) rows of the pivots.
         n, m: joints; m is the multiple of eight that they fit into.
@@ -85,7 +73,7 @@ def own_part(W: Array, n: int, m: int, row: Array) -> float:
     return float(np.sqrt(most / size) / TIED)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def eliminate(plane: Plane, row: Array) -> int:
     """Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
 
@@ -95,17 +83,24 @@ def eliminate(plane: Plane, row: Array) -> int:
     """
     W, n, m, at = plane.W, plane.n, plane.m, offsets(plane.n)
     for i in range(6):
-        for c in range(0, m, 8):
-            store(W, i, c, part(row, i * n + c, n - c))
-        store(W, i, m, unit(i) + unit(B) * row[at.b + i])
-    store(W, OPEN, 0, 1.0)
+        for c in range(m + 8):
+            W[i, c] = 0.0
+        for j in range(n):
+            W[i, j] = row[i * n + j]
+        W[i, m + i], W[i, m + B], W[OPEN, i] = 1.0, row[at.b + i], 1.0
     start = 0.0
     for k in range(6):
-        most = zeros()
+        for c in range(m):
+            W[SPARE, c] = 0.0
         for i in range(6):
-            for c in range(0, m, 8):
-                most = larger(magnitude(load(W, i, c)) * W[OPEN, i], most)
-        size = largest(most)
+            for c in range(m):
+                entry = abs(W[i, c]) * W[OPEN, i]
+                W[SPARE, c] = entry if entry > W[SPARE, c] else W[SPARE, c]
+        size, other, column, beside, pivot = 0.0, 0.0, 0, 0, 0
+        for c in range(0, m, 2):  # in two halves, which need not wait for one another
+            size, column = (W[SPARE, c], c) if W[SPARE, c] > size else (size, column)
+            other, beside = (W[SPARE, c + 1], c + 1) if W[SPARE, c + 1] > other else (other, beside)
+        size, column = (other, beside) if other > size else (size, column)
         start = size if k == 0 else start
         if not size > 30.0 * RANK_TOLERANCE * start:
             return k if k == 5 or not size > 0.1 * RANK_TOLERANCE * start else -1
@@ -113,21 +108,18 @@ def eliminate(plane: Plane, row: Array) -> int:
             own = own_part(W, n, m, row)
             if own <= 10.0:
                 return k if own <= 1.0 else -1
-        inverse = 1.0 / size  # its sign is seen to when the pivot is found: the division takes as long
-        pivot, column = 0, 0
         for i in range(6):
-            for c in range(0, m, 8):
-                place = first(magnitude(load(W, i, c)) * W[OPEN, i], size)
-                pivot = i if place < 8 else pivot
-                column = c + place if place < 8 else column
-        inverse = inverse if W[pivot, column] > 0.0 else -inverse
+            pivot = i if abs(W[i, column]) * W[OPEN, i] == size else pivot
+        inverse = 1.0 / W[pivot, column]
         plane.order[k], plane.pivots[k], W[OPEN, pivot] = column, pivot, 0.0
+        for c in range(m + 8):
+            W[SPARE, c] = W[pivot, c]
         for i in range(6):
-            scale = W[i, column] * inverse if i != pivot else 0.0
-            for c in range(0, m + 8, 8):
-                store(W, i, c, load(W, i, c) - scale * load(W, pivot, c))
-        for c in range(0, m + 8, 8):
-            store(W, pivot, c, load(W, pivot, c) * inverse)
+            scale = W[i, column] * inverse
+            for c in range(m + 8):
+                W[i, c] -= scale * W[SPARE, c]
+        for c in range(m + 8):
+            W[pivot, c] = W[SPARE, c] * inverse
     return 6
 
 
@@ -141,7 +133,7 @@ def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) 
     return bool(abs(W[i, m + B]) > reach)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def left_over(plane: Plane, x: Array) -> float:
     """|A x - b|_inf of the answer x (n,): the dropped rows are what is left of it."""
     W, most = plane.W, 0.0
@@ -150,21 +142,21 @@ def left_over(plane: Plane, x: Array) -> float:
             gap = -W[i, plane.m + B]
             for j in range(plane.n):
                 gap += W[i, j] * x[j]
-            most = max(most, abs(gap))
+            most = abs(gap) if abs(gap) > most else most
     return most
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
     """Row z of M: how all joints move along A x = b when joint ``free`` moves by one."""
-    for c in range(0, plane.m, 8):
-        store(M, z, c, 0.0)
+    for c in range(plane.m):
+        M[z, c] = 0.0
     for k in range(rank):
         M[z, plane.order[k]] = -plane.W[plane.pivots[k], free]
     M[z, free] = 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
     """One freedom: x + s z; the ratio test gives the interval of s, then its best point.
 
@@ -176,16 +168,15 @@ def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
     c2, rho = row[at.weights + C2], row[at.weights + RHO]
     low, high, low_joint, high_joint = -np.inf, np.inf, 0, 0
     zz, zx, zg = 0.0, 0.0, 0.0
-    for c in range(0, m, 8):
-        x, z = load(V, X, c), load(V, Z, c)
-        zz, zx, zg = zz + total(z * z), zx + total(z * x), zg + total(z * part(row, at.grad_mu + c, n - c))
-        at_lower, at_upper = (part(row, at.lower + c, n - c) - x) / z, (part(row, at.upper + c, n - c) - x) / z
-        starts = above(magnitude(z), IDLE_COLUMN, lesser(at_lower, at_upper), -np.inf)
-        ends = above(magnitude(z), IDLE_COLUMN, larger(at_lower, at_upper), np.inf)
-        start, end = largest(starts), least(ends)
-        low_joint = c + first(starts, start) if start > low else low_joint
-        high_joint = c + first(ends, end) if end < high else high_joint
-        low, high = max(low, start), min(high, end)
+    for j in range(n):
+        x, z = V[X, j], V[Z, j]
+        zz, zx, zg = zz + z * z, zx + z * x, zg + z * row[at.grad_mu + j]
+        if abs(z) > IDLE_COLUMN:
+            inverse = 1.0 / z
+            start, end = (row[at.lower + j] - x) * inverse, (row[at.upper + j] - x) * inverse
+            start, end = (start, end) if z > 0.0 else (end, start)
+            low, low_joint = (start, j) if start > low else (low, low_joint)
+            high, high_joint = (end, j) if end < high else (high, high_joint)
     if low > high + tolerance:
         return EMPTY
     if rho > 0.0:
@@ -200,17 +191,15 @@ def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
     elif best < low:
         best, joint = low, low_joint
     slope = 0.0
-    for c in range(0, m, 8):
-        z = load(V, Z, c)
-        x = load(V, X, c) + best * z
-        store(V, X, c, x)
-        slope += total(z * (rho * x - c2 * part(row, at.grad_mu + c, n - c)))
+    for j in range(n):
+        V[X, j] += best * V[Z, j]
+        slope += V[Z, j] * (rho * V[X, j] - c2 * row[at.grad_mu + j])
     if joint >= 0:
         V[FORCE, joint] = slope / V[Z, joint]
     return OK
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def answer(plane: Plane, rank: int, V: Array, row: Array, x: Array, y: Array) -> float:
     """Write x (n,) and y (6,) from rows X and FORCE of V; returns by how much x had to be put into its box [rad/s].
 
@@ -220,14 +209,17 @@ def answer(plane: Plane, rank: int, V: Array, row: Array, x: Array, y: Array) ->
     at = offsets(n)
     c2, rho = row[at.weights + C2], row[at.weights + RHO]
     beyond = 0.0
-    for c in range(0, m, 8):
-        lower, upper, point = part(row, at.lower + c, n - c), part(row, at.upper + c, n - c), load(V, X, c)
-        beyond = max(beyond, largest(larger(lower - point, point - upper)))
-        point = lesser(larger(point, lower), upper)
-        keep(x, c, n - c, point)
-        store(V, FORCE, c, load(V, FORCE, c) - rho * point + c2 * part(row, at.grad_mu + c, n - c))
-    multipliers = zeros()
-    for k in range(rank):
-        multipliers = multipliers + load(plane.W, plane.pivots[k], m) * V[FORCE, plane.order[k]]
-    keep(y, 0, 6, multipliers)
+    for j in range(n):
+        lower, upper = row[at.lower + j], row[at.upper + j]
+        point = V[X, j]
+        beyond = lower - point if lower - point > beyond else beyond
+        beyond = point - upper if point - upper > beyond else beyond
+        point = lower if point < lower else upper if point > upper else point
+        x[j] = point
+        V[FORCE, j] += c2 * row[at.grad_mu + j] - rho * point
+    for i in range(6):
+        multiplier = 0.0
+        for k in range(rank):
+            multiplier += plane.W[plane.pivots[k], m + i] * V[FORCE, plane.order[k]]
+        y[i] = multiplier
     return beyond

@@ -18,22 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.simd import (
-    above,
-    first,
-    larger,
-    largest,
-    least,
-    load,
-    magnitude,
-    part,
-    stack,
-    store,
-    unit,
-)
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
-from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK, Plane, X, direction
+from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK, Plane, X, direction, inlined
 from moc_opt.solvers.exact.elimination import FORCE as TOTAL
 from moc_opt.solvers.exact.projector import (
     BEFORE,
@@ -62,52 +49,45 @@ UNMOVED = 1e-26  # Pi[j, j], the square of how far joint j goes on a step of len
 DELICATE = 1e-6  # of Pi[j, j]: pushing a joint with less than that left by the active ones makes rounding show
 DEPENDENT = 1e-12  # of Pi[j, j]: with no more than that left by them, joint j cannot be pushed
 
-ON_STACK = 64  # joints whose matrices go there: some hundred kilobytes
 
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def settle(M: Array, n: int, m: int, r: int) -> None:
     """Take the rounding of the way out of s: back into ker A, and the active joints onto their bounds."""
     onto_basis(M, n, m, r, S, STEP, 1.0)
-    for c in range(0, m, 8):
-        store(M, S, c, load(M, STEP, c))
+    for c in range(m):
+        M[S, c] = M[STEP, c]
     for a in range(n):
         if M[SIDE, a] != 0.0:
             bound = M[LOW, a] if M[SIDE, a] > 0.0 else M[HIGH, a]
             gap = bound - M[STEP, a]
-            for c in range(0, m, 8):
-                yielding = (1.0 - magnitude(load(M, SIDE, c))) * load(M, PI + a, c)
-                store(M, S, c, load(M, S, c) + gap * yielding)
+            for c in range(m):
+                M[S, c] += gap * (1.0 - abs(M[SIDE, c])) * M[PI + a, c]
             M[S, a] = bound
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def furthest_out(M: Array, m: int, tolerance: float) -> int:
     """The joint that is furthest beyond its bounds; -1 where none is by more than the tolerance."""
     joint, most = -1, tolerance
-    for c in range(0, m, 8):
-        s = load(M, S, c)
-        beyond = larger(load(M, LOW, c) - s, s - load(M, HIGH, c))
-        worst = largest(beyond)
-        joint = c + first(beyond, worst) if worst > most else joint
-        most = max(worst, most)
+    for c in range(m):
+        below, over = M[LOW, c] - M[S, c], M[S, c] - M[HIGH, c]
+        beyond = below if below > over else over
+        joint, most = (c, beyond) if beyond > most else (joint, most)
     return joint
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def first_to_let_go(M: Array, m: int, p: int, side: float) -> tuple[int, float]:
     """The active bound whose multiplier is the first to vanish when joint p is pushed, and after how much push."""
     joint, step = -1, np.inf
-    for c in range(0, m, 8):
-        fading = side * load(M, SIDE, c) * load(M, PI + p, c)
-        until = above(fading, 1e-12, magnitude(load(M, FORCE, c)) / fading, np.inf)
-        shortest = least(until)
-        joint = c + first(until, shortest) if shortest < step else joint
-        step = min(shortest, step)
+    for c in range(m):
+        fading = side * M[SIDE, c] * M[PI + p, c]
+        until = abs(M[FORCE, c]) / fading if fading > 1e-12 else np.inf
+        joint, step = (c, until) if until < step else (joint, step)
     return joint, step
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> int:
     """Move s to the nearest point of LOW <= s <= HIGH along the r dimensions of Pi, which is not swept yet.
 
@@ -116,9 +96,8 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
     Returns OK, EMPTY where no s is within its bounds by ``tolerance``, or STUCK.
     """
     count = 0
-    for c in range(0, m, 8):
-        store(M, FORCE, c, 0.0)
-        store(M, SIDE, c, 0.0)
+    for c in range(m):
+        M[FORCE, c] = M[SIDE, c] = 0.0
     for _ in range(20 * n):
         p = furthest_out(M, m, tolerance)
         if p < 0:
@@ -137,11 +116,11 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
                 return EMPTY
             length = side * min(step, full)
             move = length if full < np.inf else 0.0
-            for c in range(0, m, 8):
-                push, active = load(M, PI + p, c), magnitude(load(M, SIDE, c))
-                force = load(M, FORCE, c) - length * active * push + length * unit(p - c)
-                store(M, FORCE, c, force)
-                store(M, S, c, load(M, S, c) + move * (1.0 - active) * push)
+            for c in range(m):
+                push, active = M[PI + p, c], abs(M[SIDE, c])
+                M[FORCE, c] -= length * active * push
+                M[S, c] += move * (1.0 - active) * push
+            M[FORCE, p] += length
             if full <= step:
                 far |= gives < DELICATE * M[SIZE, p]
                 sweep(M, n, m, p, 1.0)
@@ -154,22 +133,22 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
     return STUCK
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def nearest(M: Array, n: int, m: int, r: int, slack: float, tolerance: float, far: bool) -> int:
     """``project`` to within the slack; where rounding decides whether there is such a point, a tenth of the tolerance.
 
     The plane may touch the box in one point only.
     """
-    for c in range(0, m, 8):
-        store(M, TARGET, c, load(M, S, c))
+    for c in range(m):
+        M[TARGET, c] = M[S, c]
     while True:
         status = project(M, n, m, r, slack, far)
         if status != EMPTY or slack >= 0.1 * tolerance:
             return status
         slack = 0.1 * tolerance
         projector(M, n, m, r)
-        for c in range(0, m, 8):
-            store(M, S, c, load(M, TARGET, c))
+        for c in range(m):
+            M[S, c] = M[TARGET, c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -183,24 +162,23 @@ def approach(
     for scale in (1e8, 1e4, 1.0):
         step = scale * base
         for _ in range(50):
-            for c in range(0, m, 8):
-                s = load(M, S, c)
-                store(M, BEFORE, c, s)
-                store(M, S, c, (s + step * load(M, PULL, c)) / (1.0 + rho * step))
+            for c in range(m):
+                M[BEFORE, c] = M[S, c]
+                M[S, c] = (M[S, c] + step * M[PULL, c]) / (1.0 + rho * step)
             projector(M, n, m, r)
             status = nearest(M, n, m, r, slack * max(1.0, 1e-3 * scale), tolerance, True)
             weight = rho + 1.0 / step
             moved = 0.0
-            for c in range(0, m, 8):
+            for c in range(m):
                 if status != OK:  # there is a point in the box, but its rounding is too large from here
-                    store(M, S, c, load(M, BEFORE, c))
-                moved = max(moved, largest(magnitude(load(M, S, c) - load(M, BEFORE, c))))
+                    M[S, c] = M[BEFORE, c]
+                moved = max(moved, abs(M[S, c] - M[BEFORE, c]))
             if moved <= slack * scale:
                 break
     return OK if status == OK else STUCK, weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tolerance: float) -> int:
     """Move row X of V along the plane to the optimum; the active bounds' multipliers are added to row TOTAL.
 
@@ -213,37 +191,36 @@ def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tol
     n, m = plane.n, plane.m
     at = offsets(n)
     c2, rho = row[at.weights + C2], row[at.weights + RHO]
-    M = stack(PI + n + r, m) if m <= ON_STACK else np.empty((PI + n + r, m))
+    M = np.empty((PI + n + r, m))
     for k in range(r):
         direction(plane, rank, plane.order[rank + k], M, PI + n + k)
     orthogonalise(M, n, m, r)
     projector(M, n, m, r)
-    for c in range(0, m, 8):
-        store(M, S, c, load(V, X, c))
-        store(M, STEP, c, part(row, at.grad_mu + c, n - c))
-        store(M, SIZE, c, 0.0)
+    for c in range(m):
+        M[S, c], M[STEP, c], M[SIZE, c] = V[X, c], 0.0, 0.0
+    for j in range(n):
+        M[STEP, j], M[SIZE, j] = row[at.grad_mu + j], M[PI + j, j]
     onto_basis(M, n, m, r, S, BEFORE, 1.0)
     onto_basis(M, n, m, r, STEP, PULL, c2)
-    for j in range(n):
-        M[SIZE, j] = M[PI + j, j]
     pull, room = np.sqrt(along(M, m, PULL, PULL)), 0.0
-    for c in range(0, m, 8):
-        x, size = load(V, X, c) - load(M, BEFORE, c), load(M, SIZE, c)
-        lower, upper = part(row, at.lower + c, n - c), part(row, at.upper + c, n - c)
-        store(V, X, c, x)
-        store(M, LOW, c, above(size, UNMOVED, lower - x, -np.inf))
-        store(M, HIGH, c, above(size, UNMOVED, upper - x, np.inf))
-        room = max(room, largest(above(size, UNMOVED, upper - lower, 0.0)))
+    for c in range(m):
+        M[LOW, c], M[HIGH, c] = -np.inf, np.inf
+    for j in range(n):
+        V[X, j] -= M[BEFORE, j]
+        if M[SIZE, j] > UNMOVED:
+            lower, upper = row[at.lower + j], row[at.upper + j]
+            M[LOW, j], M[HIGH, j] = lower - V[X, j], upper - V[X, j]
+            room = max(room, upper - lower)
     direct = rho > 0.0 and pull <= FAR * room * rho
     slack = 1e-14 * max(1.0, room)
-    for c in range(0, m, 8):
-        store(M, S, c, load(M, PULL, c) / (rho if direct else np.inf))
+    for c in range(m):
+        M[S, c] = M[PULL, c] / rho if direct else 0.0
     status, weight = nearest(M, n, m, r, slack, tolerance, not direct or pull > NEAR * room * rho), rho
     if not direct:
         weight = 0.0
         if status == OK and pull > 0.0:
             status, weight = approach(M, n, m, r, rho, slack, tolerance, 10.0 * max(room, 1e-6) / pull)
-    for c in range(0, m, 8):
-        store(V, X, c, load(V, X, c) + load(M, S, c))
-        store(V, TOTAL, c, load(V, TOTAL, c) + weight * load(M, FORCE, c))
+    for c in range(m):
+        V[X, c] += M[S, c]
+        V[TOTAL, c] += weight * M[FORCE, c]
     return status

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.cache import njit
-from moc_opt.numerics.simd import load, store, total, unit, zeros
+from moc_opt.solvers.exact.elimination import inlined
 
 Array = NDArray[np.float64]
 
@@ -21,23 +20,23 @@ STEP, BEFORE, TARGET = 8, 9, 10  # scratch for one kernel; s before a proximal s
 PI = 11
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def along(M: Array, m: int, a: int, b: int) -> float:
     """Inner product of two rows."""
-    product = zeros()
-    for c in range(0, m, 8):
-        product = product + load(M, a, c) * load(M, b, c)
-    return float(total(product))
+    product = 0.0
+    for c in range(m):
+        product += M[a, c] * M[b, c]
+    return product
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def add(M: Array, m: int, to: int, scale: float, what: int) -> None:
     """A multiple of one row onto another."""
-    for c in range(0, m, 8):
-        store(M, to, c, load(M, to, c) + scale * load(M, what, c))
+    for c in range(m):
+        M[to, c] += scale * M[what, c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
     """Gram-Schmidt on the r rows of the basis, without making them unit vectors."""
     for a in range(PI + n, PI + n + r):
@@ -47,39 +46,38 @@ def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
             add(M, m, b, -inverse * along(M, m, a, b), a)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def onto_basis(M: Array, n: int, m: int, r: int, what: int, to: int, scale: float) -> None:
     """Row ``to`` = scale * Pi of row ``what``, through the basis."""
-    for c in range(0, m, 8):
-        store(M, to, c, 0.0)
+    for c in range(m):
+        M[to, c] = 0.0
     for k in range(r):
         z = PI + n + k
         add(M, m, to, scale * M[INVERSE, k] * along(M, m, z, what), z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def projector(M: Array, n: int, m: int, r: int) -> None:
     """Pi = sum of z z^T / |z|^2 over the basis, not swept."""
     Z = PI + n
     for i in range(n):
-        for c in range(0, m, 8):
-            row = zeros()
-            for k in range(r):
-                row = row + M[Z + k, i] * M[INVERSE, k] * load(M, Z + k, c)
-            store(M, PI + i, c, row)
+        for c in range(m):
+            M[PI + i, c] = 0.0
+        for k in range(r):
+            add(M, m, PI + i, M[Z + k, i] * M[INVERSE, k], Z + k)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+@inlined
 def sweep(M: Array, n: int, m: int, p: int, sign: float) -> None:
     """Exchange joint p's s for its multiplier in Pi (sign 1), or back again (sign -1)."""
     inverse = 1.0 / M[PI + p, p]
-    for c in range(0, m, 8):
-        here = unit(p - c)
-        store(M, STEP, c, load(M, PI + p, c) * (1.0 - here) - sign * here)
+    for c in range(m):
+        M[STEP, c] = M[PI + p, c]
+    M[STEP, p] = -sign
     for i in range(n):
         scale = M[PI + i, p] * inverse
-        for c in range(0, m, 8):
-            store(M, PI + i, c, load(M, PI + i, c) * (1.0 - unit(p - c)) - scale * load(M, STEP, c))
-    for c in range(0, m, 8):
-        here = unit(p - c)
-        store(M, PI + p, c, (sign * (1.0 - here) * load(M, STEP, c) - here) * inverse)
+        M[PI + i, p] = 0.0
+        add(M, m, PI + i, -scale, STEP)
+    for c in range(m):
+        M[PI + p, c] = sign * inverse * M[STEP, c]
+    M[PI + p, p] = -inverse

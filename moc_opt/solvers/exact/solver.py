@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
-from moc_opt.numerics.simd import larger, load, magnitude, stack, stack_indices, store, width, zeros
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.problem import NullSpaceQP, fields
@@ -36,6 +35,7 @@ from moc_opt.solvers.exact.elimination import (
     REACH,
     STUCK,
     B,
+    Indices,
     Plane,
     X,
     Z,
@@ -47,6 +47,13 @@ from moc_opt.solvers.exact.polytope import maximise_over_box
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9  # of the largest entry of grad_mu
+ANOTHER_SIZE = 3
+
+
+@njit(cache=True, nogil=True)
+def workspace(n: int) -> tuple[Array, Indices]:
+    """Make the scratch memory of `solve_row` for n joints: V and W with rows of a multiple of eight, and orders."""
+    return np.empty((12, (n + 7) // 8 * 8 + 8)), np.empty(n + 7, dtype=np.int64)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -65,12 +72,12 @@ def rest(V: Array, row: Array, n: int) -> None:
             V[X, j] = min(max(wish, row[at.lower + j]), row[at.upper + j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> int:
+@elimination.inlined
+def solve_within(row: Array, tolerance: float, x: Array, y: Array, work: Array, indices: Indices, m: int) -> int:
     """``solve_row`` with m >= n numbers to a row, m a multiple of eight."""
     n = x.shape[0]
-    V, W = stack(4, m), stack(7, m + 8)
-    plane = Plane(W, stack_indices(n + 1), stack_indices(6), n, m)
+    V, W = work[:4], work[4:]
+    plane = Plane(W, indices[6:], indices[:6], n, m)
     rank = elimination.eliminate(plane, row)
     if rank < 0:
         return STUCK
@@ -79,13 +86,12 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
             return EMPTY  # a repeated row asks for another velocity than its twin
 
     # Particular solution, and the free columns that move the tip or the wrist.
-    for c in range(0, m, 8):
-        reach = zeros()
-        for i in range(6):
-            reach = larger(reach, (1.0 - W[OPEN, i]) * magnitude(load(W, i, c)))
-        store(V, REACH, c, reach)
-        store(V, X, c, 0.0)
-        store(V, FORCE, c, 0.0)
+    for c in range(m):
+        V[REACH, c] = V[X, c] = V[FORCE, c] = 0.0
+    for i in range(6):
+        for c in range(m):
+            reach = (1.0 - W[OPEN, i]) * abs(W[i, c])
+            V[REACH, c] = reach if reach > V[REACH, c] else V[REACH, c]
     for k in range(rank):
         V[X, plane.order[k]], V[REACH, plane.order[k]] = W[plane.pivots[k], m + B], -1.0
     freedoms = int64(0)
@@ -109,27 +115,33 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def solve_row(row: Array, tolerance: float, x: Array, y: Array) -> int:
-    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK."""
+def solve_row(row: Array, tolerance: float, x: Array, y: Array, work: Array, indices: Indices) -> int:
+    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK.
+
+    ``work`` and ``indices`` are of `workspace`; where they are for another n nothing is done: ANOTHER_SIZE.
+    """
     n = x.shape[0]
-    row, x, y = borrowed(row), borrowed(x), borrowed(y)
+    if indices.shape[0] != n + 7:
+        return ANOTHER_SIZE
+    row, x, y, work, indices = borrowed(row), borrowed(x), borrowed(y), borrowed(work), borrowed(indices)
     # int64(8) is a constant to LLVM alone; numba would compile everything once more for 8.
     if n <= 8:
-        return solve_within(row, tolerance, x, y, int64(8))
+        return solve_within(row, tolerance, x, y, work, indices, int64(8))
     if n <= 16:
-        return solve_within(row, tolerance, x, y, int64(16))
-    return solve_within(row, tolerance, x, y, width(n))
+        return solve_within(row, tolerance, x, y, work, indices, int64(16))
+    return solve_within(row, tolerance, x, y, work, indices, work.shape[1] - 8)
 
 
 @njit(cache=True, nogil=True)
 def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArray[np.int64]) -> None:
     """``solve_row`` over a batch."""
+    work, indices = workspace(X.shape[1])
     for i in range(rows.shape[0]):
-        status[i] = solve_row(rows[i], tolerance, X[i], Y[i])
+        status[i] = solve_row(rows[i], tolerance, X[i], Y[i], work, indices)
 
 
-_SOLVE = CompiledKernel(solve_row, VECTOR, float64, VECTOR, VECTOR)
-_empty, _solution, _SOLVED = np.empty, Solution._make, Status.SOLVED  # looked up once: the loop does it at every tick
+_SOLVE = CompiledKernel(solve_row, VECTOR, float64, VECTOR, VECTOR, MATRIX, INDICES)
+_empty, _new, _SOLVED = np.empty, tuple.__new__, Status.SOLVED  # looked up once: the loop does it at every tick
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
@@ -140,8 +152,8 @@ class Exact:
     Args:
         tolerance: box violation that still counts as feasible [rad/s].
 
-    Repeated rows may contradict each other by ``elimination.LEFT`` [m/s], the judge's own tolerance on A x = b: data
-    that are rounded to eight decimals contradict themselves by 1e-8.
+    Repeated rows may contradict each other by ``elimination.LEFT`` [m/s], the tolerance on A x = b of the residual
+    check: data that are rounded to eight decimals contradict themselves by 1e-8.
     """
 
     tolerance: float = 1e-9
@@ -157,7 +169,7 @@ class Exact:
 
     def start(self, qp: NullSpaceQP) -> ExactSession:
         """A session; there is nothing to warm up but the compiler."""
-        session = ExactSession(self.tolerance)
+        session = ExactSession(self.tolerance, qp.n)
         session.solve(qp)
         return session
 
@@ -204,14 +216,18 @@ class Exact:
 class ExactSession:
     """Keeps nothing between ticks: warm equals cold."""
 
-    __slots__ = ("_kernel", "tolerance")
+    __slots__ = ("_indices", "_kernel", "_work", "tolerance")
 
-    def __init__(self, tolerance: float) -> None:
+    def __init__(self, tolerance: float, n: int) -> None:
         self.tolerance = tolerance
+        self._work, self._indices = workspace(n)
         self._kernel = _SOLVE.code
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; the answer's arrays are the caller's."""
         x, y = _empty(qp.n), _empty(6)
-        code = self._kernel(qp.row, self.tolerance, x, y)
-        return _solution((x, y, _SOLVED, 0)) if code == OK else no_answer(qp.n, _STATUS[code])
+        code = self._kernel(qp.row, self.tolerance, x, y, self._work, self._indices)
+        if code == ANOTHER_SIZE:
+            self._work, self._indices = workspace(qp.n)
+            return self.solve(qp)
+        return _new(Solution, (x, y, _SOLVED, 0)) if code == OK else no_answer(qp.n, _STATUS[code])
