@@ -1,4 +1,4 @@
-"""python -m moc_opt run | replay | map | live | export-c: scenarios from the command line."""
+"""python -m moc_opt run | replay | map | live | export-c | robot: scenarios and robots from the command line."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from moc_opt.commissioning.command import add_commands as robot_commands
+from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
@@ -50,8 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument(
         "--i-know-this-is-public", action="store_true", dest="public", help="allow any other host"
     )
+    robot_commands(commands)
     given = parser.parse_args(arguments)
     try:
+        if given.command == "robot":
+            return robot_command(given)
         if given.command == "export-c":
             return export_c(given.scenario, given.out)
         if given.command == "replay":

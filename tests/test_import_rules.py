@@ -43,7 +43,7 @@ ALLOWED = {
     },
     "live": {"errors", "inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
     "commissioning": {
-        "errors", "inputs", "robots", "model", "redundancy", "report", "scenario",
+        "errors", "inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario",
     },
     "public": {"errors", "qp", "trace", "model", "solvers", "scenario"},
     "command line": {"errors", "trace", "report", "scenario", "embedded", "live", "commissioning"},

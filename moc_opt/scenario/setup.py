@@ -19,6 +19,7 @@ from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import judge
 from moc_opt.qp.residuals import Residuals
+from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
@@ -59,6 +60,8 @@ class Setup:
         start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
+        if scenario.control.law == "moc":
+            require_freedom(self.robot)
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
