@@ -73,7 +73,7 @@ class Controller:
         self._rcm_lambda = 0.0 if settings.rcm_lambda is None else settings.rcm_lambda
         self._limits = manipulability.box_limits(
             robot.q_min, robot.q_max, robot.v_max,
-            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+            margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         )  # fmt: skip
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])

@@ -7,11 +7,13 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
+from moc_opt.control import Controller, ControlSettings, tick
 from moc_opt.control import null_space as level3
-from moc_opt.control import tick
 from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.model.robot_model import load_robot
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.scenario import Scenario, run
+from moc_opt.solvers import create
 
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -83,6 +85,19 @@ def test_box_limits(robot):
     np.testing.assert_array_equal(found, [robot.q_min + 0.1, robot.q_max - 0.1, 0.25 * robot.v_max])
     with pytest.raises(ControlError, match=r"limit_margin_rad = 3.0: nothing is left of joint 2 .* less than 2.09"):
         level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=3.0)
+
+
+def test_a_sliding_joint_has_its_margin_in_metres():
+    rail = load_robot("lwr4_rail")
+    margins = ControlSettings(limit_margin_rad=0.2, limit_margin_m=0.03).limit_margins(rail.chain.prismatic)
+    np.testing.assert_array_equal(margins, [0.03, *[0.2] * 7])
+    found = level3.box_limits(rail.q_min, rail.q_max, rail.v_max, margin=margins)
+    np.testing.assert_allclose(found[0] - rail.q_min, margins, rtol=0, atol=1e-15)
+    with pytest.raises(ControlError, match=r"limit_margin_rad = 0.6: nothing is left of joint 1 .* less than 0.5 "):
+        level3.box_limits(rail.q_min, rail.q_max, rail.v_max, margin=np.where(rail.chain.prismatic, 0.6, 0.2))
+    controller = Controller(rail, ControlSettings(limit_margin_m=0.03), create("exact"))
+    lower = controller._limits[0]
+    np.testing.assert_allclose(lower - rail.q_min, [0.03, *[0.15] * 7], rtol=0, atol=1e-15)
 
 
 def towards_a_limit(q, preset="nominal", **control):
