@@ -13,22 +13,24 @@ if TYPE_CHECKING:
     from moc_opt import solvers
     from moc_opt.errors import MocOptError
     from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
+    from moc_opt.planning.plan import Plan
     from moc_opt.qp.problem import NullSpaceQP
     from moc_opt.scenario import Scenario, run
+    from moc_opt.scenario.planned import plan
     from moc_opt.trace.metrics import summarize
     from moc_opt.trace.trace import Trace
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "MocOptError": "errors", "NullSpaceQP": "qp.problem", "RobotModel": "model.robot_model",
+    "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan", "RobotModel": "model.robot_model",
     "RobotState": "model.robot_model", "Scenario": "scenario", "Trace": "trace.trace",
-    "load_robot": "model.robot_model", "run": "scenario", "summarize": "trace.metrics",
+    "load_robot": "model.robot_model", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",
 }  # fmt: skip
 
 __all__ = [
-    "MocOptError", "NullSpaceQP", "RobotModel", "RobotState", "Scenario", "Trace", "load_robot", "run", "solvers",
-    "summarize",
+    "MocOptError", "NullSpaceQP", "Plan", "RobotModel", "RobotState", "Scenario", "Trace", "load_robot", "plan", "run",
+    "solvers", "summarize",
 ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""python -m moc_opt run | replay | map | live | export-c | robot: scenarios and robots from the command line."""
+"""python -m moc_opt run | plan | replay | map | live | export-c | robot: scenarios and robots from the command line."""
 
 from __future__ import annotations
 
@@ -36,6 +36,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    ahead = commands.add_parser(
+        "plan", help="say before anything moves whether and how well a scenario can be executed",
+        epilog="Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot.",
+    )  # fmt: skip
+    ahead.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
+    ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
+    ahead.add_argument("--margin", type=float, default=0.0, help="that joints keep from their limits [rad]")
+    ahead.add_argument("--speed-share", type=float, default=1.0, help="of the joints' speed limits that may be used")
+    ahead.add_argument("--out", type=Path, help="the course goes here (Parquet)")
+    ahead.add_argument("--json", action="store_true", help="print JSON")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
     replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     replay.add_argument("--out", type=Path, default=Path("replay.html"))
@@ -59,6 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return robot_command(given)
         if given.command == "export-c":
             return export_c(given.scenario, given.out)
+        if given.command == "plan":
+            return plan_scenario(given)
         if given.command == "replay":
             from moc_opt.report.replay import Replay
 
@@ -132,6 +144,29 @@ def run_scenario(
     else:
         console().print(run_table(title, trace, metrics).to_rich())
     return 0 if ended == "completed" else 3
+
+
+def plan_scenario(given: argparse.Namespace) -> int:
+    """Plan, print, and write the course."""
+    from moc_opt.report.console import console, print_json
+    from moc_opt.report.plan_table import plan_json, plan_tables
+    from moc_opt.scenario import Scenario
+    from moc_opt.scenario.planned import plan, save_course
+
+    scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
+    title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
+    found = plan(scenario, objective=given.objective, margin_rad=given.margin, speed_share=given.speed_share)
+    if given.json:
+        print_json(plan_json(found))
+    else:
+        screen = console()
+        for table in plan_tables(title, found):
+            for piece in table.fitted(screen.width):
+                screen.print(piece)
+    if given.out is not None:
+        path = save_course(found, scenario.robot.arm(), given.out)
+        print(path, file=sys.stderr if given.json else sys.stdout)
+    return 0 if found.executable else 3
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:

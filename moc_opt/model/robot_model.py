@@ -19,17 +19,17 @@ from moc_opt.model import kinematics_kernels as kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
-from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData, load_data
 
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-_FILL_STATE = Entry(
+_FILL_STATE = CompiledKernel(
     kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
-_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
-_TOOL_POSE = Entry(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
+_TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
+_TOOL_POSE = CompiledKernel(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
 _forward = pin.forwardKinematics

@@ -44,6 +44,11 @@ class Elbow:
         axis = 2 if sideways[2] > 0.3 else int(np.argmax(sideways))
         self._reference = np.eye(3)[axis]
 
+    @property
+    def reference(self) -> Array:
+        """(3,) unit vector towards which the elbow lies at swivel zero."""
+        return self._reference
+
     def swivel(self, q: Array) -> Array:
         """(k,) [rad] in (-pi, pi], of poses (k, n)."""
         origins, rotations = link_frames(self._chain, q)

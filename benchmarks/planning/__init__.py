@@ -1,0 +1,1 @@
+"""What `benchmarks.plan` computes (`parts`) and how it is shown (`tables`)."""

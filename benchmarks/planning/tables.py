@@ -1,0 +1,146 @@
+"""The planning benchmark's summary, tables and page, all from its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.statistics import mean
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+
+Rows = Sequence[Mapping[str, Any]]
+
+MEANS = (
+    "from_start", "best", "climbed", "climb_gap_percent", "start_loss_percent", "bound_gap_percent",
+    "bound_gap_best_percent", "refined_percent", "halving_percent", "map_s", "search_s", "refine_s",
+)  # fmt: skip
+COURSES = [
+    Column("robot", "robot"), Column("trials", "trials", format="d"),
+    Column("executable", "can be executed", format="d"), Column("climbed_whole", "climb arrives", format="d"),
+    Column("from_start", "mu, best from start", unit="m^3", format=".4f"),
+    Column("best", "mu, best over all", unit="m^3", format=".4f"),
+    Column("climb_gap_percent", "climb below best from start", unit="%", format=".2f"),
+    Column("climb_gap_percent_max", "at worst", unit="%", format=".1f"),
+    Column("start_loss_percent", "start below best", unit="%", format=".2f"),
+    Column("start_loss_percent_max", "at worst", unit="%", format=".1f"),
+    Column("climb_gap_over_5", "climbs over 5 % below", format="d"),
+]  # fmt: skip
+TRUST = [
+    Column("robot", "robot"), Column("certified", "local optima", format="d"),
+    Column("violation_max", "largest violation", unit="m, rad", format=".0e"),
+    Column("bound_gap_percent", "bound above course", unit="%", format=".3f"),
+    Column("bound_gap_percent_max", "at worst", unit="%", format=".2f"),
+    Column("refined_percent", "refinement gains", unit="%", format=".3f"),
+    Column("halving_percent_abs_max", "halving the grid moves it by", unit="%", format=".3f"),
+    Column("map_s", "map", unit="s", format=".2f"),
+    Column("search_s", "search", unit="s", format=".2f"), Column("search_s_max", "at worst", unit="s", format=".2f"),
+    Column("refine_s", "refinement", unit="s", format=".2f"),
+]  # fmt: skip
+CLOSED_FORM = [
+    Column("name", "trial"), Column("starts", "random starts", format="d"), Column("placed", "poses found", format="d"),
+    Column("map_mu", "largest mu of the map", unit="m^3", format=".8f"),
+    Column("random_mu", "found at random", unit="m^3", format=".8f"),
+    Column("above_map", "difference", unit="m^3", format=".1e"),
+]  # fmt: skip
+RESTARTS = [
+    Column("name", "trial"), Column("restarts", "other starts", format="d"),
+    Column("own", "plan", unit="m^3", format=".5f"),
+    Column("as_good", "end as good", format="d"),
+    Column("above_own_percent", "best of them above the plan", unit="%", format=".1e"),
+]  # fmt: skip
+
+
+def summarise(rows: Rows) -> dict[str, Any]:
+    """part -> robot (or "robot, trial") -> figures; trials that failed are counted."""
+    summary: dict[str, Any] = {"courses": {}, "closed_form": {}, "restarts": {}, "map": {}}
+    for robot in dict.fromkeys(row["robot"] for row in rows):
+        mine = [row for row in rows if row["robot"] == robot]
+        summary["courses"][robot] = _courses([row for row in mine if row["part"] == "courses"])
+        for row in mine:
+            if row["part"] in ("closed_form", "restarts", "map"):
+                about = ("part", "robot", "task", "trial", "seed")
+                name = robot if row["part"] == "map" else f"{robot}, {row['trial']}"
+                summary[row["part"]][name] = {key: value for key, value in row.items() if key not in about}
+    return summary
+
+
+def _courses(rows: Rows) -> dict[str, Any]:
+    found: dict[str, Any] = {"trials": len(rows), "failed": sum(bool(row["error"]) for row in rows)}
+    for name in ("executable", "climbed_whole", "certified"):
+        found[name] = sum(bool(row.get(name)) for row in rows)
+    for name in MEANS:
+        values = [row[name] for row in rows if name in row]
+        if values:
+            found |= mean(values).entries(name) | {f"{name}_max": max(values)}
+            found[f"{name}_abs_max"] = float(np.abs(values).max())
+    found["violation_max"] = max((row["violation"] for row in rows if "violation" in row), default=None)
+    found["climb_gap_over_5"] = sum(row.get("climb_gap_percent", 0.0) > 5.0 for row in rows)
+    return found
+
+
+def tables(summary: Mapping[str, Any]) -> list[Table]:
+    """What the courses are worth, how far they can be trusted, and the checks of map and program."""
+    by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
+    made = [
+        Table("Courses along the path, means over the trials", COURSES, by_robot),
+        Table("How sure they are", TRUST, by_robot),
+    ]
+    for part, title, columns in (
+        ("closed_form", "The map's largest mu against random inverse kinematics", CLOSED_FORM),
+        ("restarts", "The nonlinear program begun elsewhere", RESTARTS),
+    ):
+        if summary[part]:
+            made.append(Table(title, columns, [{"name": name, **row} for name, row in summary[part].items()]))
+    timed = [{"name": name, **row} for name, row in summary["map"].items() if "map_s" in row]
+    if timed:
+        columns = [
+            Column("name", "robot"), Column("poses", "poses", format="d"), Column("map_s", "best of 5", unit="s"),
+            Column("map_median_s", "median", unit="s"),
+        ]  # fmt: skip
+        made.append(Table("Time of one map on one core", columns, timed))
+    return made
+
+
+def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> Page:
+    """One page that opens by itself."""
+    page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
+    page.headline(headline(summary))
+    page.section("How to read this")
+    page.text(
+        "Starts are drawn evenly from the joint ranges less a tenth at both ends, and rejected where the pose or one "
+        "along the path is nearly singular, within 0.05 rad of a limit or below the base, or where kinematics alone "
+        "cannot follow the task. Best from start and best over all starts are means of mu over the whole run, rests "
+        "included, within joint limits and joint speeds. The climb follows the gradient of mu as fast as the joints "
+        "can. The bound holds for every course; times are from scratch, with as many processes as configured."
+    )
+    page.section("Results")
+    for table in tables(summary):
+        page.table(table)
+    failed = [row for row in rows if row["error"]]
+    if failed:
+        page.section("Trials that failed")
+        columns = [Column("robot", "robot"), Column("trial", "trial"), Column("part", "part"), Column("error", "error")]
+        page.table(Table("Errors", columns, failed))
+    page.section("Made by")
+    machine = environment["machine"]
+    page.text(
+        f"`python -m benchmarks.plan`, seed {environment['seed']}, commit {environment['commit']}, {machine['cores']} "
+        f"cores, {machine['processor']}, load {machine['load_1min']:.1f}."
+    )
+    return page
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """One sentence a robot."""
+    said = []
+    for robot, row in summary["courses"].items():
+        if "climb_gap_percent" in row:
+            said.append(
+                f"{robot}: a local climb ends {row['climb_gap_percent']:.2f} % below the best course from its start on "
+                f"average and {row['climb_gap_percent_max']:.1f} % at worst; the start itself costs "
+                f"{row['start_loss_percent']:.2f} % against the best over all."
+            )
+    return " ".join(said) or "No course was found."

@@ -1,0 +1,76 @@
+"""A course: one pose for each time of a path, what it is worth, and by how much it breaks what it has to keep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.targets import Targets
+
+Array = NDArray[np.float64]
+Objective = Literal["mean", "worst", "log"]
+OBJECTIVES: tuple[Objective, ...] = ("mean", "worst", "log")
+LEAST_MU = 1e-12
+"""Below it the logarithm is taken here [m^3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early."""
+
+    t_s: Array
+    """(k,) [s]"""
+    q_rad: Array
+    """(k,n)"""
+    mu: Array
+    """(k,) [m^3], by the robot model"""
+    violation: float
+    """Largest of: tip or wrist off its target [m], a joint beyond its limit or its speed times the period [rad]."""
+    certified: bool = False
+    """Whether it is a local optimum to the solver's tolerance; False: the best on a grid."""
+
+    def value(self, objective: Objective) -> float:
+        """Mean mu, worst mu [m^3], or mean of log mu, over the time by the trapezoidal rule."""
+        if objective == "worst":
+            return float(self.mu.min())
+        gain = self.mu if objective == "mean" else np.log(np.maximum(self.mu, LEAST_MU))
+        weight = weights(len(gain))
+        return float(weight @ gain / weight.sum())
+
+    @property
+    def mu_mean(self) -> float:
+        """Mean manipulability over the time [m^3]."""
+        return self.value("mean")
+
+    def as_certified(self) -> Course:
+        """The same, said to be a local optimum."""
+        return replace(self, certified=True)
+
+
+def weights(count: int) -> Array:
+    """Of the trapezoidal rule on evenly spaced times, (count,)."""
+    weight = np.ones(count)
+    if count > 1:
+        weight[[0, -1]] = 0.5
+    return weight
+
+
+def make_course(
+    robot: RobotModel, targets: Targets, q: Array, margin_rad: float = 0.0, speed_share: float = 1.0
+) -> Course:
+    """Judge poses (k,n) for the first k times by the robot model itself, whoever found them."""
+    count = len(q)
+    tips, wrists = robot.tool_along(q)
+    off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
+    moving = robot.moves.any(axis=0)
+    beyond = np.maximum(q - robot.q_max + margin_rad, robot.q_min + margin_rad - q)[:, moving].max()
+    fast = np.abs(np.diff(q, axis=0)) - speed_share * robot.v_max * targets.period_s
+    violation = float(max(off, beyond, fast.max(initial=-np.inf), 0.0))
+    t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
+    for array in (t, poses, mu):
+        array.flags.writeable = False
+    return Course(t, poses, mu, violation)

@@ -1,0 +1,218 @@
+"""What is known before anything moves: whether a path can be done, from where, how well, and the course itself."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TaskError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.climb import climb
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
+from moc_opt.planning.pose_map import PoseMap, spherical_map
+from moc_opt.planning.refine import refine
+from moc_opt.planning.search import Search, search
+from moc_opt.planning.search_kernels import nearest_share
+from moc_opt.planning.spherical import spherical
+from moc_opt.planning.targets import Targets
+from moc_opt.planning.traced import traced_map
+from moc_opt.redundancy.arm_angle import Elbow
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Blocked:
+    """The first point of the path that no course reaches from the start."""
+
+    t_s: float
+    arc_length_m: float
+    """Way of the tip up to it [m]."""
+    tip_m: tuple[float, float, float]
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A path planned from one start; k times, n joints."""
+
+    objective: Objective
+    """What the courses are best in: "mean" mu, "worst" mu, or the mean of "log" mu."""
+    targets: Targets
+    """Tip and wrist that the path asks for, (k,3) each [m], at (k,) times [s]."""
+    from_start: Course | None
+    """The best course from the start; None: the path cannot be executed from there."""
+    best: Course | None
+    """The best over all swivels and branches at the start of the path; None: from nowhere."""
+    climbed: Course
+    """What a local climb reaches; shorter than the path where it runs into a limit."""
+    bound_from_start: float
+    """No course from the start is better, in the objective's unit; NaN where there is none."""
+    bound: float
+    """No course at all is better."""
+    blocked: Blocked | None
+    """Where and why the path cannot be executed from the start; None: it can."""
+    start_swivel_rad: float
+    """Of the elbow at the start [rad]; see `moc_opt.redundancy.arm_angle`."""
+    best_swivel_rad: float
+    """The start swivel proposed: that of ``best``; NaN: there is none."""
+    swivel_rad: Array
+    """(k,) of ``course`` [rad]; empty where there is none"""
+    map_s: float
+    """Time for the map [s]."""
+    search_s: float
+    """Time for both courses by dynamic programming [s]."""
+    refine_s: float
+    """Time for refining both [s]."""
+
+    @property
+    def executable(self) -> bool:
+        """Whether the whole path can be executed from the start, in joint limits and speeds, shaft in the trocar."""
+        return self.from_start is not None
+
+    @property
+    def course(self) -> Course | None:
+        """The course to follow: from the start, or the best where there is none from there."""
+        return self.from_start if self.from_start is not None else self.best
+
+    @property
+    def climbed_whole(self) -> bool:
+        """Whether the local climb gets to the end of the path."""
+        return len(self.climbed.mu) == len(self.targets)
+
+
+def make_plan(
+    robot: RobotModel,
+    q_start: Array,
+    targets: Targets,
+    objective: Objective = "mean",
+    *,
+    swivels: int = 720,
+    margin_rad: float = 0.0,
+    speed_share: float = 1.0,
+    refined: bool = True,
+) -> Plan:
+    """Plan a path from one start.
+
+    Args:
+        robot: the arm.
+        q_start: (n,) with tip and wrist at the first target [rad].
+        targets: tip and wrist over time.
+        objective: "mean", "worst" or "log".
+        swivels: samples of one turn, of an arm with a closed form.
+        margin_rad: that every joint keeps from its limits.
+        speed_share: of the joints' speed limits that a course may use, above 0 to 1.
+        refined: whether courses are improved beyond the grid.
+
+    Raises:
+        TaskError: an argument is out of range, or the start is not at the first target.
+    """
+    _check(robot, q_start, targets, objective, margin_rad, speed_share)
+    began = time.perf_counter()
+    found = map_of(robot, q_start, targets, swivels)
+    mapped = time.perf_counter()
+    step = speed_share * robot.v_max * targets.period_s
+    start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
+    answers = [search(found, step, objective, start=begin, margin_rad=margin_rad) for begin in (start, None)]
+    searched = time.perf_counter()
+    courses = []
+    for answer, free in zip(answers, (False, True), strict=True):
+        course = None if answer.q_rad is None else make_course(robot, targets, answer.q_rad, margin_rad, speed_share)
+        if course is not None and refined:
+            course = refine(
+                robot, targets, course, objective, free_start=free, margin_rad=margin_rad, speed_share=speed_share
+            )
+        courses.append(course)
+    took = mapped - began, searched - mapped, time.perf_counter() - searched
+    mine, best = courses
+    if mine is not None and best is not None and mine.value(objective) > best.value(objective):
+        best = mine  # of all starts one is the given one
+    bounds = [
+        search(found, step, objective, start=begin, margin_rad=margin_rad, generous=True).value
+        if course is not None else np.nan
+        for begin, course in ((start, mine), (None, best))
+    ]  # fmt: skip
+    elbow = Elbow(robot, targets.wrist)
+    shown = mine if mine is not None else best
+    return Plan(
+        objective, targets, mine, best,
+        make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
+        bounds[0], bounds[1],
+        None if mine is not None else blocked(robot, found, answers[0], start[0], step, margin_rad),
+        float(elbow.swivel(start[0][None])[0]),
+        np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
+        np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)), *took,
+    )  # fmt: skip
+
+
+def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 720) -> PoseMap:
+    """The map in closed form where the arm has one, by continuation otherwise; idle joints stand as at the start."""
+    arm = spherical(robot)
+    if arm is None:
+        return traced_map(robot, targets, q_start)
+    return spherical_map(robot, arm, targets, swivels=swivels, idle_rad=float(q_start[6]))
+
+
+def blocked(
+    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin_rad: float
+) -> Blocked:
+    """Name the first point that the search did not reach, and what is in its way."""
+    k, targets = answer.reached, found.targets
+    at = float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist())
+    feasible, names = found.feasible(margin_rad), robot.data.joint_names
+    if not np.isfinite(found.mu[k]).any():
+        return Blocked(*at, "out of reach: no pose has tip and wrist there, whatever the joint limits")
+    if not feasible[k].any():
+        j = _nearest_limit(robot, found, k, np.isfinite(found.room_rad[k]))
+        return Blocked(*at, f"no pose there is within the joint limits: {names[j]} is beyond its own")
+    before = q_start[None, None] if k == 1 else found.poses(k - 1)
+    if k == 1:
+        before = np.tile(before, (found.mu.shape[1], 1, 1))
+    here = np.ones(before.shape[:2], dtype=np.bool_) if k == 1 else answer.last
+    q = found.poses(k)
+    known = np.isfinite(found.mu[k])
+    share, _ = nearest_share(before, here, q, known, step)
+    wanted, fast = nearest_share(before, here, q, feasible[k], step)
+    if share <= 1.0 < wanted:  # the poses next to those reached exist, and are beyond a limit
+        j = _nearest_limit(robot, found, k, known & _within(before, here, q, step))
+        told = f"{names[j]} runs into its limit; only other swivels or branches have poses within the limits"
+        return Blocked(*at, told)
+    if not np.isfinite(wanted):
+        return Blocked(*at, "no pose of the branch is within the joint limits there")
+    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit")
+
+
+def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> NDArray[np.bool_]:
+    """(b,m) poses that the joints get to in one period, limits aside."""
+    near = np.zeros(q.shape[:2], dtype=np.bool_)
+    for b in range(len(q)):
+        for pose in before[b][here[b]]:
+            near[b] |= (np.abs(q[b] - pose) <= step).all(axis=1)
+    return near
+
+
+def _nearest_limit(robot: RobotModel, found: PoseMap, k: int, among: NDArray[np.bool_]) -> int:
+    """The joint that is farthest beyond its limit at the pose which is least beyond."""
+    room = np.where(among, found.room_rad[k], -np.inf)
+    q = found.poses(k)[np.unravel_index(int(np.argmax(room)), room.shape)]
+    moving = np.asarray(robot.moves.any(axis=0))
+    beyond = np.where(moving, np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
+    return int(np.argmax(beyond))
+
+
+def _check(
+    robot: RobotModel, q_start: Array, targets: Targets, objective: str, margin_rad: float, speed_share: float
+) -> None:
+    if objective not in OBJECTIVES:
+        raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
+    if not 0.0 < speed_share <= 1.0:
+        raise TaskError(f"speed_share = {speed_share!r}: give a share above 0 up to 1")
+    if not 0.0 <= margin_rad < float((robot.q_max - robot.q_min).min()) / 2.0:
+        raise TaskError(f"margin_rad = {margin_rad!r}: give zero or more, and less than half of every joint's range")
+    tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
+    off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
+    if off > 1e-6:
+        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")

@@ -1,0 +1,168 @@
+"""Every pose that an arm can take at every point of a path: manipulability, room to the joint limits, feasibility.
+
+An arm with a spherical shoulder and wrist has its poses in closed form, over (time x branch x swivel). Any other arm
+has them by continuation (`traced`), over (time x 1 x sample): what stands there in place of a swivel is the number of
+a sample along the self-motion curves that were found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import RobotError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning import spherical_kernels as kernels
+from moc_opt.planning.spherical import BRANCHES, Spherical
+from moc_opt.planning.targets import Targets
+from moc_opt.redundancy.arm_angle import Elbow
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+ROUNDING_RAD = 1e-9
+"""A pose this far beyond a limit still stands on it."""
+CANDIDATES = 4
+"""Humps of mu that are climbed to their top at each point of the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMap:
+    """k times, b branches, m swivels or samples, n joints."""
+
+    targets: Targets
+    mu: Array
+    """(k,b,m) [m^3], of forbidden poses too; NaN where there is no pose"""
+    room_rad: Array
+    """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
+    window: NDArray[np.int64]
+    """(k,) how many swivels beside its own a pose may come from within one period, at most"""
+
+    def poses(self, k: int) -> Array:
+        """The poses (b,m,n) [rad] at time k; NaN where there is none."""
+        raise NotImplementedError
+
+    def feasible(self, margin_rad: float = 0.0) -> Flags:
+        """(k,b,m) whether every joint keeps the margin from its limits."""
+        found: Flags = self.room_rad >= margin_rad - ROUNDING_RAD
+        return found
+
+    def highest(self, margin_rad: float = 0.0) -> Array:
+        """(k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible."""
+        score = np.where(self.feasible(margin_rad), self.mu, -np.inf).max(axis=(1, 2))
+        return np.where(np.isfinite(score), score, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class SphericalMap(PoseMap):
+    """The closed form; the same mu for all branches of one swivel."""
+
+    arm: Spherical
+    swivel_rad: Array
+    """(m,) evenly over one turn, in the sense of `moc_opt.redundancy.arm_angle.Elbow`"""
+    angles: Array
+    """(k,m,6) of the branch without negative signs, in the normal form [rad]"""
+    reference: Array
+    """(3,) the direction from which the swivel counts"""
+    idle_rad: float
+    """Joint 7, which moves neither tip nor wrist, stands here throughout."""
+
+    def poses(self, k: int) -> Array:
+        """The poses (8,m,7) [rad] at time k."""
+        return self._poses(self.angles[k])
+
+    def _poses(self, angles: Array) -> Array:
+        found = np.empty((BRANCHES, len(angles), 7))
+        kernels.fill_poses(self.arm.offset, self.arm.middle, angles, found)
+        found[..., 6] = np.where(np.isnan(angles[:, 0]), np.nan, self.idle_rad)
+        return found
+
+    def at(self, k: int, swivel_rad: float, branch: int) -> Array:
+        """The pose (7,) at one time, swivel [rad] and branch, between the map's swivels too."""
+        one = slice(k, k + 1)
+        angles, _, _ = _evaluate(
+            self.arm, self.reference, self.targets.tip[one], self.targets.wrist[one], np.array([[swivel_rad]])
+        )
+        pose: Array = self._poses(angles[0])[branch, 0]
+        return pose
+
+    def highest(self, margin_rad: float = 0.0) -> Array:
+        """(k,) the largest feasible mu at each time, each hump climbed between the map's swivels to rounding."""
+        return self.peaks(margin_rad)[0]
+
+    def peaks(self, margin_rad: float = 0.0) -> tuple[Array, Array]:
+        """The largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
+        score = np.where(self.feasible(margin_rad).any(axis=1), self.mu[:, 0], -np.inf)
+        hump = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
+        order = np.argsort(np.where(hump, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
+        rows, best = np.arange(len(score)), np.full((2, len(score)), -np.inf)
+        for column in order.T:
+            swivel, value = self.swivel_rad[column], score[rows, column]
+            width = self.swivel_rad[1] - self.swivel_rad[0]
+            while width > 1e-10:
+                tried = swivel[:, None] + width * np.linspace(-1.0, 1.0, 21)
+                _, mu, room = _evaluate(self.arm, self.reference, self.targets.tip, self.targets.wrist, tried)
+                allowed = (room >= margin_rad - ROUNDING_RAD).any(axis=1)
+                reached = np.where(allowed, mu, -np.inf)
+                at = reached.argmax(axis=1)
+                better = reached[rows, at] > value
+                swivel, value = np.where(better, tried[rows, at], swivel), np.maximum(value, reached[rows, at])
+                width /= 5.0
+            higher = value > best[1]
+            best[0], best[1] = np.where(higher, swivel, best[0]), np.where(higher, value, best[1])
+        known = np.isfinite(best[1])
+        return np.where(known, best[1], np.nan), np.where(known, best[0], np.nan)
+
+
+def spherical_map(
+    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = 720, idle_rad: float = 0.0
+) -> SphericalMap:
+    """Compute the closed form over the path.
+
+    Args:
+        robot: the arm.
+        arm: its normal form.
+        targets: tip and wrist over time.
+        swivels: samples of one turn.
+        idle_rad: where joint 7 stands.
+
+    Raises:
+        RobotError: fewer than 8 swivels.
+    """
+    if swivels < 8:
+        raise RobotError(f"swivels = {swivels}: give 8 or more")
+    reference = Elbow(robot, targets.wrist).reference
+    swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
+    each = np.broadcast_to(swivel, (len(targets), swivels))
+    angles, mu, room = _evaluate(arm, reference, targets.tip, targets.wrist, each)
+    window = _window(robot, arm, targets, swivels)
+    shared = np.broadcast_to(mu[:, None], room.shape)
+    return SphericalMap(targets, shared, room, window, arm, swivel, angles, reference, idle_rad)
+
+
+def _evaluate(
+    arm: Spherical, reference: Array, tips: Array, wrists: Array, swivels: Array
+) -> tuple[Array, Array, Array]:
+    """Angles (k,m,6), mu (k,m) and room (k,8,m) at swivels (k,m)."""
+    k, m = swivels.shape
+    angles, mu, room = np.empty((k, m, 6)), np.empty((k, m)), np.empty((k, BRANCHES, m))
+    kernels.fill_map(
+        arm.base, arm.shoulder, arm.upper, arm.fore, arm.tool, arm.offset, arm.middle, arm.half,
+        np.ascontiguousarray(reference), np.ascontiguousarray(tips), np.ascontiguousarray(wrists),
+        np.ascontiguousarray(swivels), angles, mu, room,
+    )  # fmt: skip
+    return angles, mu, room
+
+
+def _window(robot: RobotModel, arm: Spherical, targets: Targets, swivels: int) -> NDArray[np.int64]:
+    """How far the elbow gets on its circle in one period: joints 1 and 2 carry it, the wrist carries the circle."""
+    span = np.linalg.norm(targets.wrist - arm.shoulder, axis=1)
+    along = (arm.upper**2 + span**2 - arm.fore**2) / (2.0 * span)
+    radius = np.sqrt(np.maximum(arm.upper**2 - along**2, 1e-12))
+    carried = abs(arm.upper) * float(robot.v_max[:2].sum()) * targets.period_s
+    moved = np.linalg.norm(np.diff(targets.wrist, axis=0, prepend=targets.wrist[:1]), axis=1)
+    turn = (carried + 2.0 * moved * (1.0 + abs(arm.upper) / span)) / radius
+    wanted = np.ceil(1.6 * turn * swivels / (2.0 * np.pi)) + 2.0  # a chord is shorter than its arc: pi/2 at most
+    return np.minimum(wanted, swivels // 2).astype(np.int64)

@@ -1,0 +1,87 @@
+"""Compiled kernels of the dynamic programming: the best way into every pose of one time from those before it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def advance(
+    q_before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array,
+    step: Array, window: int, worst: bool, value: Array, back: NDArray[np.int32],
+) -> None:
+    """Fill value (b,m) and back (b,m), the index of the pose before it (-1: it cannot be reached), at one time.
+
+    A pose is reached from one of its own branch, at most ``window`` swivels beside it, if no joint turns by more than
+    its step between them, the slack of both poses added.
+
+    Args:
+        q_before: (b,m0,n) poses of the time before [rad], NaN where there is none.
+        slack_before: (b,m0,n) [rad].
+        value_before: (b,m0) of the best way there; -inf: none.
+        q, slack: (b,m,n); gain: (b,m) what the pose adds; -inf: forbidden.
+        step: (n,) most that a joint turns in one period [rad].
+        window: in swivels, around the circle.
+        worst: the value is the least gain on the way, in place of their sum.
+    """  # fmt: skip
+    branches, m, n = q.shape
+    m0 = q_before.shape[1]
+    first, count = -window, 2 * window + 1
+    if count >= m0:
+        first, count = 0, m0
+    for b in range(branches):
+        for j in range(m):
+            value[b, j], back[b, j] = -math.inf, -1
+            if gain[b, j] == -math.inf:
+                continue
+            best, at = -math.inf, -1
+            for i in range(count):
+                j0 = (j + first + i) % m0
+                if not value_before[b, j0] > best:
+                    continue
+                near = True
+                for a in range(n):
+                    away = abs(q[b, j, a] - q_before[b, j0, a])
+                    if not away <= step[a] + slack[b, j, a] + slack_before[b, j0, a]:
+                        near = False
+                        break
+                if near:
+                    best, at = value_before[b, j0], j0
+            if at >= 0:
+                back[b, j] = at
+                value[b, j] = min(best, gain[b, j]) if worst else best + gain[b, j]
+
+
+@njit(cache=True)
+def nearest_share(
+    q_before: Array, from_: NDArray[np.bool_], q: Array, to: NDArray[np.bool_], step: Array
+) -> tuple[float, int]:
+    """Smallest share of the joints' steps that leads from any pose of one time to any of the next, and its joint.
+
+    Args:
+        q_before, from_: (b,m0,n) poses and (b,m0) which of them count.
+        q, to: (b,m,n) and (b,m) likewise.
+        step: (n,) [rad].
+    """
+    least, joint = math.inf, -1
+    for b in range(q.shape[0]):
+        for j in range(q.shape[1]):
+            if not to[b, j]:
+                continue
+            for j0 in range(q_before.shape[1]):
+                if not from_[b, j0]:
+                    continue
+                share, which = 0.0, 0
+                for a in range(step.shape[0]):
+                    part = abs(q[b, j, a] - q_before[b, j0, a]) / step[a]
+                    if part > share:
+                        share, which = part, a
+                if share < least:
+                    least, joint = share, which
+    return least, joint

@@ -1,0 +1,70 @@
+"""What a path and its trocar ask of an arm at evenly spaced times: tip, and wrist on the line through the trocar."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks import Trocar
+from moc_opt.tasks.sequence import TipReference
+
+Array = NDArray[np.float64]
+
+SHALLOWEST_M = 0.002
+"""Nearer to the trocar the shaft has no direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """k times; read-only arrays."""
+
+    t_s: Array
+    """(k,) evenly spaced [s]"""
+    tip: Array
+    """(k,3) [m]"""
+    wrist: Array
+    """(k,3) N_d = X_d + L e, e from the tip to the trocar [m]"""
+    arc_length_m: Array
+    """(k,) way of the tip so far [m]"""
+
+    @property
+    def period_s(self) -> float:
+        """Time between two [s]."""
+        return float(self.t_s[1] - self.t_s[0])
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+
+def lay_targets(reference: TipReference, trocar: Trocar, span_m: float, duration_s: float, count: int) -> Targets:
+    """Sample the reference and the trocar at ``count`` times from 0 to the end.
+
+    Args:
+        reference: of the tip.
+        trocar: that the shaft has to pass.
+        span_m: wrist to tip [m].
+        duration_s: end of the run [s].
+        count: number of times.
+
+    Raises:
+        TaskError: fewer than two times, or the trocar is not on the shaft at one of them.
+    """
+    if count < 2 or not duration_s > 0.0:
+        raise TaskError(f"count = {count}, duration_s = {duration_s:g}: give two times or more and a positive duration")
+    t = np.linspace(0.0, duration_s, count)
+    tip = np.array([reference.rows(each)[0] for each in t.tolist()])
+    way = trocar.at(t)[0] - tip
+    depth = np.linalg.norm(way, axis=1)
+    for k in np.flatnonzero((depth < SHALLOWEST_M) | (depth > span_m))[:1].tolist():
+        raise TaskError(
+            f"trocar: at t = {t[k]:.2f} s it is {1e3 * depth[k]:.0f} mm from the tip: it must lie on the shaft, "
+            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * span_m:.0f} mm from its tip; make the path smaller, or change depth_m"
+        )
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
+    wrist = tip + span_m * way / depth[:, None]
+    for array in (t, tip, wrist, arc):
+        array.flags.writeable = False
+    return Targets(t, tip, wrist, arc)

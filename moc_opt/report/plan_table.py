@@ -1,0 +1,87 @@
+"""A plan as tables and as JSON: whether the path can be executed comes first, then what its courses are worth."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from moc_opt.report.tables import Column, Table
+
+if TYPE_CHECKING:
+    from moc_opt.planning.plan import Plan
+
+VERDICT = [Column("what", "plan"), Column("value", "value")]
+COURSES = [
+    Column("course", "course"),
+    Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
+    Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
+    Column("share_percent", "of best", unit="%", format=".1f", help="mean mu over that of the best over all starts"),
+    Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
+    Column("violation", "violation", unit="m, rad", format=".0e"),
+]
+
+
+def plan_json(plan: Plan) -> dict[str, Any]:
+    """The figures of a plan, nested as the tables are."""
+    stuck = plan.blocked
+    return {
+        "executable": plan.executable,
+        "blocked": None if stuck is None else {
+            "t_s": stuck.t_s, "arc_length_mm": 1e3 * stuck.arc_length_m, "tip_m": list(stuck.tip_m),
+            "reason": stuck.reason,
+        },
+        "objective": plan.objective,
+        "start_swivel_deg": math.degrees(plan.start_swivel_rad),
+        "proposed_swivel_deg": math.degrees(plan.best_swivel_rad),
+        "proposed_q_rad": None if plan.best is None else plan.best.q_rad[0].tolist(),
+        "bound_from_start": plan.bound_from_start, "bound": plan.bound,
+        "courses": {row["course"]: {name: row[name] for name in row if name != "course"} for row in _courses(plan)},
+        "map_s": plan.map_s, "search_s": plan.search_s, "refine_s": plan.refine_s,
+    }  # fmt: skip
+
+
+def plan_tables(name: str, plan: Plan) -> list[Table]:
+    """The verdict, and the courses; both fit 80 columns."""
+    rows: list[dict[str, Any]] = [
+        {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
+    ]
+    if plan.blocked is not None:
+        stuck = plan.blocked
+        point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
+        where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
+        rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
+    rows.append({"what": "start swivel", "value": _degrees(plan.start_swivel_rad)})
+    rows.append({"what": "start swivel proposed", "value": _degrees(plan.best_swivel_rad)})
+    for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
+        if math.isfinite(bound):
+            rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})
+    took = f"map {plan.map_s:.2f} s, search {plan.search_s:.2f} s, refinement {plan.refine_s:.2f} s"
+    rows.append({"what": "computed in", "value": took})
+    return [
+        Table(f"Plan of {name}", VERDICT, rows),
+        Table(f"Courses, best in {_unit(plan)}", COURSES, _courses(plan)),
+    ]
+
+
+def _unit(plan: Plan) -> str:
+    return {"mean": "mean mu", "worst": "worst mu", "log": "mean log mu"}[plan.objective]
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.1f} deg" if math.isfinite(angle) else "none: no course goes all the way"
+
+
+def _courses(plan: Plan) -> list[dict[str, Any]]:
+    climbed = "local climb" if plan.climbed_whole else f"local climb, stuck at {plan.climbed.t_s[-1]:.2f} s"
+    rows = []
+    for name, course in (("best from start", plan.from_start), ("best over all", plan.best), (climbed, plan.climbed)):
+        if course is None:
+            continue
+        whole = len(course.mu) == len(plan.targets)
+        share = 100.0 * course.mu_mean / plan.best.mu_mean if whole and plan.best is not None else None
+        optimum = "" if name == climbed else ("local" if course.certified else "grid")
+        rows.append({
+            "course": name, "mu_mean": course.mu_mean, "mu_worst": course.value("worst"), "share_percent": share,
+            "certified": optimum, "violation": course.violation,
+        })  # fmt: skip
+    return rows

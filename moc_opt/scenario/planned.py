@@ -1,0 +1,85 @@
+"""A scenario planned before anything moves: `moc_opt.planning` on the path, trocar and start that it lays out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from moc_opt.errors import ScenarioError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import Objective
+from moc_opt.planning.plan import Plan, make_plan
+from moc_opt.planning.targets import lay_targets
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.layout import lay_out
+from moc_opt.trace.trace import Trace
+
+PERIOD_S = 0.025
+"""Between the times of a plan, if a path has no more than `MOST_TIMES` of them."""
+FEWEST_TIMES, MOST_TIMES = 50, 1000
+
+
+def plan(
+    scenario: Scenario,
+    *,
+    objective: Objective = "mean",
+    times: int | None = None,
+    swivels: int = 720,
+    margin_rad: float = 0.0,
+    speed_share: float = 1.0,
+    refined: bool = True,
+) -> Plan:
+    """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
+
+    The controller's knowledge is planned with: the robot model, the registered trocar, the reference from the first
+    tick to the last. A random start is drawn as the run draws it.
+
+    Args:
+        scenario: what would be run.
+        objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
+        times: points of the path; None: one each `PERIOD_S`, 50 to 1000.
+        swivels, margin_rad, speed_share, refined: as of `moc_opt.planning.plan.make_plan`.
+
+    Raises:
+        MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
+    """
+    robot = scenario.robot.arm()
+    first_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()[0]
+    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
+    layout = lay_out(unchecked, robot, np.random.default_rng(first_seed))
+    if times is not None and not 2 <= times <= 100_000:
+        raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
+    wanted = int(np.clip(np.ceil(layout.duration_s / PERIOD_S) + 1, FEWEST_TIMES, MOST_TIMES))
+    targets = lay_targets(
+        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, times or wanted
+    )
+    return make_plan(
+        robot, layout.q, targets, objective, swivels=swivels, margin_rad=margin_rad, speed_share=speed_share,
+        refined=refined,
+    )  # fmt: skip
+
+
+def save_course(found: Plan, robot: RobotModel, to: str | os.PathLike[str]) -> Path:
+    """Write the plan's course as a Parquet file that `Trace.load` reads: t_s, q_rad, mu, swivel_rad, tip_ref_m, tip_m.
+
+    Raises:
+        ScenarioError: there is none, neither from the start nor from elsewhere.
+        TraceError: the file cannot be written.
+    """
+    course = found.course
+    if course is None:
+        raise ScenarioError("no course goes all the way from any swivel: there is nothing to write; change the [task]")
+    tips, wrists = robot.tool_along(course.q_rad)
+    columns = {
+        "t_s": course.t_s, "q_rad": course.q_rad, "mu": course.mu, "swivel_rad": found.swivel_rad,
+        "tip_m": tips, "tip_ref_m": found.targets.tip, "wrist_m": wrists,
+    }  # fmt: skip
+    meta = {
+        "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
+        "certified": course.certified, "robot": robot.data.name,
+    }  # fmt: skip
+    path = Path(to)
+    Trace(columns, meta).save(path)
+    return path

@@ -1,0 +1,82 @@
+"""The planning benchmark: all parts on the same trials, figures that follow from its rows, and an order among them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import plan
+from benchmarks.output import default_config
+from benchmarks.planning.tables import summarise
+
+TINY = """
+robots = ["lwr4"]
+tasks = ["circle"]
+poses = 2
+processes = 1
+map_points = 1
+random_starts = 10
+restart_poses = 1
+restarts = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("plan")
+    (out / "tiny.toml").write_text(TINY, encoding="utf-8")
+    assert plan.main([str(out / "tiny.toml"), "--out", str(out / "results"), "--seed", "3"]) == 0
+    return out / "results"
+
+
+def rows_of(folder: Path) -> list[dict[str, Any]]:
+    return pq.read_table(folder / "rows.parquet").to_pylist()
+
+
+def test_all_files_are_there_and_every_part_has_its_rows(results: Path) -> None:
+    assert {"summary.json", "rows.parquet", "environment.json", "report.html"} <= {f.name for f in results.iterdir()}
+    rows = rows_of(results)
+    parts = [row["part"] for row in rows]
+    assert {part: parts.count(part) for part in parts} == {"map": 1, "courses": 2, "closed_form": 1, "restarts": 1}
+    assert not any(row["error"] for row in rows)
+
+
+def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(results: Path) -> None:
+    for row in rows_of(results):
+        if row["part"] == "courses":
+            assert row["climbed"] <= row["from_start"] <= row["bound_from_start"]
+            assert row["from_start"] <= row["best"] <= row["bound"]
+            assert abs(row["halving_percent"]) < 0.5
+            assert row["violation"] < 1e-8
+        if row["part"] == "closed_form":
+            assert row["placed"] > 0
+            assert row["above_map"] < 1e-6
+        if row["part"] == "restarts":
+            assert row["restarts"] > 0
+            assert row["above_own_percent"] < 1e-3
+
+
+def test_the_summary_follows_from_the_rows(results: Path) -> None:
+    summary = json.loads((results / "summary.json").read_text())
+    rows = [{key: value for key, value in row.items() if value is not None} for row in rows_of(results)]
+    again = json.loads(json.dumps(summarise(rows)))
+    values = [row["from_start"] for row in rows if row["part"] == "courses"]
+    assert summary["courses"]["lwr4"]["from_start"] == pytest.approx(sum(values) / 2)
+    assert again["courses"]["lwr4"]["climb_gap_percent"] == summary["courses"]["lwr4"]["climb_gap_percent"]
+
+
+def test_the_configuration_that_ships_is_the_default() -> None:
+    shipped = plan.Config.load(default_config("plan"))
+    assert shipped == plan.Config()
+    assert len([job for job in shipped.jobs() if job.part == "courses"]) == 120
+    assert len(plan.Config().quick().jobs()) == 10
+
+
+def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bad.toml").write_text("poses = 0\n", encoding="utf-8")
+    assert plan.main([str(tmp_path / "bad.toml")]) == 2
+    assert "poses" in capsys.readouterr().err

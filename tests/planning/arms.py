@@ -1,0 +1,64 @@
+"""Arms of other makers and shapes, as far as planning sees them: published joint frames and limits, invented masses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from moc_opt.model.robot_model import RobotModel, load_robot
+
+H = np.pi / 2
+
+IIWA14 = {
+    "joints": [
+        ((0, 0, 0.1575), (0, 0, 0)), ((0, 0, 0.2025), (H, 0, np.pi)), ((0, 0.2045, 0), (H, 0, np.pi)),
+        ((0, 0, 0.2155), (H, 0, 0)), ((0, 0.1845, 0), (-H, np.pi, 0)), ((0, 0, 0.2155), (H, 0, 0)),
+        ((0, 0.081, 0), (-H, np.pi, 0)),
+    ],
+    "q_max": np.radians([170, 120, 170, 120, 170, 120, 175]),
+    "v_max": np.radians([85, 85, 100, 75, 130, 135, 135]),
+    "wrist": (0, 0, -0.081), "mount": (0, 0, 0.045), "home": (0.4, 0.8, 0.5, -1.4, 0.6, 1.1, 0.0),
+}  # fmt: skip
+
+PANDA = {
+    "joints": [
+        ((0, 0, 0.333), (0, 0, 0)), ((0, 0, 0), (-H, 0, 0)), ((0, -0.316, 0), (H, 0, 0)), ((0.0825, 0, 0), (H, 0, 0)),
+        ((-0.0825, 0.384, 0), (-H, 0, 0)), ((0, 0, 0), (H, 0, 0)), ((0.088, 0, 0), (H, 0, 0)),
+    ],
+    "q_min": np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]),
+    "q_max": np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]),
+    "v_max": np.array([2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61]),
+    "wrist": (0, 0, 0), "mount": (0, 0, 0.107), "home": (0.2, -0.6, 0.3, -2.2, 0.4, 1.9, 0.7),
+}  # fmt: skip
+
+
+def _numbers(values: object) -> str:
+    return " ".join(f"{value:.17g}" for value in np.asarray(values, dtype=float))
+
+
+def build(folder: Path, numbers: dict[str, object], **changes: object) -> RobotModel:
+    """The arm as the loader makes it from two files in the folder."""
+    arm = {**numbers, **changes}
+    q_max = np.asarray(arm["q_max"])
+    q_min = np.asarray(arm.get("q_min", -q_max))
+    body = '<inertial><origin xyz="0 0 0.05"/><mass value="2"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" '
+    body += 'iyz="0" izz="0.02"/></inertial>'
+    text = f'<robot name="arm"><link name="link_0">{body}</link>'
+    for j, (xyz, rpy) in enumerate(arm["joints"]):  # type: ignore[arg-type, var-annotated]
+        text += (
+            f'<joint name="joint_{j + 1}" type="revolute"><parent link="link_{j}"/><child link="link_{j + 1}"/>'
+            f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><axis xyz="0 0 1"/><limit lower="{q_min[j]:.17g}" '
+            f'upper="{q_max[j]:.17g}" velocity="{np.asarray(arm["v_max"])[j]:.17g}" effort="100"/></joint>'
+            f'<link name="link_{j + 1}">{body}</link>'
+        )
+    (folder / "arm.urdf").write_text(text + "</robot>", encoding="utf-8")
+    (folder / "arm.toml").write_text(
+        f'name = "arm"\nurdf = "arm.urdf"\n[frames]\nlast_link = "link_{len(arm["joints"])}"\n'  # type: ignore[arg-type]
+        f"wrist_xyz_m = {list(map(float, arm['wrist']))}\n"  # type: ignore[call-overload]
+        f"tool_mount_xyz_m = {list(map(float, arm['mount']))}\n"  # type: ignore[call-overload]
+        f"tool_mount_rpy_rad = {list(map(float, arm.get('rpy', (0, 0, 0))))}\n"  # type: ignore[call-overload]
+        f"[home]\nq_rad = {list(map(float, arm['home']))}\n",  # type: ignore[call-overload]
+        encoding="utf-8",
+    )
+    return load_robot(folder / "arm.toml")

@@ -1,0 +1,124 @@
+"""A plan tells whether a path can be executed, and where it ends: checked by inverse kinematics and by its courses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from moc_opt.errors import TaskError
+from moc_opt.model.inverse_kinematics import solve_pose
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.plan import make_plan
+from moc_opt.planning.targets import Targets
+from moc_opt.procedure.reachability import UnreachableError, check_reachable
+from moc_opt.tasks import Reference, Trocar, make_path
+from tests.conftest import Array
+from tests.planning.test_search import task
+
+
+def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    targets = task(robot, q, 60)
+    plan = make_plan(robot, q, targets, swivels=360)
+    assert plan.executable
+    assert plan.blocked is None
+    assert plan.from_start is not None
+    assert plan.best is not None
+    assert plan.climbed_whole
+    assert plan.climbed.mu_mean <= plan.from_start.mu_mean <= plan.best.mu_mean
+    assert plan.from_start.mu_mean <= plan.bound_from_start < 1.005 * plan.from_start.mu_mean
+    assert plan.best.mu_mean <= plan.bound < 1.005 * plan.best.mu_mean
+    assert plan.swivel_rad.shape == (60,)
+    assert plan.swivel_rad[0] == pytest.approx(plan.start_swivel_rad)
+    again = make_plan(robot, plan.best.q_rad[0], targets, swivels=360)
+    assert again.from_start is not None
+    assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
+    assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
+
+
+def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    state = robot.state(q)
+    away = np.linspace(0.0, 0.8, 81)[:, None] * np.array([0.0, 0.6, 0.8])
+    targets = Targets(0.1 * np.arange(81), state.tip + away, state.wrist + away, np.linalg.norm(away, axis=1))
+    plan = make_plan(robot, q, targets, swivels=360, refined=False)
+    assert not plan.executable
+    assert plan.best is None
+    assert plan.blocked is not None
+    assert plan.blocked.t_s > 0.0
+    assert not plan.climbed_whole
+    k = int(np.argmin(np.abs(targets.t_s - plan.blocked.t_s)))
+    assert plan.blocked.arc_length_m == pytest.approx(0.01 * k)
+    np.testing.assert_allclose(plan.blocked.tip_m, targets.tip[k])
+    rng = np.random.default_rng(0)
+    starts = [rng.uniform(robot.q_min, robot.q_max) for _ in range(100)]
+
+    def within_reach(i: int) -> bool:
+        return any(solve_pose(robot, start, targets.tip[i], targets.wrist[i]).found for start in starts)
+
+    assert within_reach(k - 1)
+    if "out of reach" in plan.blocked.reason or "no pose there" in plan.blocked.reason:
+        assert not within_reach(k)
+
+
+def test_a_speed_that_the_joints_have_not_is_named(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    plan = make_plan(robot, q, task(robot, q, 60), swivels=180, speed_share=0.03, refined=False)
+    assert plan.blocked is not None
+    assert "times its speed limit" in plan.blocked.reason
+    assert plan.blocked.t_s > 0.2, "while the path rests, no speed is needed"
+
+
+def test_a_joint_at_its_limit_is_named(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    targets = task(robot, q, 60)
+    plan = make_plan(robot, q, targets, swivels=180, margin_rad=0.6, refined=False)
+    assert plan.blocked is not None
+    assert "joint_" in plan.blocked.reason
+    assert "limit" in plan.blocked.reason
+
+
+def test_what_kinematics_can_follow_is_executable(robot: RobotModel) -> None:
+    """`check_reachable` finds a way by another method: then the plan has one, too."""
+    rng, both = np.random.default_rng(4), 0
+    for _ in range(12):
+        q = robot.random_regular_pose(rng, margin=0.15)
+        state = robot.state(q)
+        path = make_path("line", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), length=0.06)
+        reference, trocar = Reference(path, 0.05, 0.2, t_start=0.2), Trocar(state.tip - 0.15 * state.tool_direction)
+        try:
+            way = check_reachable(robot, q, reference, trocar)
+        except UnreachableError:
+            continue
+        if not way.as_given or way.margin_rad.min() < 0.02 or way.speed_share.max() > 0.9:
+            continue
+        both += 1
+        plan = make_plan(robot, q, _targets(robot, q, reference, trocar), swivels=360, refined=False)
+        assert plan.executable, plan.blocked
+    assert both > 3
+
+
+def _targets(robot: RobotModel, q: Array, reference: Reference, trocar: Trocar) -> Targets:
+    from moc_opt.planning.targets import lay_targets
+
+    return lay_targets(reference, trocar, robot.state(q).tool_span, 0.2 + reference.duration, 80)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"objective": "best"}, "objective = 'best'"),
+        ({"speed_share": 0.0}, "speed_share = 0.0"),
+        ({"margin_rad": 3.0}, "margin_rad = 3.0"),
+    ],
+)
+def test_bad_arguments_are_named(robot: RobotModel, change: dict[str, object], message: str) -> None:
+    q = robot.data.q_home
+    with pytest.raises(TaskError, match=message):
+        make_plan(robot, q, task(robot, q, 10), **change)  # type: ignore[arg-type]
+
+
+def test_a_start_off_the_path_is_refused(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    with pytest.raises(TaskError, match="q_start"):
+        make_plan(robot, q + 0.01, task(robot, q, 10))

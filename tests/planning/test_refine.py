@@ -1,0 +1,84 @@
+"""The nonlinear program keeps every constraint by the model's own kinematics, and is never worse than its start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import OBJECTIVES, Objective, make_course
+from moc_opt.planning.refine import MOST_VIOLATION, refine
+from moc_opt.planning.search import search
+from moc_opt.planning.traced import traced_map
+from tests.planning.arms import PANDA, build
+from tests.planning.test_search import course_of, map_of
+from tests.planning.test_traced import line_from
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("free_start", [False, True])
+def test_a_course_is_refined_between_its_grid_and_its_bound(
+    robot: RobotModel, objective: Objective, free_start: bool
+) -> None:
+    q = robot.data.q_home
+    found, step = map_of(robot, q, count=60, swivels=90)
+    start = None if free_start else (q, robot.state(q).mu)
+    course = course_of(robot, found, search(found, step, objective, start=start).q_rad)
+    better = refine(robot, found.targets, course, objective, free_start=free_start)
+    assert better.certified
+    assert better.violation < MOST_VIOLATION
+    bound = search(found, step, objective, start=start, generous=True).value
+    assert course.value(objective) <= better.value(objective) <= bound + 1e-12
+    if not free_start:
+        np.testing.assert_array_equal(better.q_rad[0], q)
+    if objective != "worst":
+        assert better.value(objective) > course.value(objective)
+
+
+def test_perturbed_starts_of_the_program_find_nothing_better(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    found, step = map_of(robot, q, count=40, swivels=360)
+    begin = (q, robot.state(q).mu)
+    best = refine(robot, found.targets, course_of(robot, found, search(found, step, start=begin).q_rad))
+    rng, tried = np.random.default_rng(0), 0
+    for _ in range(5):
+        noisy = found.mu * np.exp(rng.normal(scale=0.5, size=found.mu.shape[2]))
+        other = search(type(found)(**{**found.__dict__, "mu": noisy}), step, start=begin)
+        if other.q_rad is None:
+            continue
+        tried += 1
+        again = refine(robot, found.targets, make_course(robot, found.targets, other.q_rad))
+        assert again.mu_mean <= best.mu_mean * (1.0 + 1e-6)
+    assert tried > 2
+
+
+def test_an_arm_without_closed_form_is_refined(tmp_path: Path) -> None:
+    panda = build(tmp_path, PANDA)
+    targets = line_from(panda, panda.data.q_home, 20)
+    found, step = traced_map(panda, targets, panda.data.q_home, seeds=16), panda.v_max * targets.period_s
+    start = (panda.data.q_home, panda.state(panda.data.q_home).mu)
+    answer = search(found, step, start=start)
+    assert answer.q_rad is not None
+    course = make_course(panda, targets, answer.q_rad)
+    better = refine(panda, targets, course)
+    assert better.violation < MOST_VIOLATION
+    assert better.mu_mean >= course.mu_mean
+    assert better.certified
+
+
+def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    found, step = map_of(robot, q, count=20)
+    answer = search(found, step)
+    assert answer.q_rad is not None
+    jump = np.array(answer.q_rad)
+    jump[10, 6] += 3.5  # the idle joint: tip and wrist stay, its speed does not
+    assert make_course(robot, found.targets, jump).violation == pytest.approx(
+        abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * found.targets.period_s
+    )
+    assert make_course(robot, found.targets, answer.q_rad, margin_rad=1.5).violation > 0.1
+    off = np.array(answer.q_rad)
+    off[3, 1] += 1e-3
+    assert make_course(robot, found.targets, off).violation > 1e-5

@@ -1,0 +1,200 @@
+"""The search is the best of all courses on the map (by enumeration), keeps limits and speeds, and its bound holds."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.climb import climb
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
+from moc_opt.planning.pose_map import PoseMap, SphericalMap, spherical_map
+from moc_opt.planning.search import search
+from moc_opt.planning.spherical import spherical
+from moc_opt.planning.targets import Targets, lay_targets
+from moc_opt.tasks import Reference, Trocar, make_path
+from tests.conftest import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Small(PoseMap):
+    """A map of a one-joint arm, small enough to try every course."""
+
+    q_rad: Array
+
+    def poses(self, k: int) -> Array:
+        return self.q_rad[k]
+
+
+def small(rng: np.random.Generator, k: int = 5, m: int = 4) -> Small:
+    targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
+    room = rng.uniform(-0.2, 1.0, (k, 2, m))
+    return Small(targets, rng.uniform(0.1, 1.0, (k, 2, m)), room, np.full(k, m), rng.uniform(0.0, 1.0, (k, 2, m, 1)))
+
+
+def value(mu: Array, objective: Objective) -> float:
+    if objective == "worst":
+        return float(mu.min())
+    gain, weight = (mu if objective == "mean" else np.log(mu)), np.ones(len(mu))
+    weight[[0, -1]] = 0.5
+    return float(weight @ gain / weight.sum())
+
+
+def every_course(found: Small, step: float, start: float | None) -> list[Array]:
+    """mu of each course that keeps limits and speed, without any dynamic programming."""
+    k, branches, m = found.mu.shape
+    courses = []
+    for b in range(branches):
+        for way in itertools.product(range(m), repeat=k):
+            q = np.array([found.q_rad[i, b, j, 0] for i, j in enumerate(way)])
+            allowed = np.array([found.room_rad[i, b, j] >= 0.0 for i, j in enumerate(way)])
+            mu = np.array([found.mu[i, b, j] for i, j in enumerate(way)])
+            if start is not None:
+                q[0], allowed[0], mu[0] = start, True, 0.4
+            if allowed.all() and np.abs(np.diff(q)).max() <= step:
+                courses.append(mu)
+    return courses
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+@pytest.mark.parametrize("start", [None, 0.5])
+def test_the_best_of_all_courses_is_found(objective: Objective, start: float | None) -> None:
+    rng, none = np.random.default_rng(0), 0
+    for _ in range(25):
+        found, step = small(rng), float(rng.uniform(0.1, 0.8))
+        courses = every_course(found, step, start)
+        begin = None if start is None else (np.array([start]), 0.4)
+        answer = search(found, np.array([step]), objective, start=begin)
+        if not courses:
+            none += 1
+            assert answer.q_rad is None
+            assert answer.reached < 5
+            continue
+        best = max(value(mu, objective) for mu in courses)
+        assert answer.value == pytest.approx(best, abs=1e-12)
+        assert answer.q_rad is not None
+        assert np.abs(np.diff(answer.q_rad[:, 0])).max() <= step
+        if objective == "worst":  # of those with the best worst mu, the best mean
+            rest = [mu for mu in courses if mu.min() >= best - 1e-12]
+            mu = _mu_of(found, answer.q_rad, start)
+            assert value(mu, "mean") == pytest.approx(max(value(each, "mean") for each in rest), abs=1e-9)
+    assert 0 < none < 25
+
+
+def _mu_of(found: Small, q: Array, start: float | None) -> Array:
+    mu = [float(found.mu[k][found.q_rad[k, ..., 0] == each][0]) for k, each in enumerate(q[:, 0]) if k or start is None]
+    return np.array(mu if start is None else [0.4, *mu])
+
+
+# --- on the arm ---
+
+
+def task(robot: RobotModel, q: Array, count: int, radius: float = 0.03) -> Targets:
+    state = robot.state(q)
+    path = make_path("circle", state.tip, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=radius)
+    trocar = Trocar(state.tip - 0.15 * state.tool_direction)
+    return lay_targets(Reference(path, 0.05, 0.2, t_start=0.2), trocar, state.tool_span, 5.0, count)
+
+
+def map_of(robot: RobotModel, q: Array, count: int = 60, swivels: int = 180) -> tuple[SphericalMap, Array]:
+    arm, targets = spherical(robot), task(robot, q, count)
+    assert arm is not None
+    return spherical_map(robot, arm, targets, swivels=swivels), robot.v_max * targets.period_s
+
+
+def course_of(robot: RobotModel, found: SphericalMap, q: Array | None) -> Course:
+    assert q is not None
+    return make_course(robot, found.targets, q)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_a_course_keeps_the_task_limits_and_speeds_and_lies_below_its_bound(
+    robot: RobotModel, objective: Objective
+) -> None:
+    q = robot.data.q_home
+    found, step = map_of(robot, q)
+    for start in ((q, robot.state(q).mu), None):
+        answer = search(found, step, objective, start=start)
+        course = course_of(robot, found, answer.q_rad)
+        assert course.violation < 1e-12
+        assert course.value(objective) == pytest.approx(answer.value, abs=1e-12)
+        bound = search(found, step, objective, start=start, generous=True)
+        assert answer.value <= bound.value < answer.value + 0.05 * abs(answer.value)
+        if start is not None:
+            np.testing.assert_array_equal(course.q_rad[0], q)
+
+
+def test_courses_of_finer_maps_stay_below_the_coarse_bound(robot: RobotModel) -> None:
+    """The bound is one on every course, also on those whose poses the map does not have."""
+    q = robot.data.q_home
+    start = (q, robot.state(q).mu)
+    coarse, step = map_of(robot, q, swivels=90)
+    fine, _ = map_of(robot, q, swivels=1440)
+    for begin in (start, None):
+        bound = search(coarse, step, "mean", start=begin, generous=True).value
+        best = search(fine, step, "mean", start=begin).value
+        assert best <= bound
+        assert best >= search(coarse, step, "mean", start=begin).value - 1e-4
+
+
+def test_halving_the_grid_moves_the_course_by_less_than_half_a_percent(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    values = []
+    for count, swivels in ((61, 360), (121, 720)):
+        found, step = map_of(robot, q, count, swivels)
+        values.append(search(found, step, "mean", start=(q, robot.state(q).mu)).value)
+    assert values[1] == pytest.approx(values[0], rel=0.005)
+
+
+def test_the_window_leaves_no_way_out(robot: RobotModel) -> None:
+    rng = np.random.default_rng(7)
+    for q in [robot.data.q_home, *(robot.random_regular_pose(rng, margin=0.2) for _ in range(3))]:
+        found, step = map_of(robot, q, count=30, swivels=90)
+        wide = SphericalMap(**{**found.__dict__, "window": np.full(30, 90)})
+        assert search(found, step).value == search(wide, step).value
+
+
+def test_a_margin_costs_mu_and_is_kept(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    found, step = map_of(robot, q)
+    free, kept = (search(found, step, margin_rad=margin) for margin in (0.0, 0.4))
+    assert kept.q_rad is not None
+    room = np.minimum(kept.q_rad - robot.q_min, robot.q_max - kept.q_rad)[:, :6].min()
+    assert room >= 0.4 - 1e-9
+    assert kept.value <= free.value
+
+
+def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) -> None:
+    rng = np.random.default_rng(11)
+    seen = 0
+    for q in [robot.data.q_home, *(robot.random_regular_pose(rng, margin=0.2) for _ in range(14))]:
+        found, step = map_of(robot, q)
+        best = search(found, step, start=(q, robot.state(q).mu))
+        if best.q_rad is None:
+            continue
+        climbed = course_of(robot, found, climb(found, step, q))
+        assert climbed.violation < 1e-12
+        np.testing.assert_array_equal(climbed.q_rad[0], q)
+        if len(climbed.mu) == len(found.targets):
+            seen += 1
+            assert climbed.mu_mean <= best.value + 1e-12
+            # where the path rests (0.2 s) it only goes uphill
+            assert (np.diff(climbed.mu[: int(0.2 / found.targets.period_s)]) >= -1e-12).all()
+    assert seen > 2
+
+
+def test_a_path_that_leaves_the_reach_is_blocked_there(robot: RobotModel) -> None:
+    state = robot.state(robot.data.q_home)
+    t = 0.05 * np.arange(40)
+    away = np.linspace(0.0, 0.8, 40)[:, None] * state.tool_direction
+    targets = Targets(t, state.tip - away, state.wrist - away, away[:, 2])
+    arm = spherical(robot)
+    assert arm is not None
+    found = spherical_map(robot, arm, targets, swivels=180)
+    answer = search(found, robot.v_max * 0.05)
+    first = int(np.argmin(np.isfinite(found.mu[:, 0, 0])))
+    assert answer.q_rad is None
+    assert 0 < answer.reached <= max(first, 1)

@@ -1,0 +1,112 @@
+"""The plan of a scenario is that of its run: the same start, path and trocar; the command says it in 80 columns."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.errors import ScenarioError
+from moc_opt.report.plan_table import plan_tables
+from moc_opt.scenario import Setup
+from moc_opt.scenario.planned import plan, save_course
+from moc_opt.tasks.trocar import shaft_distance
+
+
+@pytest.mark.parametrize("start", [{"pose": "random"}, {"swivel": "random"}, {}])
+def test_the_plan_begins_where_the_run_does(start: dict[str, str]) -> None:
+    scenario = mo.Scenario(seed=3).change(start=start, plant={"preset": "nominal"})
+    found, setup = mo.plan(scenario, swivels=180, times=60), Setup(scenario)
+    assert found.from_start is not None
+    np.testing.assert_allclose(found.from_start.q_rad[0], setup.q_start, atol=1e-12)
+    t = found.targets.t_s
+    np.testing.assert_allclose(found.targets.tip, setup.reference.at(t)[0], atol=1e-12)
+    assert t[-1] == pytest.approx(setup.duration_s)
+    tips, wrists = setup.robot.tool_along(found.from_start.q_rad)
+    assert shaft_distance(tips, wrists, setup.registered.at(t)[0]).max() < 1e-8
+
+
+def test_no_run_beats_the_bound_of_its_plan() -> None:
+    """mu of a real closed loop, in the nominal plant: what tracks to a tenth of a millimetre gains nothing by it."""
+    scenario = mo.Scenario(bound_samples=0).change(plant={"preset": "nominal"})
+    mean = float(mo.run(scenario).mu.mean())
+    found = plan(scenario)
+    assert mean < found.bound_from_start * 1.001
+    assert mean > 0.9 * found.bound_from_start
+
+
+def test_a_course_is_written_and_read_back(tmp_path: Path) -> None:
+    scenario = mo.Scenario()
+    found = plan(scenario, swivels=180, times=60)
+    trace = mo.Trace.load(save_course(found, scenario.robot.arm(), tmp_path / "course.parquet"))
+    assert found.from_start is not None
+    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
+    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
+    assert trace.meta["from_start"] is True
+
+
+def test_where_no_course_exists_nothing_is_written(tmp_path: Path) -> None:
+    scenario = mo.Scenario()
+    found = plan(scenario, swivels=180, times=60, margin_rad=1.0)
+    assert found.course is None
+    with pytest.raises(ScenarioError, match="nothing to write"):
+        save_course(found, scenario.robot.arm(), tmp_path / "course.parquet")
+
+
+def test_too_few_times_are_refused() -> None:
+    with pytest.raises(ScenarioError, match="times = 1"):
+        plan(mo.Scenario(), times=1)
+
+
+# --- the command ---
+
+
+def scenario_file(folder: Path, text: str) -> str:
+    (folder / "mine.toml").write_text(text, encoding="utf-8")
+    return str(folder / "mine.toml")
+
+
+def test_the_command_prints_in_eighty_columns_and_writes_the_course(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    to = tmp_path / "course.parquet"
+    assert main(["plan", "--out", str(to)]) == 0
+    said = capsys.readouterr().out
+    assert "can be executed from this start   yes" in said
+    assert str(to) in said
+    assert len(mo.Trace.load(to)) > 100
+
+
+def test_tables_fit_eighty_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    from moc_opt.report.console import console
+
+    found = plan(mo.Scenario(), swivels=180, times=60, margin_rad=0.6)
+    assert found.blocked is not None
+    screen = console()
+    screen.width = 80
+    pieces = [piece for table in plan_tables("circle", found) for piece in table.fitted(80)]
+    for piece in pieces:
+        screen.print(piece)
+    said = capsys.readouterr().out
+    assert max(len(line.rstrip()) for line in said.splitlines()) <= 80
+    assert "first point out of reach" in said
+
+
+def test_a_path_that_cannot_be_executed_exits_with_three(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = scenario_file(tmp_path, '[task]\npath = "circle"\nv_max_m_per_s = 3.0\na_max_m_per_s2 = 50.0\n')
+    assert main(["plan", file, "--json"]) == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told["executable"] is False
+    assert told["blocked"]["reason"]
+    assert told["blocked"]["t_s"] > 0.0
+
+
+def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "--speed-share", "2"]) == 2
+    assert "speed_share = 2.0" in capsys.readouterr().err
