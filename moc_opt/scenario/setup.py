@@ -16,11 +16,13 @@ from moc_opt.control import Controller
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, describe
 from moc_opt.inputs.files import read_arrays
+from moc_opt.model.carried import carried
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.robots import available_robots
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
@@ -174,6 +176,8 @@ class Setup:
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
+        if self.scenario.robot.name not in available_robots():
+            meta["robot_data"] = carried(self.robot)  # its files may not be where the trace is looked at
         if to is not None:
             # Absolute: a solver may leave the process in another working directory.
             return self._streamed(Path(to).absolute(), meta, watch, block)
