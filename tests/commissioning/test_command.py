@@ -62,3 +62,18 @@ def test_what_is_wrong_is_said_in_one_line(
     assert told in said
     assert len(said.strip().splitlines()) == 1
     assert not (tmp_path / "my.toml").exists()
+
+
+def test_from_a_vendors_file_to_a_replay_in_three_commands(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vendor.urdf").write_text(with_hand(text_of("xarm7")), encoding="utf-8")
+    (tmp_path / "short.toml").write_text("duration_s = 0.1\nbound_samples = 2\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["robot", "new", "vendor.urdf", "--out", "my.toml"]) == 0
+    assert main(["run", "short.toml", "--robot", "my.toml", "--trace", "run.parquet"]) == 0
+    (tmp_path / "my.toml").unlink()  # the trace carries the arm
+    assert main(["replay", "run.parquet", "--out", "run.html"]) == 0
+    assert (tmp_path / "run.html").stat().st_size > 20_000
+    assert main(["run", "short.toml", "--robot", "my.toml"]) == 2
+    assert "my.toml" in capsys.readouterr().err
