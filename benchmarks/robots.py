@@ -16,8 +16,8 @@ from pydantic import Field
 
 from benchmarks import cli
 from benchmarks.config import Configuration
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.trials import seeds, trials
-from benchmarks.processes import run_parallel
 from benchmarks.robots_study.parts import Job, run_job
 from benchmarks.robots_study.tables import report, summarise, tables
 from moc_opt.scenario import Scenario
