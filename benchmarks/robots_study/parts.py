@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.paper_experiment.trials import BASELINES, MATCHED, anyone_travels, variant
+from benchmarks.paper_experiment.trials import BASELINES, MATCHED, any_transient, variant
 from benchmarks.solver_study.closed_loop import placed
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
@@ -68,7 +68,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
 
 def _settled(trial: Scenario, traces: dict[str, Trace], rows: Sequence[dict[str, Any]]) -> None:
     """Add the errors at the ticks at which no controller's elbow is on its way any more."""
-    flags = anyone_travels(trial, traces)
+    flags = any_transient(trial, traces)
     if flags is None:
         return
     for row in rows:
