@@ -1,4 +1,4 @@
-"""python -m moc_opt run | plan | replay | map | live | export-c: scenarios from the command line."""
+"""python -m moc_opt run | plan | replay | map | live | export-c | robot: scenarios and robots from the command line."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from moc_opt.commissioning.command import add_commands as robot_commands
+from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario runs")
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
+    one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
@@ -56,8 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument("--host", default="127.0.0.1", help="a loopback address")
     live.add_argument("--port", type=int, default=8642)
     live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
+    robot_commands(commands)
     given = parser.parse_args(arguments)
     try:
+        if given.command == "robot":
+            return robot_command(given)
         if given.command == "export-c":
             return export_c(given.scenario, given.out)
         if given.command == "plan":
@@ -75,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
             return serve(scenario, host=given.host, port=given.port, public=given.public)
-        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json)
+        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
         return 2
@@ -99,7 +105,10 @@ def _one_line(error: BaseException) -> str:
     return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
-def run_scenario(path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool) -> int:
+def run_scenario(
+    path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool,
+    robot: str | None = None,
+) -> int:  # fmt: skip
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
@@ -110,6 +119,8 @@ def run_scenario(path: Path | None, seed: int | None, solver: str | None, trace_
     title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
     if seed is not None:
         scenario = scenario.change(seed=seed)
+    if robot is not None:
+        scenario = scenario.change(robot={"name": robot})
     if solver is not None:
         scenario = scenario.change(solver={"name": solver, "settings": {}})
     setup = Setup(scenario)

@@ -43,7 +43,9 @@ ALLOWED = {
         "sim", "procedure", "embedded",
     },
     "live": {"errors", "inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
-    "commissioning": {"errors", "inputs", "robots", "model", "redundancy", "report", "scenario"},
+    "commissioning": {
+        "errors", "inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario",
+    },
     "public": {"errors", "qp", "trace", "model", "planning", "solvers", "scenario"},
     "command line": {"errors", "trace", "report", "scenario", "embedded", "live", "commissioning"},
 }  # fmt: skip

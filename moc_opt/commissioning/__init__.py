@@ -1,6 +1,8 @@
-"""Taking an arm into use: what its task leaves it, and a pose to begin with.
+"""Taking an arm into use: a vendor's URDF becomes a robot file, and a table says what holds for an arm.
 
-Read first: ``home`` (searches a pose away from limits and singularities, with some manipulability to gain) and
-``freedoms`` (how many freedoms tip and shaft leave, and which are idle). Imports scenario, so that an arm is judged by
-the task it will do; the command line alone imports it.
+Read first: ``new`` (URDF in, commented TOML and small URDF out) and ``check`` (freedoms, reach, limits, gains, masses,
+and a verdict). ``vendor`` makes one chain of what a vendor wrote, ``bodies`` and ``limits`` mend its numbers, ``shaft``
+places tool and wrist point, ``home`` searches a pose to begin with, ``toml`` writes the file, ``rates`` compares gains
+with inertia, ``command`` is the command line. Imports scenario, so that an arm is judged by the task it will do; the
+command line alone imports this room.
 """

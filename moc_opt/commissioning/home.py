@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.commissioning.freedoms import freedoms, limit_shares
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.freedoms import freedoms, limit_shares
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
@@ -22,7 +22,7 @@ SHORTLIST = 60
 DOWN = (0.94, 0.8, -1.0)
 """Least cosine between tool and vertical that is asked for, first to last: 20 deg, 37 deg, any direction."""
 CLEARANCE_M = 0.05
-"""Least height of tip and wrist over the plane that the arm stands on [m]."""
+"""Least height of tip and wrist over the plane that the arm stands on, or depth under that it hangs from [m]."""
 MARGIN = 0.2
 """Least distance from a limit, as a share of half of the joint's range."""
 REGULAR = (0.15, 0.08)
@@ -50,9 +50,10 @@ class Home:
 def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     """Search the joint ranges for a pose to begin with; the same seed finds the same pose.
 
-    Poses with tip and wrist above the plane that the arm stands on are ranked by their distance from limits and
-    singularities and by mu. The first one is taken whose mu is between `SHARE` of the best on its self-motion and from
-    which the default scenario's path can be followed; if there is none, what was asked for last is given up first.
+    Poses with tip and wrist on the arm's side of the plane that it stands on or hangs from are ranked by their
+    distance from limits and singularities and by mu. The first one is taken whose mu is between `SHARE` of the best on
+    its self-motion and from which the default scenario's path can be followed; if there is none, what was asked for
+    last is given up first.
 
     Raises:
         RobotError: every pose drawn is singular or near a limit.
@@ -63,9 +64,13 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
     poses[:, ~robot.moves.any(axis=0)] = middle[~robot.moves.any(axis=0)]
     tips, wrists = robot.tool_along(poses)
     down = (wrists - tips)[:, 2] / np.linalg.norm(wrists - tips, axis=1)
+    side = np.sign(
+        np.mean(tips[:, 2])
+    )  # most poses lie on the side of the base where the arm is: below it, if it hangs
+    clear = np.minimum(side * tips[:, 2], side * wrists[:, 2])
     found: Home | None = None
     for least in DOWN:
-        fit = np.flatnonzero((down >= least) & (tips[:, 2] > CLEARANCE_M) & (wrists[:, 2] > CLEARANCE_M))
+        fit = np.flatnonzero((down >= least) & (clear > CLEARANCE_M))
         for home in _ranked(robot, poses[fit]):
             if not home.task and SHARE[0] <= home.mu / home.mu_best <= SHARE[1]:
                 return home
@@ -93,7 +98,11 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
     for k, q in enumerate(poses):
         left = freedoms(robot, q)
         if left.tip >= REGULAR[0] and left.both >= REGULAR[1]:
-            scores[k] = limit_shares(robot, q)[moving].min() + min(left.tip, 2.0 * left.both) + 0.25 * mu[k] / mu.max()
+            scores[k] = (
+                limit_shares(robot, q)[moving].min()
+                + min(left.tip, 2.0 * left.both)
+                + 0.25 * mu[k] / mu.max()
+            )
     best = [int(k) for k in np.argsort(-scores)[:SHORTLIST] if np.isfinite(scores[k])]
     homes: list[Home] = []
     for q in np.round(poses[best], 2):

@@ -87,7 +87,7 @@ def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
         weights=(settings.c0, settings.c1, settings.c2, settings.regularization),
         limits=box_limits(
             robot.q_min, robot.q_max, robot.v_max,
-            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+            margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         ),
         K_N2=gains.K_N2,
         D_N2=damping,

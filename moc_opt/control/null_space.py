@@ -33,7 +33,7 @@ def velocity_damper(q: Array, limits: Array, k0: float, lower: Array, upper: Arr
 
 
 def box_limits(
-    q_min: Array, q_max: Array, v_max: Array, *, margin: float = 0.0, speed_fraction: float = 1.0
+    q_min: Array, q_max: Array, v_max: Array, *, margin: float | Array = 0.0, speed_fraction: float = 1.0
 ) -> Array:
     """Return the limits of the box on x: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
 
@@ -42,17 +42,18 @@ def box_limits(
     Args:
         q_min, q_max: (n,) joint limits [rad].
         v_max: (n,) [rad/s].
-        margin: what stays free of a joint's range at either end [rad].
+        margin: what stays free of a joint's range at either end, one number or (n,) [rad, m].
         speed_fraction: of v_max.
 
     Raises:
         ControlError: the margins of a joint meet.
     """
-    room = 0.5 * float(np.min(q_max - q_min))
-    if not margin < room:
+    left = 0.5 * (q_max - q_min) - margin
+    j = int(np.argmin(left))
+    if not left[j] > 0.0:
         raise ControlError(
-            f"[control] limit_margin_rad = {margin}: nothing is left of joint {int(np.argmin(q_max - q_min)) + 1} "
-            f"between its limits; give less than {room:.3g}"
+            f"[control] limit_margin_rad = {float(np.broadcast_to(margin, left.shape)[j])}: nothing is left of joint "
+            f"{j + 1} between its limits; give less than {0.5 * (q_max - q_min)[j]:.3g} (limit_margin_m, if it slides)"
         )
     return np.ascontiguousarray([q_min + margin, q_max - margin, speed_fraction * v_max])
 

@@ -66,6 +66,7 @@ PAPER: dict[str, Any] = {
     "observer_gain_per_s": 0.0,
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
+    "limit_margin_m": 0.0,
     "fallback": "damping",
     "ramp_s": 0.0,
 }
@@ -141,6 +142,9 @@ class ControlSettings(Settings):
     limit_margin_rad: NotNegative = Field(
         default=0.15, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
     )
+    limit_margin_m: NotNegative = Field(
+        default=0.05, description="the same for a joint that slides; guard.position_margin_rad is one number for both"
+    )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
     )
@@ -198,6 +202,10 @@ class ControlSettings(Settings):
     def matched_dcac(self) -> dict[str, Any]:
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {"law": "dcac", "gains": self.gains or self.law}
+
+    def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """How far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
+        return np.where(slides, self.limit_margin_m, self.limit_margin_rad)
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
         """Return K_X .. D_N2 as numbers: settings first, then the robot's table.

@@ -198,7 +198,7 @@ class _Law:
         k0 = settings.k0_per_s
         q_min, q_max, v_max = box_limits(
             robot.q_min, robot.q_max, robot.v_max,
-            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+            margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         )  # fmt: skip
         box = swivel.Box(
             ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from moc_opt.errors import ReportError
+from moc_opt.model.carried import restored
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.trace.trace import Trace
 
@@ -30,12 +31,14 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def robot_of(trace: Trace) -> RobotModel:
-    """Load the arm that a trace was run with, from its `meta`.
+    """Load the arm that a trace was run with: the one that its `meta` carries, or the one of the package it names.
 
     Raises:
         ReportError: the trace does not say.
         RobotError, UnknownNameError: that robot cannot be loaded here.
     """
+    if "robot_data" in trace.meta:
+        return restored(trace.meta["robot_data"])
     table = _robot_table(trace)
     if not table.get("name"):
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")

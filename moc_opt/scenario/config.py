@@ -178,14 +178,14 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a TOML file.
+        """Read a TOML file; the path of a robot's file in it is relative to the scenario's folder.
 
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
         """
         file = Path(path)
-        table = read_toml(file, "scenario", ScenarioError)
+        table = _with_paths_from(file.parent, read_toml(file, "scenario", ScenarioError))
         try:
             return cls(**table)
         except MocOptError as error:
@@ -202,3 +202,12 @@ class Scenario(Settings):
                 new = old.replace(new)
             values[name] = new
         return type(self)(**values, **tables)
+
+
+def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
+    """The table with the robot's file, where one is given, taken from the scenario's own folder."""
+    robot = table.get("robot")
+    name = robot.get("name") if isinstance(robot, Mapping) else None
+    if robot is None or not isinstance(name, str) or Path(name).suffix.lower() not in (".toml", ".urdf"):
+        return table
+    return {**table, "robot": {**robot, "name": str(folder / name)}}

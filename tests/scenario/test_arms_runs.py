@@ -30,7 +30,9 @@ def test_every_arm_does_the_default_task(name: str) -> None:
 def test_idle_joints_come_to_rest_without_friction(name: str) -> None:
     """What moves neither tip nor wrist is damped: nothing keeps it swinging."""
     asked = Scenario(robot={"name": name}, bound_samples=0, judge=False)
-    asked = asked.change(plant={"friction": 0.0}, task={"path": "line", "sizes": {"length": 0.005}, "hold_s": 2.0})
+    asked = asked.change(
+        plant={"friction": 0.0}, task={"path": "line", "sizes": {"length": 0.005}, "hold_s": 2.0}
+    )
     trace = run(asked)
     assert trace.meta["ended"] == "completed"
     late = trace.t_s > trace.t_s[-1] - 1.0

@@ -1,5 +1,7 @@
 """What a run is: validated tables, errors that help, and one composer whose runs repeat to the bit."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from moc_opt.errors import (
     UnknownNameError,
 )
 from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.robots import loader
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario.derived import largest_mu
 from moc_opt.sim import PlantSettings
@@ -553,6 +556,27 @@ def test_observer_helps_moc_too():
         run(base.change(control={"observer_gain_per_s": g})).tip_error_m[800:].mean() for g in (20.0, 0.0)
     ]
     assert tips[0] < 0.5 * tips[1]
+
+
+def test_a_robots_file_is_found_from_the_scenarios_folder(tmp_path, monkeypatch):
+    """Wherever the command is started; names of the package and absolute paths stay as they are."""
+    folder = tmp_path / "arms"
+    folder.mkdir()
+    for kind in ("toml", "urdf"):
+        text = (Path(loader.__file__).parent / f"panda.{kind}").read_text(encoding="utf-8")
+        (folder / f"panda.{kind}").write_text(text, encoding="utf-8")
+    path = tmp_path / "scenario.toml"
+    monkeypatch.chdir("/")
+    for given, expected in (
+        ("arms/panda.toml", folder / "panda.toml"),
+        (str(folder / "panda.urdf"), folder / "panda.urdf"),
+    ):
+        path.write_text(f'[robot]\nname = "{given}"\n', encoding="utf-8")
+        loaded = Scenario.load(path)
+        assert Path(loaded.robot.name) == expected
+        assert loaded.robot.arm().data.name == "panda"
+    path.write_text('[robot]\nname = "panda"\n', encoding="utf-8")
+    assert Scenario.load(path).robot.name == "panda"
 
 
 def test_recorded_solve_times_are_replayed_from_the_first_tick_on():

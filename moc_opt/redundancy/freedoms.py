@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -27,6 +28,33 @@ class Freedoms(NamedTuple):
     """Smallest singular value of the tip's Jacobian over its largest; 0 at a singular pose."""
     both: float
     """The fifth singular value of A over its largest: 0 where the shaft cannot be placed and turned freely."""
+
+    def refusal(self, robot: RobotModel) -> str:
+        """Say that the third level has nothing to choose, with the count."""
+        idle = ", ".join(robot.data.joint_names[j] for j in self.idle)
+        return (
+            f"robot {robot.data.name!r}: no freedom is left for the third level: of {robot.n} joints the tool's tip "
+            f"and shaft take {self.rank}, {len(self.idle)} turn nothing but the tool{f' ({idle})' if idle else ''}; "
+            "control.law = 'dcac' needs none, the third level an arm with one joint more, or a tool off the last axis"
+        )
+
+
+def require_freedom(robot: RobotModel) -> None:
+    """Refuse an arm that tip and shaft leave no motion.
+
+    Raises:
+        RobotError: with the count of joints and of what takes them.
+    """
+    found = best_freedoms(robot)
+    if found.real < 1:
+        raise RobotError(found.refusal(robot))
+
+
+def best_freedoms(robot: RobotModel, poses: int = 8) -> Freedoms:
+    """Count the freedoms at seeded poses of the range; those of the highest rank are what the arm is built for."""
+    rng = np.random.default_rng(0)
+    drawn = rng.uniform(robot.q_min, robot.q_max, (poses, robot.n))
+    return max((freedoms(robot, q) for q in drawn), key=lambda found: (found.rank, found.both))
 
 
 def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:

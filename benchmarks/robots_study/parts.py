@@ -1,0 +1,77 @@
+"""One trial of one arm under every controller; each run is a row, one that broke off too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.paper_experiment.trials import BASELINES, MATCHED, any_transient, variant
+from benchmarks.solver_study.closed_loop import placed
+from moc_opt import scenario
+from moc_opt.errors import MocOptError
+from moc_opt.scenario import RunAway, Scenario
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import summarize
+from moc_opt.trace.trace import Trace
+
+METRICS = (
+    "mu_mean", "mu_fraction_of_bound", "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
+    "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "verified_solved", "claimed_solved", "solve_p50_us",
+    "solve_p99_us",
+)  # fmt: skip
+SETTLED = ("tip_error_mean_mm", "rcm_error_registered_mean_mm")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One trial and who runs it."""
+
+    robot: str
+    task: str
+    trial: Scenario
+    solvers: tuple[str, ...]
+
+
+def run_job(job: Job) -> list[dict[str, Any]]:
+    """Rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
+    about = {"robot": job.robot, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
+    try:
+        trial = placed(job.trial)
+    except MocOptError as error:
+        return [about | {"controller": "", "ended": "no start", "error": str(error)}]
+    rows: list[dict[str, Any]] = []
+    traces: dict[str, Trace] = {}
+    for controller in (MATCHED, *job.solvers):
+        row: dict[str, Any] = about | {"controller": controller, "error": ""}
+        try:
+            trace = scenario.run(variant(trial, controller))
+            row["ended"] = str(trace.meta["ended"])
+        except RunAway as error:
+            trace, row["ended"], row["error"] = error.trace, str(error.trace.meta["ended"]), str(error)
+        except MocOptError as error:
+            rows.append(row | {"ended": "failed", "error": str(error)})
+            continue
+        row["whole"] = Ending.of(row["ended"]).whole
+        if row["whole"]:
+            traces[controller] = trace
+            found = summarize(trace)
+            row |= {name: found[name] for name in METRICS if name in found}
+            if "status" in trace.columns and controller not in BASELINES:
+                row["infeasible_ticks"] = int(np.count_nonzero(trace.columns["status"] == "infeasible"))
+        rows.append(row)
+    _settled(trial, traces, rows)
+    return rows
+
+
+def _settled(trial: Scenario, traces: dict[str, Trace], rows: Sequence[dict[str, Any]]) -> None:
+    """Add the errors at the ticks at which no controller's elbow is on its way any more."""
+    flags = any_transient(trial, traces)
+    if flags is None:
+        return
+    for row in rows:
+        if row["controller"] in traces:
+            found = summarize(traces[row["controller"]].with_columns(travelling=flags), phase="settled")
+            row |= {f"settled_{name}": found[name] for name in SETTLED if name in found}

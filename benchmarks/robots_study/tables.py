@@ -1,0 +1,188 @@
+"""Summary, tables and page of the arms, all from the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from benchmarks.paper_experiment.trials import MATCHED
+from benchmarks.statistics import mean, relative_change
+from moc_opt.report.figures.boxes import box_plots
+from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
+
+Rows = Sequence[Mapping[str, Any]]
+
+CHANGES = (
+    ("mu_mean", "mu_gain_percent"), ("settled_tip_error_mean_mm", "tip_change_percent"),
+    ("settled_rcm_error_registered_mean_mm", "rcm_change_percent"), ("trocar_force_mean_N", "force_change_percent"),
+    ("torque_rate_rms_Nm_per_s", "chatter_change_percent"),
+)  # fmt: skip
+MEANS = ("mu_mean", "mu_fraction_of_bound", "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
+         "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "infeasible_ticks", "solve_p50_us")  # fmt: skip
+MUCH_WORSE = 1.1
+"""A tip error that is larger than the baseline's by this factor."""
+FINDINGS: Mapping[str, str] = {
+    "all_end": "no run stopped or wild",
+    "gains": "mean gain in mu of 10 % and more",
+    "tip": "settled tip error at most 5 % above DCAC's",
+    "rcm": "settled RCM error against the registered trocar at most 5 % above DCAC's",
+    "tails": "tip worse by more than 10 % in at most 10 % of the trials",
+}
+BY_ARM = [
+    Column("robot", "arm"), Column("controller", "controller"), Column("trials", "trials", format="d"),
+    Column("broken", "broke off", format="d"), Column("mu_gain_percent", "gain in mu", unit="%", format="+.1f"),
+    Column("mu_fraction_of_bound", "share of best", format=".3f"),
+    Column("tip_change_percent", "tip, settled", unit="%", format="+.1f"),
+    Column("rcm_change_percent", "RCM, settled", unit="%", format="+.1f"),
+    Column("tip_much_worse", "tip > 10 % worse", format="d"),
+    Column("tip_error_mean_mm", "tip", unit="mm", format=".3f"),
+    Column("rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"),
+    Column("trocar_force_mean_N", "force", unit="N", format=".2f"),
+    Column("infeasible_ticks", "infeasible ticks", format=".0f"),
+]  # fmt: skip
+
+
+def summarise(rows: Rows) -> dict[str, Any]:
+    """{"robots": robot -> controller -> figure, "findings": robot -> finding -> holds, "ranking": ...}.
+
+    Means and changes are over the trials that the controller and matched DCAC both ended; those that either broke off
+    are counted.
+    """
+    robots = list(dict.fromkeys(row["robot"] for row in rows))
+    found: dict[str, Any] = {"robots": {}, "no_start": {}}
+    for robot in robots:
+        mine = [row for row in rows if row["robot"] == robot]
+        found["no_start"][robot] = sum(row["ended"] == "no start" for row in mine)
+        names = [name for name in dict.fromkeys(row["controller"] for row in mine) if name]
+        found["robots"][robot] = {name: _figures(mine, name) for name in names}
+    found["findings"] = {robot: _findings(figures) for robot, figures in found["robots"].items()}
+    found["ranking"] = _ranking(found["robots"])
+    return found
+
+
+def _figures(rows: Rows, controller: str) -> dict[str, Any]:
+    base = {row["trial"]: row for row in rows if row["controller"] == MATCHED and row.get("whole")}
+    mine = [row for row in rows if row["controller"] == controller]
+    pairs = [(row, base[row["trial"]]) for row in mine if row.get("whole") and row["trial"] in base]
+    found: dict[str, Any] = {"trials": len(mine), "broken": sum(not row.get("whole") for row in mine)}
+    for name in MEANS:
+        values = [row[name] for row, _ in pairs if name in row]
+        if values:
+            found |= mean(values).entries(name)
+    if controller == MATCHED:
+        return found
+    for name, change in CHANGES:
+        both = [(a[name], b[name]) for a, b in pairs if name in a and name in b]
+        if both:
+            found |= relative_change(*zip(*both, strict=True)).entries(change)
+    tips = [(a["tip_error_mean_mm"], b["tip_error_mean_mm"]) for a, b in pairs]
+    return found | {"tip_much_worse": sum(a > MUCH_WORSE * b for a, b in tips)}
+
+
+def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None]:
+    """Of ``exact``, or the first solver there is; None where nothing was measured."""
+    name = "exact" if "exact" in figures else next((n for n in figures if n != MATCHED), None)
+    if name is None or "mu_gain_percent" not in figures[name]:
+        return dict.fromkeys(FINDINGS)
+    row = figures[name]
+    tip, rcm = row.get("tip_change_percent"), row.get("rcm_change_percent")
+    return {
+        "all_end": all(other["broken"] == 0 for other in figures.values()),
+        "gains": row["mu_gain_percent"] >= 10.0,
+        "tip": None if tip is None else tip <= 5.0,
+        "rcm": None if rcm is None else rcm <= 5.0,
+        "tails": row["tip_much_worse"] <= 0.1 * row["trials"],
+    }
+
+
+def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
+    """Solvers by mean mu on every arm, best first, and Spearman's rank correlation between arms."""
+    scores = {
+        robot: {name: row["mu_mean"] for name, row in figures.items() if name != MATCHED and "mu_mean" in row}
+        for robot, figures in robots.items()
+    }
+    order = {robot: sorted(by, key=lambda name: -by[name]) for robot, by in scores.items()}
+    between = {}
+    for one, two in combinations(scores, 2):
+        shared = [name for name in scores[one] if name in scores[two]]
+        if len(shared) > 2:
+            rho = stats.spearmanr(
+                [scores[one][n] for n in shared], [scores[two][n] for n in shared]
+            ).statistic
+            between[f"{one}, {two}"] = float(rho)
+    values = [rho for rho in between.values() if np.isfinite(rho)]
+    return {"order": order, "between": between, "mean": float(np.mean(values)) if values else None}
+
+
+def tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Every arm and controller, and which findings hold where."""
+    rows = [
+        {"robot": r, "controller": c, **row} for r, by in summary["robots"].items() for c, row in by.items()
+    ]
+    word = {True: "yes", False: "no", None: "-"}
+    holds = [
+        {"finding": text, **{robot: word[by[key]] for robot, by in summary["findings"].items()}}
+        for key, text in FINDINGS.items()
+    ]
+    order = [{"robot": r, "order": ", ".join(names)} for r, names in summary["ranking"]["order"].items()]
+    rho = summary["ranking"]["mean"]
+    told = "" if rho is None else f"Mean rank correlation between arms: {rho:.2f}."
+    columns = [Column("finding", "finding"), *(Column(robot, robot) for robot in summary["findings"])]
+    return [
+        Table("Arms and controllers, changes against DCAC with the same gains", BY_ARM, rows),
+        Table("Which findings hold on which arm", columns, holds),
+        Table("Solvers by mean mu, best first", [Column("robot", "arm"), Column("order", "order")], order, told),
+    ]  # fmt: skip
+
+
+def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> Page:
+    """One page, with one picture an arm."""
+    page = Page("The arms", "what of the study holds on every arm, and what is the LWR4+'s")
+    page.headline(headline(summary))
+    page.section("How to read this")
+    page.text(
+        "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "
+        "default preset; DCAC has the same gains and trials. Settled errors are those at ticks at which no elbow is on "
+        "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean."
+    )
+    page.section("Results")
+    for table in tables(summary):
+        page.table(table)
+    page.section("Pictures")
+    for robot, figures in summary["robots"].items():
+        base = {row["trial"]: row for row in rows if row["robot"] == robot and row["controller"] == MATCHED}
+        groups = {
+            name: {
+                task: np.array([
+                    100.0 * (row["mu_mean"] / base[row["trial"]]["mu_mean"] - 1.0) for row in rows
+                    if (row["robot"], row["controller"], row["task"]) == (robot, name, task) and "mu_mean" in row
+                    and "mu_mean" in base[row["trial"]]
+                ]) for task in dict.fromkeys(row["task"] for row in rows)
+            } for name in figures if name != MATCHED
+        }  # fmt: skip
+        if any(len(samples) for by in groups.values() for samples in by.values()):
+            page.figure(
+                box_plots(groups, "gain in mu (%)"), f"{robot}: gain in mu over DCAC, by task", name=robot
+            )
+    failed = [row for row in rows if row["error"]]
+    if failed:
+        page.section("Runs that broke off")
+        columns = [Column(key, key) for key in ("robot", "trial", "controller", "error")]
+        page.table(Table("Errors", columns, failed))
+    page.section("Made by")
+    page.text(f"`python -m benchmarks.robots`, seed {environment['seed']}, commit {environment['commit']}.")
+    return page
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """How many arms each finding holds on."""
+    said = []
+    for key, text in FINDINGS.items():
+        known = [by[key] for by in summary["findings"].values() if by[key] is not None]
+        said.append(f"{text}: on {sum(known)} of {len(known)} arms")
+    return "; ".join(said).capitalize() + "."

@@ -1,0 +1,203 @@
+"""What holds for an arm: freedoms, home pose, reach, limits, gains and masses, each with a verdict and a cure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.commissioning.home import task_fault
+from moc_opt.commissioning.limits import FASTEST
+from moc_opt.commissioning.rates import Rates, allowed_rate, gain_rates
+from moc_opt.errors import RobotError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.freedoms import best_freedoms, freedoms
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.robots import urdf
+from moc_opt.scenario.config import Scenario
+
+Array = NDArray[np.float64]
+Verdict = Literal["ok", "care", "cannot"]
+REGULAR, SINGULAR = (0.1, 0.05), 1e-4
+"""Singular values over the largest, of the tip's Jacobian and of A, below which to take care, and to refuse."""
+LITTLE_TO_GAIN = 0.05
+RADII_MM = (30, 20, 15, 10, 5)
+MARGIN_DEG = 15.0
+CARE = 0.8
+"""Share of the stability limit from which on to take care."""
+GYRATION_M = 0.6
+"""A link whose inertia says that its mass lies further from its middle than this is no link of an arm."""
+
+
+class Finding(NamedTuple):
+    """One row of the table."""
+
+    what: str
+    found: str
+    verdict: Verdict
+    cure: str = ""
+
+
+def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Finding]:
+    """Check an arm for a scenario's task, period and control (None: the default scenario).
+
+    Returns:
+        One finding a row, in the order of the table; the arm's own verdict is the worst of them.
+    """
+    asked = scenario or Scenario(robot={"name": robot.data.name})
+    found = [_size(robot), _freedom(robot), _regularity(robot)]
+    if all(row.verdict != "cannot" for row in found):
+        found += [_climb(robot), _task(robot, asked)]
+    return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
+
+
+def verdict(findings: list[Finding]) -> Verdict:
+    """The worst of the rows."""
+    order: tuple[Verdict, ...] = ("ok", "care", "cannot")
+    return max((row.verdict for row in findings), key=order.index)
+
+
+def _size(robot: RobotModel) -> Finding:
+    sliding = int(robot.chain.prismatic.sum())
+    kinds = f"{robot.n} joints" + (f", {sliding} of them sliding" if sliding else "")
+    return Finding("arm", f"{kinds}, tool {1e3 * robot.data.tool_length:.0f} mm", "ok")
+
+
+def _freedom(robot: RobotModel) -> Finding:
+    built, here = best_freedoms(robot), freedoms(robot, robot.data.q_home)
+    idle = ", ".join(robot.data.joint_names[j] for j in built.idle) or "none"
+    text = f"{built.real} real, {len(built.idle)} idle ({idle})"
+    if built.real < 1:
+        return Finding("freedoms left", text, "cannot", built.refusal(robot))
+    if here.rank < built.rank:
+        cure = f"tip and shaft have rank {here.rank} at home, {built.rank} elsewhere: choose another home.q_rad"
+        return Finding("freedoms left", text, "cannot", cure)
+    if built.rank < 5:
+        cure = f"tip and shaft have rank {built.rank}, and 5 is needed to place and turn a shaft: the arm lacks a joint"
+        return Finding("freedoms left", text, "cannot", cure)
+    return Finding("freedoms left", text, "ok")
+
+
+def _regularity(robot: RobotModel) -> Finding:
+    here = freedoms(robot, robot.data.q_home)
+    text = f"tip {here.tip:.2f}, tip and shaft {here.both:.2f}"
+    cure = "bend the arm at home (home.q_rad), or let `robot new` search a pose"
+    if here.tip < SINGULAR or here.both < SINGULAR:
+        return Finding("singular values", text, "cannot", f"the home pose is singular: {cure}")
+    near = here.tip < REGULAR[0] or here.both < REGULAR[1]
+    return Finding(
+        "singular values", text, "care" if near else "ok", f"nearly singular: {cure}" if near else ""
+    )
+
+
+def _climb(robot: RobotModel) -> Finding:
+    """The range of mu on the self-motion through home."""
+    mu = robot.state(robot.data.q_home).mu
+    try:
+        curve = self_motion(robot, robot.data.q_home)
+    except RobotError as error:
+        return Finding("mu at home", f"{mu:.3g}", "care", f"its self-motion cannot be scanned: {error}")
+    best, many = curve.mu_best, freedoms(robot, robot.data.q_home).real > 1
+    text = (
+        f"{mu:.3g}, {curve.mu.min():.3g} to {best:.3g} on {'one self-motion' if many else 'its self-motion'}"
+    )
+    if best < (1.0 + LITTLE_TO_GAIN) * mu:
+        return Finding("mu at home", text, "care", "little to gain from there: choose another home.q_rad")
+    return Finding("mu at home", text, "ok")
+
+
+def _task(robot: RobotModel, asked: Scenario) -> Finding:
+    """Whether the task can be done from home, and where not, the largest circle that can."""
+    fault = task_fault(robot, robot.data.q_home, asked)
+    if not fault:
+        return Finding("task from home", f"{asked.task.path} can be done", "ok")
+    what = "task from home"
+    for radius in RADII_MM:
+        smaller = asked.change(task={"path": "circle", "sizes": {"radius": 1e-3 * radius}})
+        if not task_fault(robot, robot.data.q_home, smaller):
+            cure = f"take [task] sizes = {{ radius = {1e-3 * radius:g} }}, or another home.q_rad: {fault}"
+            return Finding(what, f"a circle of {radius} mm radius, not the {asked.task.path}", "care", cure)
+    return Finding(what, f"not even a circle of {RADII_MM[-1]} mm", "cannot", fault)
+
+
+def _limits(robot: RobotModel) -> Finding:
+    q, moving = robot.data.q_home, robot.moves.any(axis=0) & ~robot.chain.prismatic
+    room = np.degrees(np.minimum(q - robot.q_min, robot.q_max - q))
+    room[~moving] = np.inf
+    j = int(np.argmin(room))
+    text = f"{robot.data.joint_names[j]} is {room[j]:.0f} deg away"
+    close = room[j] < MARGIN_DEG
+    cure = f"the third level keeps 9 deg free: move home.q_rad {MARGIN_DEG:.0f} deg or more inside"
+    return Finding("nearest limit", text, "care" if close else "ok", cure if close else "")
+
+
+def _speeds(robot: RobotModel) -> Finding:
+    most = np.where(robot.chain.prismatic, FASTEST["sliding"], FASTEST["turning"])
+    wrong = np.flatnonzero(robot.v_max > most + 1e-9)
+    units = ["m/s" if slides else "rad/s" for slides in robot.chain.prismatic]
+    text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g}"
+    if not wrong.size:
+        return Finding("joint speeds", text, "ok")
+    told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)
+    cure = f"no arm is that fast ({told}), and the speed limit is none: see the data sheet, limits.v_max_deg_per_s"
+    return Finding("joint speeds", text, "care", cure)
+
+
+def _weight(robot: RobotModel) -> Finding:
+    share = np.abs(robot.gravity(robot.data.q_home)) / robot.tau_max
+    j = int(np.argmax(share))
+    text = f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit"
+    if share[j] >= 1.0:
+        return Finding(
+            "gravity at home", text, "cannot", "the arm cannot hold itself: check masses and torque limits"
+        )
+    return Finding(
+        "gravity at home", text, *(("care", "little torque is left to move") if share[j] > 0.7 else ("ok",))
+    )
+
+
+def _bodies(robot: RobotModel) -> Finding:
+    """The loader refuses inertias that no body has; here, those that no arm has."""
+    wrong, total = [], 0.0
+    for link in urdf.parse(robot.data.urdf).findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            continue
+        mass = float(inertial.find("mass").get("value", ""))  # type: ignore[union-attr]
+        moments = [float(inertial.find("inertia").get(key, "")) for key in ("ixx", "iyy", "izz")]  # type: ignore[union-attr]
+        total += mass
+        gyration = math.sqrt(max(moments) / mass)
+        if gyration > GYRATION_M:
+            wrong.append(f"{link.get('name')} ({gyration:.2g} m from its middle)")
+    text = f"{total:.3g} kg, base and tool included"
+    if not 0.5 < total < 2000.0:
+        return Finding("masses", text, "care", "an arm weighs more, or less: are the masses in kg?")
+    cure = f"mass far out: {', '.join(wrong)}; is the inertia about the centre of mass, in kg m^2?"
+    return Finding("masses", text, "care" if wrong else "ok", cure if wrong else "")
+
+
+def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
+    """The rates of the asked control's gains, and of the preset "tuned", whose numbers are the LWR4+'s."""
+    limit, period = allowed_rate(asked.plant), asked.plant.period_s
+    yield _rate_row("gains", gain_rates(robot, asked.control), limit, period, lambda s: (
+        f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {s[0]} by {s[1]:.2g} in "
+        "the robot file's [gains]"
+    ))  # fmt: skip
+    tuned = type(asked.control).preset("tuned")
+    yield _rate_row("preset tuned", gain_rates(robot, tuned), limit, period, lambda s: (
+        f"its {s[0]} is the LWR4+'s and too much here: leave the preset out, or multiply {s[0]} by {s[1]:.2g}"
+    ), worst="care")  # fmt: skip
+
+
+def _rate_row(
+    what: str, rates: Rates, limit: float, period: float, cure: Callable[[tuple[str, float]], str],
+    worst: Verdict = "cannot",
+) -> Finding:  # fmt: skip
+    name, rate = rates.largest
+    text = f"{name} at {100 * rate / limit:.0f} % of the stability limit"
+    if rate < CARE * limit:
+        return Finding(what, text, "ok")
+    return Finding(what, text, worst if rate >= limit else "care", cure((name, 0.5 * limit / rate)))

@@ -1,0 +1,297 @@
+"""A URDF as vendors write it, made into one serial arm: everything that had to be assumed is noted."""
+
+from __future__ import annotations
+
+import copy
+import math
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from moc_opt.commissioning import bodies
+from moc_opt.errors import RobotError, UnknownNameError
+from moc_opt.inputs.files import read_text
+from moc_opt.robots import urdf
+from moc_opt.robots.numbers import as_text, triple
+from moc_opt.robots.rebuild import MOVING, rebuild
+
+_RESERVED = {"tool", "tip", "wrist", "tool_mount", "tip_frame", "wrist_frame", "world"}
+_KEPT = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
+FINGERS = 2
+"""Moving joints in a row that a branch may have to count as a finger."""
+TURN = 2.0 * math.pi
+
+
+@dataclass
+class VendorArm:
+    """One serial arm: links and joints alone, side joints fixed."""
+
+    root: ET.Element
+    last_link: str
+    chain: list[str] = field(default_factory=list)
+    """The moving joints from base to last link."""
+    notes: list[str] = field(default_factory=list)
+    """What was assumed or changed, one sentence each."""
+
+
+def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> VendorArm:
+    """Read a URDF and make it a serial arm.
+
+    Side joints (fingers, a second arm, a head) and those named in ``lock`` are fixed; masses that no body has are
+    replaced; meshes are not looked at. Limits are left to `moc_opt.commissioning.limits`.
+
+    Args:
+        path: the URDF.
+        tip: the link that carries the tool; None: the end of the one chain there is, before the fingers.
+        lock: joint -> the position [rad, m] at which it is fixed.
+
+    Raises:
+        RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.
+        UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
+    """
+    text = read_text(path, "urdf", RobotError)
+    given = urdf.parse(text)
+    if any("xacro" in str(element.tag) for element in given) or _in_braces(given):
+        raise RobotError(
+            f"urdf {str(path)!r} is a xacro file: expand it first (xacro {path.name} > arm.urdf)"
+        )
+    mimics = {joint.get("name", ""): joint.find("mimic") for joint in given.findall("joint")}
+    arm = VendorArm(_bare(given), "")
+    _rename(arm)
+    positions = _known(arm.root, dict(lock or {}))
+    tree = _Tree(arm.root)
+    if tip is not None and tip not in tree.links:
+        raise UnknownNameError("link (--tip)", tip, tree.links)
+    arm.last_link = tip or _last_link(tree, positions, arm.notes)
+    path_to_tip = tree.path(arm.last_link)
+    for joint in path_to_tip:
+        name = joint.get("name", "")
+        if joint.get("type") in MOVING and mimics.get(name) is not None and name not in positions:
+            raise RobotError(
+                f"urdf joint {name!r} lies between base and last link and mimics another: it cannot be driven by "
+                "itself; fix it with --lock, or choose another --tip"
+            )
+    chain = [j for j in path_to_tip if j.get("type") in MOVING and j.get("name") not in positions]
+    if not chain:
+        raise RobotError(
+            f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip"
+        )
+    arm.chain = [joint.get("name", "") for joint in chain]
+    _prune(arm, tree, chain[0])
+    bodies.mend(arm.root, arm.notes)
+    _fix_others(arm, positions)
+    arm.root = rebuild(arm.root, arm.root.get("name") or "arm")
+    return arm
+
+
+def _in_braces(given: ET.Element) -> bool:
+    """Whether a link or joint still has expressions of xacro in the place of numbers or names."""
+    parts = (part for kind in _KEPT for element in given.findall(kind) for part in element.iter())
+    return any("${" in value for part in parts for value in part.attrib.values())
+
+
+def _bare(given: ET.Element) -> ET.Element:
+    """A copy of links and joints without shapes, transmissions and simulators' elements."""
+    made = ET.Element("robot", name=given.get("name", ""))
+    for element in given:
+        if element.tag in _KEPT:
+            kept = ET.SubElement(made, str(element.tag), element.attrib)
+            kept.extend(copy.deepcopy(child) for child in element if child.tag in _KEPT[str(element.tag)])
+    return made
+
+
+def _rename(arm: VendorArm) -> None:
+    """Give names that the tool needs, or that MuJoCo takes for the world, a suffix."""
+    for kind in ("link", "joint"):
+        for element in arm.root.findall(kind):
+            old = element.get("name", "")
+            if old in _RESERVED:
+                element.set("name", f"{old}_{kind}")
+                arm.notes.append(f"{kind} {old!r} is called {old + '_' + kind!r} here: the name is taken")
+                if kind == "link":
+                    for end in arm.root.iterfind("joint/*[@link]"):
+                        if end.get("link") == old:
+                            end.set("link", f"{old}_{kind}")
+
+
+class _Tree:
+    """Who carries whom."""
+
+    def __init__(self, root: ET.Element) -> None:
+        self.links = [link.get("name", "") for link in root.findall("link")]
+        self.carrier: dict[str, ET.Element] = {}
+        self.carried: dict[str, list[ET.Element]] = defaultdict(list)
+        for joint in root.findall("joint"):
+            self.carrier[end(joint, "child")] = joint
+            self.carried[end(joint, "parent")].append(joint)
+        bases = [link for link in self.links if link not in self.carrier]
+        if len(bases) != 1:
+            raise RobotError(
+                f"urdf has {len(bases)} links that hang on no joint {bases[:5]}: one base is needed"
+            )
+        self.base = bases[0]
+
+    def path(self, link: str) -> list[ET.Element]:
+        """The joints from base to link."""
+        found: list[ET.Element] = []
+        while link in self.carrier and len(found) <= len(self.links):
+            found.append(self.carrier[link])
+            link = end(found[-1], "parent")
+        return found[::-1]
+
+    def depth(self, link: str, locked: Mapping[str, float]) -> int:
+        """Most moving joints in a row that hang on this link."""
+        return max(
+            (moves(j, locked) + self.depth(end(j, "child"), locked) for j in self.carried[link]), default=0
+        )
+
+
+def end(joint: ET.Element, which: str) -> str:
+    """The link at the joint's "parent" or "child" end."""
+    found = joint.find(which)
+    if found is None or not found.get("link"):
+        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{which} link=...>: add it")
+    return str(found.get("link"))
+
+
+def moves(joint: ET.Element, locked: Mapping[str, float]) -> bool:
+    """Whether it is a moving joint that nobody locks."""
+    return joint.get("type") in MOVING and joint.get("name") not in locked
+
+
+def _last_link(tree: _Tree, locked: Mapping[str, float], notes: list[str]) -> str:
+    """Follow the one long chain from the base to where fingers branch off, or to its end.
+
+    Raises:
+        RobotError: two chains of more than `FINGERS` joints leave one link.
+    """
+    link, joints = tree.base, 0
+    while True:
+        branches = [j for j in tree.carried[link] if moves(j, locked) or tree.depth(end(j, "child"), locked)]
+        depths = [moves(j, locked) + tree.depth(end(j, "child"), locked) for j in branches]
+        if not branches:
+            break
+        if len(branches) > 1:
+            long = [j for j, depth in zip(branches, depths, strict=True) if depth > FINGERS]
+            if not long and joints >= FINGERS:
+                notes.append(f"the chain ends at {link!r}, where {len(branches)} fingers branch off")
+                return link
+            if len(long) != 1:
+                ends = [end(j, "child") for j in (long or branches)]
+                raise RobotError(
+                    f"urdf: {len(ends)} chains leave link {link!r}, towards {ends[:6]}: say with --tip which link "
+                    "carries the tool"
+                )
+            branches = long
+        joints += moves(branches[0], locked)
+        link = end(branches[0], "child")
+    # Behind the last moving joint only frames are left: the flange is the one that is named so, else the link itself.
+    reached = [link]
+    for found in reached:
+        reached += [end(joint, "child") for joint in tree.carried[found]]
+    for word in ("tool0", "flange", "link8", "end_effector", "link_ee", "ee_link", "eef"):
+        for found in reached:
+            if found.endswith(word):
+                notes.append(f"last link: {found!r}, the flange by its name")
+                return found
+    notes.append(f"last link: {link!r}, carried by the last moving joint")
+    return link
+
+
+def _known(root: ET.Element, lock: dict[str, float]) -> dict[str, float]:
+    moving = [joint.get("name", "") for joint in root.findall("joint") if joint.get("type") in MOVING]
+    for name in lock:
+        if name not in moving:
+            raise UnknownNameError("joint (--lock)", name, moving)
+    return lock
+
+
+def _prune(arm: VendorArm, tree: _Tree, first: ET.Element) -> None:
+    """Leave out what hangs on links that never move: other arms, heads, tables."""
+    still = end(first, "parent")
+    keep = {first, *tree.path(still)}
+    links = [end(first, "child")]
+    for link in links:
+        links += [end(joint, "child") for joint in tree.carried[link]]
+        keep.update(tree.carried[link])
+    links += [tree.base, *(end(joint, "child") for joint in tree.path(still))]
+    dropped = [
+        e
+        for e in arm.root
+        if (e.tag == "joint" and e not in keep) or (e.tag == "link" and e.get("name") not in links)
+    ]
+    for element in dropped:
+        arm.root.remove(element)
+    count = sum(element.tag == "link" for element in dropped)
+    if count:
+        arm.notes.append(f"{count} links that hang on the base beside the arm are left out")
+
+
+def _fix_others(arm: VendorArm, positions: Mapping[str, float]) -> None:
+    """Fix every joint that is not of the chain: at its given position, else at 0 or the end of its range next to it."""
+    fixed = []
+    for joint in arm.root.findall("joint"):
+        name, kind = joint.get("name", ""), joint.get("type")
+        if name in arm.chain or kind == "fixed":
+            continue
+        if kind in MOVING:
+            found = urdf.limits(joint) if kind != "continuous" else {}
+            default = min(max(0.0, found.get("lower", -TURN)), found.get("upper", TURN))
+            value = positions.get(name, default)
+            _shift(joint, value)
+            fixed.append(f"{name} at {value:.3g} {'m' if kind == 'prismatic' else 'rad'}")
+        else:
+            fixed.append(f"{name} ({kind})")
+        joint.set("type", "fixed")
+    if fixed:
+        arm.notes.append(f"fixed, for they are not of the chain: {', '.join(fixed)}")
+
+
+def _shift(joint: ET.Element, value: float) -> None:
+    """Move the joint's origin by its own motion of ``value`` [rad, m]."""
+    if value == 0.0:
+        return
+    where = f"joint {joint.get('name')!r}"
+    origin, given = joint.find("origin"), joint.find("axis")
+    R = _rotation(*triple(origin, "rpy", where, "rad"))
+    axis = np.array(triple(given, "xyz", where, "1") if given is not None else (1.0, 0.0, 0.0))
+    axis /= np.linalg.norm(axis)
+    place = np.array(triple(origin, "xyz", where, "m"))
+    if joint.get("type") == "prismatic":
+        place = place + R @ (value * axis)
+    else:
+        K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+        R = R @ (np.eye(3) + math.sin(value) * K + (1.0 - math.cos(value)) * K @ K)
+    if origin is None:
+        origin = ET.SubElement(joint, "origin")
+    origin.set("xyz", as_text(*place))
+    origin.set("rpy", as_text(*rpy_of(R)))
+
+
+def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_of(R: np.ndarray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    if abs(math.cos(pitch)) < 1e-9:
+        return math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+
+
+def chain_joints(arm: VendorArm) -> list[ET.Element]:
+    """The chain's joints of the clean tree, base first."""
+    by_name = {joint.get("name", ""): joint for joint in arm.root.findall("joint")}
+    return [by_name[name] for name in arm.chain]

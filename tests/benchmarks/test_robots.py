@@ -1,0 +1,103 @@
+"""The arms' benchmark: its figures follow from its rows, and what broke off or found no start is counted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from benchmarks import robots
+from benchmarks.output import default_config
+from benchmarks.robots_study.tables import FINDINGS, report, summarise
+from moc_opt.robots import available_robots
+
+TINY = """
+robots = ["xarm7", "lwr4_rail"]
+tasks = ["circle"]
+starts = 1
+solvers = ["exact"]
+processes = 1
+[scenario]
+start = { pose = "random" }
+duration_s = 1.0
+bound_samples = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("robots")
+    (out / "tiny.toml").write_text(TINY, encoding="utf-8")
+    assert robots.main([str(out / "tiny.toml"), "--out", str(out / "results"), "--seed", "3"]) == 0
+    return out / "results"
+
+
+def test_all_files_are_there_and_every_run_is_a_row(results: Path) -> None:
+    assert {"summary.json", "rows.parquet", "environment.json", "report.html"} <= {f.name for f in results.iterdir()}
+    rows = pq.read_table(results / "rows.parquet").to_pylist()
+    told = [(row["robot"], row["controller"]) for row in rows]
+    assert told == [("xarm7", "dcac"), ("xarm7", "exact"), ("lwr4_rail", "dcac"), ("lwr4_rail", "exact")]
+    assert all(row["ended"] == "completed" for row in rows)
+    summary = json.loads((results / "summary.json").read_text(encoding="utf-8"))
+    for robot in ("xarm7", "lwr4_rail"):
+        base, mine = (row for row in rows if row["robot"] == robot)
+        gain = 100.0 * (mine["mu_mean"] / base["mu_mean"] - 1.0)
+        assert summary["robots"][robot]["exact"]["mu_gain_percent"] == pytest.approx(gain)
+        assert set(summary["findings"][robot]) == set(FINDINGS)
+
+
+def test_the_default_configuration_has_every_arm() -> None:
+    config = robots.Config.load(default_config("robots"))
+    assert sorted(config.robots) == available_robots()
+    assert len(config.jobs()) == 6 * 3 * 5
+    quick = config.quick()
+    assert len(quick.jobs()) == 6 * 2
+    starts = {(job.robot, job.trial.seed) for job in config.jobs()}
+    assert len({seed for _, seed in starts}) == 15  # the same seeds on every arm
+
+
+def row(robot: str, trial: str, controller: str, mu: float = 1.0, tip: float = 1.0, **more: Any) -> dict[str, Any]:
+    about = {"robot": robot, "task": "circle", "trial": trial, "controller": controller, "ended": "completed"}
+    figures = {"mu_mean": mu, "tip_error_mean_mm": tip, "settled_tip_error_mean_mm": tip,
+               "settled_rcm_error_registered_mean_mm": 1.0, "trocar_force_mean_N": 1.0}  # fmt: skip
+    return {**about, "whole": True, "error": "", **figures, **more}
+
+
+def test_findings_follow_from_the_rows() -> None:
+    rows = [row("a", f"t{k}", "dcac") for k in range(10)]
+    rows += [row("a", f"t{k}", "exact", mu=1.2, tip=1.2 if k == 0 else 1.0) for k in range(10)]
+    found = summarise(rows)
+    assert found["robots"]["a"]["exact"]["mu_gain_percent"] == pytest.approx(20.0)
+    assert found["robots"]["a"]["exact"]["tip_change_percent"] == pytest.approx(2.0)
+    assert found["robots"]["a"]["exact"]["tip_much_worse"] == 1
+    assert found["findings"]["a"] == dict.fromkeys(FINDINGS, True)
+    rows[-1] = rows[-1] | {"tip_error_mean_mm": 1.2, "settled_tip_error_mean_mm": 1.6}
+    worse = summarise(rows)["findings"]["a"]
+    assert (worse["tails"], worse["tip"], worse["gains"]) == (False, False, True)
+
+
+def test_a_run_that_broke_off_is_counted_and_in_no_mean() -> None:
+    rows = [row("a", "t0", "dcac"), row("a", "t0", "exact", mu=1.3), row("a", "t1", "dcac")]
+    about = {"robot": "a", "task": "circle", "trial": "t1", "controller": "exact"}
+    rows.append(about | {"ended": "stopped", "whole": False, "error": "RunAway: far off"})
+    rows.append({"robot": "b", "task": "circle", "trial": "t0", "controller": "", "ended": "no start", "error": "none"})
+    found = summarise(rows)
+    assert found["robots"]["a"]["exact"]["broken"] == 1
+    assert found["robots"]["a"]["exact"]["mu_gain_percent"] == pytest.approx(30.0)
+    assert found["findings"]["a"]["all_end"] is False
+    assert found["no_start"] == {"a": 0, "b": 1}
+    assert found["findings"]["b"] == dict.fromkeys(FINDINGS)
+    page = report(found, rows, {"seed": 0, "commit": "x"})
+    assert "a" in page.figures
+
+
+def test_arms_that_rank_solvers_alike_correlate() -> None:
+    orders = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1)}
+    rows = [row(robot, "t", "dcac") for robot in orders]
+    rows += [row(r, "t", s, mu=m) for r, mus in orders.items() for s, m in zip(("x", "y", "z"), mus, strict=True)]
+    ranking = summarise(rows)["ranking"]
+    assert ranking["order"]["a"] == ["z", "y", "x"]
+    assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0})
