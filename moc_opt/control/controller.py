@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import null_space as manipulability
 from moc_opt.control import tick
+from moc_opt.control.guide import Guide
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.rcm import PROJECTORS
 from moc_opt.control.settings import ControlSettings, per_joint
@@ -48,6 +49,7 @@ class Controller:
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times that replace the clock where a solve has a time budget.
+        guide: what the third level follows in place of the gradient of mu; needs rho and c2 above 0.
 
     Raises:
         ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
@@ -60,6 +62,7 @@ class Controller:
         solver: Solver | None = None,
         period: float = 0.002,
         times_us: Iterator[float] | None = None,
+        guide: Guide | None = None,
     ) -> None:
         if (settings.law == "moc") != (solver is not None):
             raise ControlError(
@@ -75,6 +78,10 @@ class Controller:
             robot.q_min, robot.q_max, robot.v_max,
             margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
         )  # fmt: skip
+        self._guide, self._pull_of_wish = guide, 0.0
+        if guide is not None:
+            settings.check_guided()
+            self._pull_of_wish = settings.damping / settings.c2
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
         self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
@@ -146,6 +153,8 @@ class Controller:
         self._forget()
         self._Z = manipulability.null_space(state.A)
         self._tau = _read_only(np.array(state.h))
+        if self._guide is not None:
+            self._guide.start()
         if self._observer is not None:
             self._observer.start(state)
         if self.solver is not None:
@@ -199,6 +208,8 @@ class Controller:
                 row,
             ):
                 self._Z = manipulability.null_space(state.A, like=self._Z)
+            if self._guide is not None:  # in the place of grad mu
+                row[6 * robot.n + 6 : 7 * robot.n + 6] = self._pull_of_wish * self._guide.wish(state)
             x = self._answer(self._session, NullSpaceQP.from_row(row), state)
             self._share = min(1.0, self._share + self._fade)
             share = self._share

@@ -24,6 +24,7 @@ from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.driver import Driver
 from moc_opt.scenario.layout import breathing, lay_out
+from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Sink, Touched
@@ -61,6 +62,7 @@ class Setup:
         check_engines(self.robot)
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.layout = layout
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
@@ -105,7 +107,9 @@ class Setup:
             )
             # one more in front, for the discarded tick before the loop
             times = itertools.chain([0.0], np.where(self.spoilt(), 10.0 * budget, 0.0))
-        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
+        guided = settings.law == "moc" and settings.third_level == "planned"
+        guide = follower(self.scenario, self.robot, self.layout) if guided else None
+        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
 
     def _replay(self) -> Iterator[float] | None:
         """The recorded solve times from the start, their first one twice: one tick before the loop is discarded."""
@@ -127,6 +131,8 @@ class Setup:
                     f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
                     "take [control] backend = 'python'"
                 )
+            if self.scenario.control.third_level != "local":
+                self.scenario.control.check_guided()
             from moc_opt.embedded import NativeController  # late: only C needs CasADi and a compiler
 
             return NativeController(
