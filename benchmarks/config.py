@@ -1,12 +1,14 @@
-"""What every benchmark's configuration has: it is read from TOML."""
+"""The base of every benchmark's configuration, which is read from TOML."""
 
 from __future__ import annotations
 
 from argparse import Namespace
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
-from benchmarks.output import default_config
+from pydantic import Field
+
+from benchmarks.output import default_config, environment
 from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.inputs.files import read_toml
 from moc_opt.inputs.settings import Settings
@@ -16,16 +18,24 @@ class Configuration(Settings):
     """Base of the configurations in benchmarks/configs/."""
 
     MOST: ClassVar[int] = 1_000_000
+    KIND: ClassVar[str] = "configuration:"
+    seed: int = Field(0, ge=0)
 
     @classmethod
     def chosen(cls, given: Namespace, name: str) -> Self:
-        """What the options of ``output.parser`` ask for: the file or the benchmark's own, and its seed.
+        """What the options of ``cli.parser`` ask for: the file or the benchmark's own, its seed, less data.
 
         Raises:
             MocOptError: the file cannot be used.
         """
         config = cls.load(given.config or default_config(name))
-        return config if given.seed is None else config.model_copy(update={"seed": given.seed})
+        if given.seed is not None:
+            config = config.model_copy(update={"seed": given.seed})
+        return config.quick() if given.quick else config
+
+    def quick(self) -> Self:
+        """The same on less data: for a first look and for the tests."""
+        raise NotImplementedError
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -36,3 +46,7 @@ class Configuration(Settings):
         except MocOptError as error:
             error.args = (f"{path}: {error}",)
             raise
+
+    def environment(self, given: Namespace, **remarks: Any) -> dict[str, Any]:
+        """What environment.json holds after a run with this configuration."""
+        return environment(self.model_dump(mode="json"), self.seed, given.argv) | remarks

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import cli
 from benchmarks.output import write_atomically
 from benchmarks.testsets import RECIPES, TestSet
 from moc_opt.errors import MocOptError, UnknownNameError
@@ -199,7 +200,7 @@ def _succeeds(row: Mapping[str, str], limit: float) -> bool:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write a test set; 0, or 2 with a message where the input is wrong."""
+    """Write a test set; see `cli.run` for the exit status."""
     options = argparse.ArgumentParser(
         prog="python -m benchmarks.export", description="The test sets for others."
     )
@@ -208,12 +209,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")
     options.add_argument("--every", type=int, default=1, help="take each every-th problem")
     options.add_argument("--rows", type=int, choices=[5, 6], default=5, help="equality rows")
-    given = options.parse_args(arguments)
-    try:
-        module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
-    except (MocOptError, OSError) as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
+    return cli.run(options, write, arguments)
+
+
+def write(given: argparse.Namespace) -> int:
+    """Write a test set, and say how to run it."""
+    module = write_qpbenchmark(given.out, given.sets, max(1, given.every), given.rows)
     print(f"written: {module} and {module.with_suffix('.parquet').name}; run it with")
     print(f"  qpbenchmark {module} --results-path {module.with_name('results.csv')} run --author NAME")
     return 0

@@ -8,19 +8,17 @@ python -m benchmarks.faults [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--pa
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
 
-from benchmarks import output
-from benchmarks.parallel import run_parallel
+from benchmarks import cli
+from benchmarks.processes import run_parallel
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
-from benchmarks.reliability.report import print_tables, write_report
+from benchmarks.reliability.report import headline, report, tables
 from benchmarks.reliability.runs import jobs, run_job
 from benchmarks.reliability.summary import goals, summarise
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.report.console import console, progress
 from moc_opt.solvers import available
 
 
@@ -39,48 +37,33 @@ def check_solvers(config: Config) -> None:
             raise MocOptError(f"solver {name!r} cannot run here: {found[name]}")
 
 
-def inject(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+def inject(given: Namespace) -> cli.Results:
+    """Inject every fault; with ``--page`` write docs/reliability.md."""
+    config = Config.chosen(given, "faults")
+    check_solvers(config)
     work = jobs(config)
-    with progress("faults", len(work)) as bar:
-        outcomes = run_parallel(run_job, work, config.processes, lambda: bar.advance(1.0))
+    with cli.steps("faults", len(work)) as step:
+        outcomes = run_parallel(run_job, work, config.processes, step)
     rows = [row for outcome in outcomes for row in outcome.rows]
     traces = {name: trace for outcome in outcomes for name, trace in outcome.traces.items()}
     cases = summarise(rows)
     reached = goals(config, cases)
-    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
     shared = config.processes > 1
-    environment["timing"] = f"shared: {config.processes} processes at a time" if shared else "one process"
-    summary: dict[str, Any] = {**cases, "goals": {goal["goal"]: goal for goal in reached}}
-    output.write_json(out / "summary.json", summary)
-    output.write_rows(out / "rows.parquet", rows)
-    output.write_json(out / "environment.json", environment)
-    write_report(out / "report.html", cases, reached, traces, environment)
-    if as_json:
-        print((out / "summary.json").read_text(), end="")
-    else:
-        print_tables(console(), cases, reached, out)
-    return {"cases": cases, "goals": reached, "environment": environment}
+    timing = f"shared: {config.processes} processes at a time" if shared else "one process"
+    environment = config.environment(given, timing=timing)
+    if given.page:
+        write_page({"cases": cases, "goals": reached, "environment": environment})
+    return cli.Results(
+        {**cases, "goals": {goal["goal"]: goal for goal in reached}}, environment, rows,
+        report(cases, reached, traces, environment), tables(cases, reached), [headline(cases, reached)],
+    )  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; 0, or 2 with a message where the input is wrong."""
-    options = output.parser("faults", "Inject every fault under every controller.")
+    """Run the benchmark; see `cli.run` for the exit status."""
+    options = cli.parser("faults", "Inject every fault under every controller.")
     options.add_argument("--page", action="store_true", help=f"write {PAGE.parent.name}/{PAGE.name} as well")
-    given = options.parse_args(arguments)
-    argv = sys.argv[1:] if arguments is None else list(arguments)
-    try:
-        config = Config.chosen(given, "faults")
-        if given.quick:
-            config = config.quick()
-        check_solvers(config)
-        found = inject(config, given.out, given.json, argv)
-        if given.page:
-            write_page(found)
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return cli.run(options, inject, arguments)
 
 
 if __name__ == "__main__":

@@ -5,23 +5,20 @@ python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [
 
 from __future__ import annotations
 
-import argparse
 import sys
 import traceback
 import warnings
+from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks import output
+from benchmarks import cli, output
 from benchmarks.reliability.limits import limited
-from benchmarks.reliability.page import PAGE, write_page
+from benchmarks.reliability.page import COUNTS, PAGE, write_page
 from moc_opt.embedded.compiler import CompilerError, find_compiler
-from moc_opt.errors import MocOptError
-from moc_opt.inputs.files import to_json
-from moc_opt.report.console import console, progress
-from moc_opt.report.tables import Column, Table
+from moc_opt.report.tables import Table
 
 if TYPE_CHECKING:
     from hypothesis.strategies import SearchStrategy
@@ -118,18 +115,8 @@ def has_compiler() -> bool:
         return False
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run; 0 when every case ended well, 1 when one did not, 2 where the command is wrong."""
-    options = argparse.ArgumentParser(prog="python -m benchmarks.fuzz", description="Send bad input.")
-    options.add_argument("--cases", type=int, default=10_000, help="in all")
-    options.add_argument("--seed", type=output.seed_number, default=0)
-    options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
-    options.add_argument("--out", type=Path, default=Path("results") / "fuzz", help="folder for the results")
-    options.add_argument("--json", action="store_true", help="print summary.json instead of a table")
-    options.add_argument(
-        "--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}"
-    )
-    given = options.parse_args(arguments)
+def send(given: Namespace) -> cli.Results:
+    """Send the cases of every kind; status 1 where one did not end well."""
     kinds = given.only or list(KINDS)
     if not given.only and not has_compiler():
         print("exported: left out, as there is no C compiler here", file=sys.stderr)
@@ -137,38 +124,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     whole = sum(KINDS[kind] for kind in kinds)
     shares = {kind: max(1, round(given.cases * KINDS[kind] / whole)) for kind in kinds}
     summary: dict[str, dict[str, Any]] = {}
-    try:
-        with progress("cases", sum(shares.values())) as bar:
-            for kind, cases in shares.items():
-                done: Callable[[], Any] = lambda: bar.advance(1.0)  # noqa: E731
-                verdicts, failures = limited(explore, kind, cases, given.seed, done, CASE_S)
-                summary[kind] = {
-                    "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
-                    "refused": verdicts["refused"], "failed": len(failures), "failures": failures,
-                }  # fmt: skip
-        environment = output.environment(
-            {"cases": given.cases, "kinds": kinds}, given.seed, arguments or sys.argv[1:]
-        )
-        output.write_json(given.out / "summary.json", summary)
-        output.write_json(given.out / "environment.json", environment)
-        if given.page:
-            write_page({"fuzz": {"cases": given.cases, "seed": given.seed, "kinds": summary}})
-    except (MocOptError, ImportError, OSError) as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    if given.json:
-        print(to_json(summary))
-    else:
-        columns = [
-            Column("kind", "input"),
-            *(Column(n, n, format=".0f") for n in ("cases", "accepted", "refused", "failed")),
-        ]
-        rows = [{"kind": kind, **figures} for kind, figures in summary.items()]
-        console().print(Table("Bad input", columns, rows).to_rich())
-        for kind, figures in summary.items():
-            for failure in figures["failures"]:
-                print(f"{kind}: {failure}")
-    return 1 if any(figures["failed"] for figures in summary.values()) else 0
+    with cli.steps("cases", sum(shares.values())) as step:
+        for kind, cases in shares.items():
+            verdicts, failures = limited(explore, kind, cases, given.seed, step, CASE_S)
+            summary[kind] = {
+                "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
+                "refused": verdicts["refused"], "failed": len(failures), "failures": failures,
+            }  # fmt: skip
+    environment = output.environment({"cases": given.cases, "kinds": kinds}, given.seed, given.argv)
+    if given.page:
+        write_page({"fuzz": {"cases": given.cases, "seed": given.seed, "kinds": summary}})
+    table = Table("Bad input", COUNTS, [{"kind": kind, **figures} for kind, figures in summary.items()])
+    told = [f"{kind}: {failure}" for kind, figures in summary.items() for failure in figures["failures"]]
+    return cli.Results(summary, environment, tables=[table], sentences=told, status=1 if told else 0)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run; see `cli.run` for the exit status."""
+    options = cli.parser("fuzz", "Send bad input.", configured=False)
+    options.add_argument("--cases", type=int, default=10_000, help="in all")
+    options.add_argument("--seed", type=cli.seed_number, default=0)
+    options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
+    options.add_argument(
+        "--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}"
+    )
+    return cli.run(options, send, arguments)
 
 
 if __name__ == "__main__":

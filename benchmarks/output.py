@@ -1,8 +1,7 @@
-"""What every benchmark leaves behind: summary.json, rows.parquet, environment.json, and the command line."""
+"""What every benchmark leaves behind: summary.json, rows.parquet, environment.json, and the report."""
 
 from __future__ import annotations
 
-import argparse
 import datetime
 import importlib.metadata
 import os
@@ -27,48 +26,14 @@ PACKAGES = (
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
-def parser(name: str, about: str) -> argparse.ArgumentParser:
-    """The options that every benchmark has."""
-    options = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=about)
-    options.add_argument(
-        "config", nargs="?", type=Path, help=f"TOML; default: benchmarks/configs/{name}.toml"
-    )
-    options.add_argument("--out", type=Path, default=Path("results") / name, help="folder for the results")
-    options.add_argument("--seed", type=seed_number, help="replaces the configuration's seed")
-    options.add_argument("--quick", action="store_true", help="the same on less data")
-    options.add_argument("--json", action="store_true", help="print summary.json instead of tables")
-    options.add_argument("--figures", action=_WantFigures, nargs=0, help="every figure also as SVG and PDF")
-    return options
-
-
-def seed_number(text: str) -> int:
-    """The number of ``--seed``, which stands for a configuration's and is checked like it."""
-    try:
-        seed = int(text)
-    except ValueError:
-        seed = -1
-    if not 0 <= seed <= 2**62:
-        raise argparse.ArgumentTypeError(f"{text:.40}: give a whole number from 0 to 2^62")
-    return seed
-
-
-class _WantFigures(argparse.Action):
-    """``--figures``: the page is built far from the command line, and asks ``save_page`` alone."""
-
-    wanted = False
-
-    def __call__(self, *_: object, **__: object) -> None:
-        type(self).wanted = True
-
-
-def save_page(page: Page, path: Path) -> None:
-    """Save a report, and its figures as files beside it where ``--figures`` was given.
+def save_page(page: Page, path: Path, *, figures: bool = False) -> None:
+    """Save a report, and with ``figures`` every figure of it as a file beside it.
 
     Raises:
         BrowserError: no browser that could draw them; the page is saved all the same.
     """
     page.save(path)
-    if _WantFigures.wanted:
+    if figures:
         from moc_opt.report.export import save_figures
 
         save_figures(page.figures, path.parent / "figures")

@@ -11,20 +11,19 @@ what ``benchmarks.solvers`` is for.
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks import output
+from benchmarks import cli
 from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
 from benchmarks.paper_experiment.config import STREAM, Config
 from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.parallel import run_parallel
-from moc_opt.errors import BrowserError, MocOptError
-from moc_opt.report.console import console, progress
+from benchmarks.processes import run_parallel
+from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
 
 
@@ -92,13 +91,13 @@ def draw(config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any
     return drawn
 
 
-def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+def experiment(given: Namespace) -> cli.Results:
+    """Run every part; figures and the replay are written here, as the page refers to them."""
+    config, out = Config.chosen(given, "paper"), given.out
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
-    steps = len(jobs) + len(config.ablation_jobs()) + config.swivel.starts + 1 + len(config.tasks) + 2
-    with progress("trials", steps) as bar:
-        step = partial(bar.advance, 1.0)
+    total = len(jobs) + len(config.ablation_jobs()) + config.swivel.starts + 1 + len(config.tasks) + 2
+    with cli.steps("trials", total) as step:
         outcomes = run_parallel(run_job, jobs, config.processes, step)
         exchanged, failed = run_ablation(config, step)
         swivel = run_swivel(config, step)
@@ -110,47 +109,33 @@ def experiment(config: Config, out: Path, as_json: bool, argv: list[str]) -> dic
     summary["procedure"] = paper_procedure.summary(procedure)
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
-    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
-    environment["timing"] = f"none: {config.processes} processes at a time shared the machine"
-    output.write_json(out / "summary.json", summary)
     measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
-    output.write_rows(out / "rows.parquet", [*measured, *broken, *failed, *swivel, *procedure])
-    groups = {name: group.about or name for name, group in config.groups.items()}
-    best = (config.best, config.best_solver)
+    environment = config.environment(
+        given, timing=f"none: {config.processes} processes at a time shared the machine"
+    )
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
-    screen = console()
     try:
         figures.save(drawn, out / "figures")
     except BrowserError as error:
         # The page has the figures all the same.
         environment["figures"] = f"not saved as files: {error}"
         print(environment["figures"], file=sys.stderr)
-    output.write_json(out / "environment.json", environment)
-    report.write_page(
-        out / "report.html", summary, groups, best, drawn, environment,
-        lambda page: look.add_section(page, looks, out, config),
+    groups = {name: group.about or name for name, group in config.groups.items()}
+    best = (config.best, config.best_solver)
+    page = report.page(
+        summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config)
+    )
+    return cli.Results(
+        summary, environment, [*measured, *broken, *failed, *swivel, *procedure], page,
+        report.tables(summary, groups, best), report.headline(summary, list(groups), best[1]),
+        ["replay.html", "figures/"],
     )  # fmt: skip
-    if as_json:
-        print((out / "summary.json").read_text(), end="")
-    else:
-        report.print_tables(screen, summary, groups, best, out)
-    return summary
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the experiment; 0, or 2 with a message where the input is wrong."""
-    given = output.parser("paper", "The paper's experiment, and which of its claims hold.").parse_args(
-        arguments
-    )
-    try:
-        config = Config.chosen(given, "paper")
-        if given.quick:
-            config = config.quick()
-        experiment(config, given.out, given.json, list(arguments or sys.argv[1:]))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    """Run the experiment; see `cli.run` for the exit status."""
+    options = cli.parser("paper", "The paper's experiment, and which of its claims hold.")
+    return cli.run(options, experiment, arguments)
 
 
 if __name__ == "__main__":

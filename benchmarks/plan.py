@@ -9,21 +9,18 @@ inverse kinematics from random starts, the nonlinear program is begun elsewhere,
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 from pydantic import Field
 
-from benchmarks import output
+from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.paper_experiment.trials import seeds, trials
-from benchmarks.parallel import run_parallel
 from benchmarks.planning.parts import Job, run_job
-from benchmarks.planning.tables import summarise, tables, write_report
-from moc_opt.errors import MocOptError
-from moc_opt.report.console import console, progress
+from benchmarks.planning.tables import report, summarise, tables
+from benchmarks.processes import run_parallel
 from moc_opt.scenario import Scenario
 
 STREAM = 7
@@ -64,41 +61,22 @@ class Config(Configuration):
         return found
 
 
-def study(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+def study(given: Namespace) -> cli.Results:
+    """Plan every trial; the timed part first, before other processes are busy."""
+    config = Config.chosen(given, "plan")
+    if given.quick:
+        config = config.quick()
     jobs = config.jobs()
-    with progress("plans", len(jobs)) as bar:
-        done = partial(bar.advance, 1.0)
-        rows = run_parallel(run_job, [job for job in jobs if job.part == "map"], 1, done)
-        rows += run_parallel(run_job, [job for job in jobs if job.part != "map"], config.processes, done)
-    summary = summarise(rows)
-    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
-    output.write_json(out / "summary.json", summary)
-    output.write_rows(out / "rows.parquet", rows)
-    output.write_json(out / "environment.json", environment)
-    write_report(out / "report.html", summary, rows, environment)
-    if as_json:
-        print((out / "summary.json").read_text(), end="")
-    else:
-        screen = console()
-        for table in tables(summary):
-            for piece in table.fitted(screen.width):
-                screen.print(piece)
-    return summary
+    with cli.steps("plans", len(jobs)) as step:
+        rows = run_parallel(run_job, [job for job in jobs if job.part == "map"], 1, step)
+        rows += run_parallel(run_job, [job for job in jobs if job.part != "map"], config.processes, step)
+    summary, environment = summarise(rows), config.environment(given)
+    return cli.Results(summary, environment, rows, report(summary, rows, environment), tables(summary))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; 0, or 2 with a message where the input is wrong."""
-    given = output.parser("plan", "How much manipulability a path holds.").parse_args(arguments)
-    try:
-        config = Config.chosen(given, "plan")
-        if given.quick:
-            config = config.quick()
-        study(config, given.out, given.json, sys.argv[1:] if arguments is None else list(arguments))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    """Run the benchmark; see `cli.run` for the exit status."""
+    return cli.run(cli.parser("plan", "How much manipulability a path holds."), study, arguments)
 
 
 if __name__ == "__main__":

@@ -10,23 +10,22 @@ from __future__ import annotations
 
 import math
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from pydantic import Field
 
-from benchmarks import output
+from benchmarks import cli, output
 from benchmarks.config import Configuration
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
-from benchmarks.parallel import run_parallel
+from benchmarks.processes import run_parallel
 from benchmarks.statistics import mean
 from moc_opt import scenario
 from moc_opt.errors import MocOptError, ScenarioError
-from moc_opt.report.console import console, progress
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings
@@ -58,8 +57,6 @@ FIGURES = {
 class Config(Configuration):
     """benchmarks/configs/plant.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     trials: int = Field(5, ge=1, description="per task")
     processes: int = Field(2, ge=1)
@@ -196,43 +193,24 @@ def write_page(text: str, page: Path = PAGE) -> None:
     output.write_atomically(page, new.encode())
 
 
-def study(config: Config, out: Path, as_json: bool, argv: list[str]) -> dict[str, Any]:
-    """Everything, all files; returns the summary."""
+def study(given: Namespace) -> cli.Results:
+    """Run every job; with ``--page`` write the tables into docs/plant.md."""
+    config = Config.chosen(given, "plant")
     jobs = config.jobs()
-    with progress("plants", len(jobs)) as bar:
-        parts = run_parallel(run_job, jobs, config.processes, partial(bar.advance, 1.0))
+    with cli.steps("plants", len(jobs)) as step:
+        parts = run_parallel(run_job, jobs, config.processes, step)
     rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
-    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
-    output.write_json(out / "summary.json", summary)
-    output.write_rows(out / "rows.parquet", rows)
-    output.write_json(out / "environment.json", environment)
-    if as_json:
-        print((out / "summary.json").read_text(), end="")
-    else:
-        screen = console()
-        for table in tables(summary):
-            for piece in table.fitted(screen.width):
-                screen.print(piece)
-    return summary
+    if given.page:
+        write_page(markdown(summary, config))
+    return cli.Results(summary, config.environment(given), rows, tables=tables(summary))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study; 0, or 2 with a message where the input is wrong."""
-    options = output.parser("plant", "What each defect of the arm costs.")
+    """Run the benchmark; see `cli.run` for the exit status."""
+    options = cli.parser("plant", "What each defect of the arm costs.")
     options.add_argument("--page", action="store_true", help=f"write the table into {PAGE.parent.name}/{PAGE.name}")
-    given = options.parse_args(arguments)
-    try:
-        config = Config.chosen(given, "plant")
-        if given.quick:
-            config = config.quick()
-        summary = study(config, given.out, given.json, sys.argv[1:] if arguments is None else list(arguments))
-        if given.page:
-            write_page(markdown(summary, config))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    return cli.run(options, study, arguments)
 
 
 if __name__ == "__main__":

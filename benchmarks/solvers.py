@@ -14,14 +14,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from benchmarks import export, output
+from benchmarks import cli, export, output
 from benchmarks.solver_study.config import PARTS, Config
 from benchmarks.solver_study.look import look
 from benchmarks.solver_study.parts import Study
 from benchmarks.solver_study.report import print_tables, write_report
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.qp.equalities import expand
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console, progress
 from moc_opt.solvers import available
@@ -44,7 +44,7 @@ def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the comparison; 0, or 2 with a message where the input is wrong."""
-    options = output.parser("solvers", "Compare the solvers, open loop and in closed loop.")
+    options = cli.parser("solvers", "Compare the solvers, open loop and in closed loop.")
     options.add_argument("--full", action="store_true", help="more of everything; takes an hour or two")
     options.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
     options.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")
@@ -52,11 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = options.parse_args(arguments)
     try:
         config = Config.chosen(given, "solvers")
-        if given.quick or given.full:
-            config = config.quick() if given.quick else config.full()
+        if given.full and not given.quick:
+            config = config.full()
         config = config.choosing(given.sets, given.parts)
         names, missing = choose(given.only or config.solvers)
-        compare(config, names, missing, given.out, given.json, list(arguments or sys.argv[1:]))
+        compare(config, names, missing, given.out, given.json, list(arguments or sys.argv[1:]), given.figures)
     except MocOptError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return 2
@@ -69,13 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def assembly_us(problems: Sequence[NullSpaceQP]) -> float:
     """Median time [us] of assembling P, p and the five rows, which every session does once a tick in a loop."""
     fresh = [NullSpaceQP.from_row(qp.row.copy()) for qp in problems]
-    expand(fresh[0])
-    times = each_us(expand, fresh)
+    assembled(fresh[0])
+    times = each_us(assembled, fresh)
     return float(sorted(times)[len(times) // 2])
 
 
 def compare(
-    config: Config, names: list[str], missing: dict[str, str], out: Path, as_json: bool, argv: list[str]
+    config: Config, names: list[str], missing: dict[str, str], out: Path, as_json: bool, argv: list[str],
+    figures: bool = False,
 ) -> dict[str, Any]:
     """All parts, all files; returns the summary."""
     with progress("solvers") as bar:
@@ -111,7 +112,7 @@ def compare(
     )
     output.write_rows(out / "rows.parquet", study.rows + [run.row() for run in study.runs])
     output.write_json(out / "environment.json", environment)
-    write_report(out / "report.html", study, environment, seen)
+    write_report(out / "report.html", study, environment, seen, figures)
     if as_json:
         print((out / "summary.json").read_text(), end="")
     else:

@@ -6,56 +6,23 @@ python -m benchmarks.sweep [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--wor
 from __future__ import annotations
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import output
+from benchmarks import cli
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Work, execute, run_all
 from benchmarks.sweeps.local import LocalPool, cores
-from benchmarks.sweeps.plan import Plan, quick
-from benchmarks.sweeps.report import print_tables, write_report
+from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.report import headline, page, tables
 from benchmarks.sweeps.store import Store
 from benchmarks.sweeps.summary import errors, summarise
-from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sweep; 0, 1 where workers died for good, 2 with a message where the input or the machine is wrong."""
-    options = output.parser("sweep", "Vary any field of a scenario, over solvers and seeds.")
-    options.add_argument(
-        "--workers", type=int, help="processes here (one for each core), or Dask workers to wait for"
-    )
-    options.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler: the runs are done there"
-    )
-    given = options.parse_args(arguments)
-    try:
-        config = Config.chosen(given, "sweep")
-        if given.quick:
-            config = quick(config)
-        pool = choose_pool(given.scheduler, given.workers)
-        lost = sweep(config, given.out, pool)
-        summary = report(config, given.out, lost, list(arguments or sys.argv[1:]))
-    except MocOptError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(
-            f"stopped; what is finished is in {given.out}: the same command goes on from there",
-            file=sys.stderr,
-        )
-        return 130
-    if given.json:
-        print((given.out / "summary.json").read_text(), end="")
-    else:
-        print_tables(console(), summary, given.out)
-    return 1 if lost else 0
 
 
 def choose_pool(scheduler: str | None, workers: int | None) -> Pool:
@@ -106,8 +73,16 @@ def sweep(config: Config, out: Path, pool: Pool, work: Work = execute) -> dict[i
     return lost
 
 
-def report(config: Config, out: Path, lost: dict[int, str], argv: list[str]) -> dict[str, Any]:
-    """summary.json, environment.json and report.html, from the finished tables."""
+def study(given: Namespace) -> cli.Results:
+    """Do the runs that are not done yet, and summarise all of them; status 1 where workers died for good."""
+    config = Config.chosen(given, "sweep")
+    lost = sweep(config, given.out, choose_pool(given.scheduler, given.workers))
+    return report(config, given, lost)
+
+
+def report(config: Config, given: Namespace, lost: dict[int, str]) -> cli.Results:
+    """Summarise the finished tables of a sweep."""
+    out = given.out
     plan = Plan(config)
     fields = {path: values for path, values in plan.grid.items() if len(values) > 1}
     alone = summarise(out, ["solver"], "clock", alone=True)
@@ -124,12 +99,25 @@ def report(config: Config, out: Path, lost: dict[int, str], argv: list[str]) -> 
     summary: dict[str, Any] = {"sweep": {"runs": counted}, "solvers": solvers}
     summary |= {f"by {path}": summarise(out, ["solver", path]) for path in fields}
     summary |= {"latency": alone, "errors": errors(out)}
-    environment = output.environment(config.model_dump(mode="json"), config.seed, argv)
-    output.write_json(out / "summary.json", summary)
-    output.write_json(out / "environment.json", environment)
+    environment = config.environment(given)
     numeric = {path: vs for path, vs in fields.items() if all(type(v) in (int, float) for v in vs)}
-    write_report(out / "report.html", summary, numeric, environment)
-    return summary
+    return cli.Results(
+        summary, environment, page=page(summary, numeric, environment), tables=tables(summary),
+        sentences=[headline(summary)], files=["rows.parquet", "clock.parquet"], status=1 if lost else 0,
+    )  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the sweep; see `cli.run` for the exit status."""
+    options = cli.parser("sweep", "Vary any field of a scenario, over solvers and seeds.")
+    options.add_argument(
+        "--workers", type=int, help="processes here (one for each core), or Dask workers to wait for"
+    )
+    options.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler: the runs are done there"
+    )
+    left = "stopped; what is finished is in {out}: the same command goes on from there"
+    return cli.run(options, study, arguments, left)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel, load_robot
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers.exact.solver import Exact
 
@@ -92,7 +92,7 @@ class TestSet:
 
 
 def at_pose(
-    robot: RobotModel, q: Array, v_tip: Array, *, damping: float = 1e-5, k0: float = 2.0, depth: float = 0.15
+    robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
     """The subproblem of an arm at q whose shaft passes the trocar ``depth`` above the tip, for a tip velocity."""
     state = robot.state(q)
@@ -102,7 +102,7 @@ def at_pose(
     velocity_damper(q, robot.q_min, robot.q_max, robot.v_max, k0, lower, upper)
     v_wrist = consistent_wrist_velocity(v_tip, v_wrist, state.tool_direction)
     return NullSpaceQP(
-        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, damping=damping, q=q
+        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, regularization=regularization, q=q
     )
 
 
@@ -110,12 +110,12 @@ def at_pose(
 RECORDED = {"speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0}
 
 
-def sequence(task: str, damping: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
+def sequence(task: str, regularization: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
     """500 Hz, from the middle of the elbow's travel in a closed-loop run."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         scenario = Scenario(
-            task={"path": task}, control={**RECORDED, "damping": damping}, start={"swivel": "random"},
+            task={"path": task}, control={**RECORDED, "regularization": regularization}, start={"swivel": "random"},
             seed=int(rng.integers(1000)), duration_s=1.5, judge=False, bound_samples=0,
         )  # fmt: skip
         for row in run(scenario).subproblem[400 : 400 + SIZE]:
@@ -178,10 +178,10 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     """Neighbours from far apart, every second one with its gradient turned round: warm starts against themselves."""
     while True:
-        qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), damping=0.0)
+        qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
         yield NullSpaceQP(
-            qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, -qp.grad_mu, qp.lower, qp.upper, damping=0.0, q=qp.q
+            qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, -qp.grad_mu, qp.lower, qp.upper, regularization=0.0, q=qp.q
         )
 
 
@@ -232,7 +232,7 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
     return NullSpaceQP(
-        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.damping
+        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.regularization
     )
 
 
@@ -257,7 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     robot, different = load_robot(), []
     for name in RECIPES:
         made = make(name, robot)
-        found = judge(made.rows, made.x)
+        found = compute_residuals(made.rows, made.x)
         print(f"{name:20s} {len(made.rows):4d} problems, {int(made.feasible.sum()):4d} feasible, "
               f"largest primal residual {np.max(found.primal[made.feasible], initial=0.0):.1e}")  # fmt: skip
         if given.check:

@@ -18,7 +18,8 @@ def rounded(qp: NullSpaceQP, decimals: int) -> NullSpaceQP:
 def remade(qp: NullSpaceQP, A: np.ndarray, b: np.ndarray, size: float = 1.0) -> NullSpaceQP:
     """The problem with other rows, and a box ``size`` times as wide."""
     return NullSpaceQP(
-        A[:3], A[3:], b[:3], b[3:], qp.grad_mu, size * qp.lower, size * qp.upper, qp.c0, qp.c1, qp.c2, qp.damping, qp.q
+        A[:3], A[3:], b[:3], b[3:], qp.grad_mu, size * qp.lower, size * qp.upper, qp.c0, qp.c1, qp.c2,
+        qp.regularization, qp.q,
     )
 
 
@@ -34,12 +35,12 @@ def nearly_singular(qp: NullSpaceQP, size: float) -> NullSpaceQP:
 
 
 def hard_problems(arm: Arm | None = None, n: int = 7, seed: int = 0) -> list[NullSpaceQP]:
-    """Two of each kind, without and with damping; all but the largest and smallest are feasible."""
+    """Two of each kind, without and with regularization; all but the largest and smallest are feasible."""
     rng = np.random.default_rng(seed)
     found = []
-    for damping in (0.0, 1e-5):
+    for regularization in (0.0, 1e-5):
         for _ in range(2):
-            qp = random_problem(rng, n, arm=arm, structured=n == 7, damping=damping)
+            qp = random_problem(rng, n, arm=arm, structured=n == 7, regularization=regularization)
             found += [rounded(qp, decimals) for decimals in range(3, 13)]
             found += [nearly_singular(qp, 10.0**-k) for k in range(3, 15)]
             found += [remade(qp, size * qp.A, size * qp.b) for size in (1e-12, 1e-6, 1e6, 1e12)]

@@ -26,7 +26,7 @@ def random_problem(
     feasible: bool = True,
     **weights: float,
 ) -> NullSpaceQP:
-    """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, damping."""
+    """One subproblem of a random arm (or of ``arm``) at a random pose; weights: c0, c1, c2, regularization."""
     arm = random_arm(rng, n, structured) if arm is None else arm
     q = rng.uniform(-1.5, 1.5, arm.n)
     lower, upper = random_box(rng, arm.n)
@@ -55,7 +55,7 @@ def out_of_reach(rng: np.random.Generator, qp: NullSpaceQP) -> NullSpaceQP:
         qp.c0,
         qp.c1,
         qp.c2,
-        qp.damping,
+        qp.regularization,
         qp.q,
     )
 

@@ -17,7 +17,7 @@ from benchmarks.sweeps.store import Store
 from benchmarks.sweeps.version import code_version
 
 TINY = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
-GRID = {"control.damping": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 0.1]}
+GRID = {"control.regularization": [1e-6, 1e-5, 1e-4], "plant.mass_error": [0.0, 0.1]}
 
 
 def config(**changes: Any) -> Config:
@@ -27,7 +27,7 @@ def config(**changes: Any) -> Config:
 
 def made_up(table: Any, limit_s: float) -> dict[str, Any]:
     """A run that takes no time: its figures follow from its scenario, its clock does not."""
-    size = table["plant"]["mass_error"] + table["seed"] + table["control"]["damping"]
+    size = table["plant"]["mass_error"] + table["seed"] + table["control"]["regularization"]
     error = "SolverError: made up" if table["seed"] == 1 and table["plant"]["mass_error"] == 0.1 else None
     figures = {} if error else {"mu_mean": size, "loss_max": float("nan"), "tick_p50_us": time.perf_counter()}
     return {"error": error, "figures": figures, "wall_s": time.perf_counter(), "version": code_version()}
@@ -36,18 +36,13 @@ def made_up(table: Any, limit_s: float) -> dict[str, Any]:
 class Here:
     """A pool that does the runs at once, in this process."""
 
-    shared, attempts, falls_together = False, 2, False
+    shared, attempts = False, 2
     deaths: tuple[type[BaseException], ...] = (ChildProcessError,)
 
     def __enter__(self) -> Here:
         return self
 
     def __exit__(self, *exc: object) -> None: ...
-
-    renewed = 0
-
-    def renew(self) -> None:
-        self.renewed += 1
 
     def window(self) -> int:
         return 2

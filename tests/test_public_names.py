@@ -74,10 +74,11 @@ def test_version_is_the_project_s():
 def test_subproblem_signature():
     parameters = inspect.signature(mo.NullSpaceQP).parameters
     assert list(parameters) == [
-        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "damping", "q",
+        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization",
+        "q", "damping",
     ]  # fmt: skip
     defaults = {name: p.default for name, p in parameters.items() if p.default is not p.empty}
-    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "damping": 1e-5, "q": None}
+    assert defaults == {"c0": 0.01, "c1": 0.01, "c2": 0.001, "regularization": None, "q": None, "damping": None}
 
 
 def test_the_printed_example(tmp_path):
@@ -91,7 +92,7 @@ def test_the_printed_example(tmp_path):
     lower, upper = -robot.v_max, robot.v_max
     qp = mo.NullSpaceQP(
         state.J_tip, state.J_wrist, np.zeros(3), np.zeros(3), state.grad_mu, lower, upper,
-        c0=0.01, c1=0.01, c2=0.001, damping=1e-5, q=q,
+        c0=0.01, c1=0.01, c2=0.001, regularization=1e-5, q=q,
     )  # fmt: skip
     assert (qp.P.shape, qp.p.shape, qp.A.shape, qp.b.shape) == ((7, 7), (7,), (6, 7), (6,))
     assert qp.reduced().A.shape == (5, 7)

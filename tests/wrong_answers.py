@@ -52,13 +52,13 @@ def corners(qp: NullSpaceQP, x: Array) -> Array:
 
 def cost(qp: NullSpaceQP, x: Array) -> Array:
     """What is left of the cost on A x = b."""
-    return 0.5 * qp.damping * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
+    return 0.5 * qp.regularization * (x**2).sum(-1) - qp.c2 * x @ qp.grad_mu
 
 
-def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, damping: float) -> tuple[NullSpaceQP, Array]:
+def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, regularization: float) -> tuple[NullSpaceQP, Array]:
     """The problem with its reduced gradient ``tilt`` of |grad_mu|, and with velocities and box ``size`` times as large.
 
-    The damping is in proportion to the reduced gradient: 0.3 of what would stop the elbow at one rad/s.
+    The regularization is in proportion to the reduced gradient: 0.3 of what would stop the elbow at one rad/s.
     """
     Z, g = kernel(qp), np.array(qp.grad_mu)
     along = Z @ (Z.T @ g)
@@ -68,13 +68,14 @@ def changed(qp: NullSpaceQP, x: Array, tilt: float, size: float, damping: float)
     pull = qp.c2 * np.linalg.norm(Z.T @ g)
     made = NullSpaceQP(
         qp.J_tip, qp.J_wrist, size * qp.v_tip, size * qp.v_wrist, g, size * qp.lower, size * qp.upper,
-        damping=damping * pull / size,
+        regularization=regularization * pull / size,
     )  # fmt: skip
     return made, size * x
 
 
 def wrong_corners(
-    seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, damping: float = 0.0, least: float = 0.05
+    seed: int, n: int, count: int, *, tilt: float = 1.0, size: float = 1.0, regularization: float = 0.0,
+    least: float = 0.05
 ) -> list[Wrong]:
     """Corners that give away more than ``least`` of the range, of ``count`` random arms of n joints."""
     rng = np.random.default_rng(seed)
@@ -82,10 +83,10 @@ def wrong_corners(
     for _ in range(count):
         qp = random_problem(rng, n, structured=False)
         x = np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0]
-        qp, x = changed(qp, x, tilt, size, damping)
+        qp, x = changed(qp, x, tilt, size, regularization)
         points = corners(qp, x)
         costs = cost(qp, points)
-        best = min(costs.min(), smallest_cost(qp, points)) if damping > 0.0 else costs.min()
+        best = min(costs.min(), smallest_cost(qp, points)) if regularization > 0.0 else costs.min()
         share = (costs - best) / (costs.max() - best)
         bad = np.flatnonzero(share > least)
         found += [Wrong(qp, points[i], float(share[i])) for i in rng.permutation(bad)[:4]]
@@ -98,7 +99,7 @@ def smallest_cost(qp: NullSpaceQP, points: Array) -> float:
     weights[np.argmin(cost(qp, points))] = 1.0
     for _ in range(3000):
         x = weights @ points
-        slope = points @ (qp.damping * x - qp.c2 * qp.grad_mu)
+        slope = points @ (qp.regularization * x - qp.c2 * qp.grad_mu)
         to, off = int(np.argmin(slope)), int(np.argmax(np.where(weights > 0.0, slope, -np.inf)))
         here = weights @ slope
         if here - slope[to] >= slope[off] - here:
@@ -110,6 +111,6 @@ def smallest_cost(qp: NullSpaceQP, points: Array) -> float:
         move, gain = d @ points, -(d @ slope)
         if gain <= 1e-13 * np.abs(slope).max():
             break
-        weights = np.maximum(weights + min(most, gain / max(qp.damping * move @ move, 1e-300)) * d, 0.0)
+        weights = np.maximum(weights + min(most, gain / max(qp.regularization * move @ move, 1e-300)) * d, 0.0)
         weights /= weights.sum()
     return float(cost(qp, weights @ points))

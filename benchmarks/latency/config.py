@@ -81,8 +81,6 @@ class PeerTable(Settings):
 class Config(Configuration):
     """benchmarks/configs/speed.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     tick: TickTable = TickTable()
     exact: ExactTable = ExactTable()
     adapters: AdapterTable = AdapterTable()

@@ -17,7 +17,7 @@ from moc_opt.control import ControlSettings
 from moc_opt.embedded import NativeController, export, record
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import make_solver
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario.adapter import ControllerAdapter
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def timed(brain: NativeController, inputs: list[Inputs]) -> Timed:
     return Timed(spread(brain.tick), inputs)
 
 
-def disagreement_Nm(brain: NativeController, driver: Driver, inputs: list[Inputs]) -> float:
+def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: list[Inputs]) -> float:
     """Largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
     brain.start(*inputs[0])
     state = driver.controller.robot.state(*inputs[0][:2])

@@ -6,13 +6,12 @@ import resource
 import sys
 import tracemalloc
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
-from time import perf_counter, process_time, sleep
+from time import perf_counter, process_time
 from typing import Any
 
 import numpy as np
 
+from benchmarks.processes import Crew, Worker
 from benchmarks.timing import percentiles
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace
@@ -84,7 +83,6 @@ def factors(
 
 def _warm(scenario: Scenario) -> None:
     run(scenario.change(duration_s=0.05))
-    sleep(0.5)  # long enough that the other process must take the other call
 
 
 def _work(scenario: Scenario, runs: int) -> float:
@@ -102,12 +100,13 @@ def two_processes(
     """
     alone: list[float] = []
     together: list[float] = []
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        list(pool.map(_warm, [scenario, scenario]))
+    with Crew(2, fresh=True) as crew:
+        for warmed in [crew.submit(Worker.call, _warm, scenario) for _ in range(2)]:
+            warmed.result()
         for _ in range(rounds):
             for wall, count in ((alone, 1), (together, 2)):
                 begin = perf_counter()
-                jobs = [pool.submit(_work, scenario, runs) for _ in range(count)]
+                jobs = [crew.submit(Worker.call, _work, scenario, runs) for _ in range(count)]
                 for one in jobs:
                     one.result()
                 wall.append(perf_counter() - begin)

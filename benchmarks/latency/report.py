@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
-from rich.console import Console
 
 from benchmarks import baselines as peers
 from benchmarks.latency.goals import Summary
 from benchmarks.latency.tick import PARTS
-from benchmarks.output import save_page
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -201,15 +198,6 @@ def headline(summary: Summary) -> str:
     return ". ".join(part[0].upper() + part[1:] for part in said) + "."
 
 
-def print_tables(console: Console, summary: Summary, out: Path) -> None:
-    """The tables on the screen, and where the files are."""
-    for table in tables(summary).values():
-        for piece in table.fitted(console.width):
-            console.print(piece)
-    console.print(headline(summary))
-    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
-
-
 TEXTS = {
     "goals": ("Goals", "Times depend on the machine, and on what else it does; ratios are measured side by side."),
     "tick": (
@@ -238,10 +226,8 @@ TEXTS = {
 }  # fmt: skip
 
 
-def write_report(
-    path: Path, summary: Summary, ticks: Mapping[str, ArrayLike], environment: Mapping[str, Any]
-) -> None:
-    """One page that opens by itself."""
+def report(summary: Summary, ticks: Mapping[str, ArrayLike], environment: Mapping[str, Any]) -> Page:
+    """Make the page out of the summary and the times of the ticks [us]."""
     page = Page("Speed", "ticks, solvers, adapters, the loop, set-up, and other libraries, side by side")
     page.headline(headline(summary))
     for name, table in tables(summary).items():
@@ -256,7 +242,7 @@ def write_report(
                 figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail"
             )
     page.environment(environment)
-    save_page(page, path)
+    return page
 
 
 def _rows(part: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from moc_opt.embedded import NativeController
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario import Setup
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.solvers import available
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ class Run:
         settings = self._scenario.control
         try:
             self._native = embedded.native(self._robot, settings, self._period)
-            driver = Driver(Setup(self._scenario).controller())
+            driver = ControllerAdapter(Setup(self._scenario).controller())
             driver.start(*inputs[0])
             found = {"difference_Nm": embedded.disagreement_Nm(self._native, driver, inputs[:200])}
         except MocOptError as error:

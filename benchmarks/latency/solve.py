@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.latency.bare import BARE
 from benchmarks.timing import Timed
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Status
 from moc_opt.solvers.exact.solver import Exact, solve_row
@@ -86,7 +86,7 @@ def residuals(problems: list[NullSpaceQP]) -> dict[str, float]:
     rows = np.array([problems[i].row for i in solved])
     X = np.array([answers[i].x for i in solved])
     Y = np.array([np.full(6, np.nan) if answers[i].y is None else answers[i].y for i in solved])
-    found = judge(rows, X, Y)
+    found = compute_residuals(rows, X, Y)
     return {
         "solves": len(problems), "solved": len(solved), "primal_max": float(found.primal.max()),
         "natural_max": float(found.natural.max()), "relative_max": float(found.relative.max()),

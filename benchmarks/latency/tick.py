@@ -21,8 +21,8 @@ from moc_opt.control.observer import MomentumObserver
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP, row_length
-from moc_opt.scenario import Setup, make_solver
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Setup, make_safety_filter, make_solver, make_stop
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import simulate
 from moc_opt.solvers.base import Solver
 from moc_opt.trace.trace import Trace
@@ -38,7 +38,7 @@ class Recording(NamedTuple):
     trace: Trace
 
 
-class _Ear(Driver):
+class _Ear(ControllerAdapter):
     """A driver that remembers what it was asked."""
 
     def __init__(self, controller: Controller) -> None:
@@ -46,7 +46,7 @@ class _Ear(Driver):
         self.heard: list[Inputs] = []
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.loop.Brain``."""
+        """See ``sim.loop.LoggedController``."""
         self.heard.append((q, v, np.array(tip_ref), np.array(trocar)))
         return super().tick(q, v, tip_ref, trocar)
 
@@ -54,7 +54,10 @@ class _Ear(Driver):
 def record(setup: Setup) -> Recording:
     """Run the scenario once, and keep what every tick was given and its subproblem."""
     ear = _Ear(setup.controller())
-    trace = simulate(setup.plant, ear, *references(setup))
+    trace = simulate(
+        setup.plant, ear, *references(setup), safety_filter=make_safety_filter(setup.robot, setup.scenario),
+        stop=make_stop(setup.scenario),
+    )  # fmt: skip
     problems = [NullSpaceQP.from_row(np.array(row)) for row in trace.subproblem]
     return Recording(ear.heard, problems, trace)
 
@@ -75,7 +78,7 @@ def own_ticks(
     timed: dict[str, Timed] = {}
     refused: dict[str, str] = {}
     for name in names:
-        driver = Driver(Controller(robot, settings, make_solver(name, robot), period_s))
+        driver = ControllerAdapter(Controller(robot, settings, make_solver(name, robot), period_s))
         try:
             driver.start(*inputs[0])
         except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
@@ -113,7 +116,7 @@ def parts(
         robot.q_min, robot.q_max, robot.v_max,
         margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
     )  # fmt: skip
-    weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
+    weights = np.array([settings.c0, settings.c1, settings.c2, settings.regularization])
     states = [robot.state(q, v) for q, v, _, _ in inputs]
     given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]
     Z, tau, row = manipulability.null_space(states[0].A), np.empty(n), np.empty(row_length(n))

@@ -72,10 +72,11 @@ def changed(base: Scenario, case: Case) -> Scenario:
         MocOptError: a value out of range.
     """
     for name in case.without:
-        if name not in ControlSettings.model_fields:
+        if ControlSettings.FORMER.get(name, name) not in ControlSettings.model_fields:
             raise UnknownNameError("[ablation.cases.*] without", name, ControlSettings.model_fields)
     defaults = {name: getattr(ControlSettings(), name) for name in case.without}
-    return base.change(control={**case.control, **defaults}, bound_samples=0)
+    named = ControlSettings.present_names
+    return base.change(control={**named(case.control), **named(defaults)}, bound_samples=0)
 
 
 def jobs(

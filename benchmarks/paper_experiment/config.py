@@ -44,8 +44,6 @@ class Swivel(Settings):
 class Config(Configuration):
     """benchmarks/configs/paper.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     trials: int = Field(5, ge=1)
     solvers: list[str] = Field(["exact", "rnn", "rnn-printed"], min_length=1)

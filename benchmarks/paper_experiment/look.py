@@ -18,7 +18,7 @@ from benchmarks.paper_experiment.config import Config
 from benchmarks.paper_experiment.figures import titles
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Outcome
 from moc_opt.redundancy.manipulability_map import SwivelMap
-from moc_opt.redundancy.map_analysis import read_course
+from moc_opt.redundancy.map_analysis import read_trajectory
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.map_page import add_map, lines
@@ -84,12 +84,12 @@ def elsewhere(config: Config, outcomes: Sequence[Outcome], trial: str) -> dict[s
 
 
 def rows(found: Mapping[str, Look]) -> list[dict[str, Any]]:
-    """What each course amounts to: one row a task and controller."""
+    """What each trajectory amounts to: one row a task and controller."""
     return [
-        {"task": task, "trial": look.trial, **asdict(read_course(look.found, name))}
+        {"task": task, "trial": look.trial, **asdict(read_trajectory(look.found, name))}
         for task, look in found.items()
         if not isinstance(look.found, str)
-        for name in look.found.courses
+        for name in look.found.trajectories
     ]
 
 

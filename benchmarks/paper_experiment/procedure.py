@@ -24,8 +24,8 @@ from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.procedure.hands_on import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.procedure.reachability import check_reachable
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.scenario import Scenario, make_guard, make_solver, make_stop
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Scenario, make_safety_filter, make_solver, make_stop
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
@@ -155,11 +155,11 @@ def _run(
     still = np.zeros(3)
     trace = simulate(
         plant,
-        Driver(Controller(robot, scenario.control, solver, period)),
+        ControllerAdapter(Controller(robot, scenario.control, solver, period)),
         rows[:ticks],
         np.tile(np.stack([true, still]), (ticks, 1, 1)),
         np.tile(np.stack([registered, still]), (ticks, 1, 1)),
-        guard=make_guard(robot, scenario),
+        safety_filter=make_safety_filter(robot, scenario),
         stop=make_stop(scenario),
     )
     mu = np.array([robot.state(pose).mu for pose in trace.q_rad])

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import plotly.graph_objects as go
-from rich.console import Console
 
-from benchmarks.output import save_page
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.figures import titles
 from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, PATIENT
@@ -239,35 +236,25 @@ def _shaking(summary: Summary, group: str, solver: str) -> str:
     return f" ({count} of {row['trials']:g} trials oscillate)" if count else ""
 
 
-def print_tables(
-    screen: Console, summary: Summary, groups: Mapping[str, str], best: tuple[str, str], out: Path
-) -> None:
-    """The tables on the screen, the headline, and where the files are."""
+def tables(summary: Summary, groups: Mapping[str, str], best: tuple[str, str]) -> list[Table]:
+    """List the tables for the screen."""
+    found = []
     for group, about in groups.items():
-        screen.print(group_table(summary, group, about).to_rich())
-        screen.print(verdict_table(summary["verdict"], group).to_rich())
-    screen.print(phase_table(summary["phases"], best[0]).to_rich())
-    screen.print(goal_table(summary, *best).to_rich())
-    if summary["ablation"]:
-        screen.print(ablation_table(summary["ablation"]).to_rich())
-    screen.print(procedure_table(summary).to_rich())
-    for sentence in headline(summary, list(groups), best[1]):
-        screen.print(sentence)
-    screen.print(
-        f"written: {out}/summary.json rows.parquet environment.json report.html replay.html figures/"
-    )
+        found += [group_table(summary, group, about), verdict_table(summary["verdict"], group)]
+    found += [phase_table(summary["phases"], best[0]), goal_table(summary, *best)]
+    found += [ablation_table(summary["ablation"])] if summary["ablation"] else []
+    return [*found, procedure_table(summary)]
 
 
-def write_page(
-    path: Path,
+def page(
     summary: Summary,
     groups: Mapping[str, str],
     best: tuple[str, str],
     drawn: Mapping[str, go.Figure],
     environment: Mapping[str, Any],
     look: Callable[[Page], None],
-) -> None:
-    """One page that opens by itself; ``look`` adds the section on single trials."""
+) -> Page:
+    """Make the page; ``look`` adds the section on single trials."""
     page = Page("The paper's experiment in simulation", "DCAC and MOC on three virtual tasks")
     for sentence in headline(summary, list(groups), best[1]):
         page.headline(sentence)
@@ -304,4 +291,4 @@ def write_page(
     )
     page.table(procedure_table(summary))
     page.environment(environment)
-    save_page(page, path)
+    return page

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from moc_opt import scenario
 from moc_opt.control.settings import GAINS
 from moc_opt.errors import MocOptError, PlantError
-from moc_opt.redundancy.transient import travelling
+from moc_opt.redundancy.transient import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
 from moc_opt.trace.ending import Ending
@@ -176,11 +176,11 @@ def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: flo
     Args:
         trial: the scenario that all ran.
         traces: controller -> trace, of as many ticks each; the baselines are not asked.
-        sampling: of `moc_opt.redundancy.transient.travelling`.
+        sampling: of `moc_opt.redundancy.transient.in_transient`.
     """
     robot = trial.robot.arm()
     flags = [
-        travelling(robot, trace.t_s, trace.q_rad, **sampling)
+        in_transient(robot, trace.t_s, trace.q_rad, **sampling)
         for controller, trace in traces.items()
         if controller not in BASELINES
     ]

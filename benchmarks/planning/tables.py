@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.output import save_page
 from benchmarks.statistics import mean
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -106,7 +104,7 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
     return made
 
 
-def write_report(path: Path, summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> None:
+def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> Page:
     """One page that opens by itself."""
     page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
     page.headline(headline(summary))
@@ -132,7 +130,7 @@ def write_report(path: Path, summary: Mapping[str, Any], rows: Rows, environment
         f"`python -m benchmarks.plan`, seed {environment['seed']}, commit {environment['commit']}, {machine['cores']} "
         f"cores, {machine['processor']}, load {machine['load_1min']:.1f}."
     )
-    save_page(page, path)
+    return page
 
 
 def headline(summary: Mapping[str, Any]) -> str:

@@ -42,8 +42,6 @@ class Case(Settings):
 class Config(Configuration):
     """benchmarks/configs/faults.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     trials: int = Field(2, ge=1)
     solvers: list[str] = Field(["exact", "osqp", "rnn"], min_length=1)
     processes: int = Field(2, ge=1)

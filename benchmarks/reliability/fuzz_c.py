@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from moc_opt.control import Controller
 from moc_opt.embedded.guarded import GuardedController
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Safe, Scenario, make_guard, make_solver
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Scenario, make_safety_filter, make_solver
+from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
@@ -72,8 +73,8 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
     q = robot.random_regular_pose(rng)
     v = case["speed"] * rng.normal(scale=0.2, size=robot.n)
     solver = make_solver("exact", robot) if control.law == "moc" else None
-    driver = Driver(Controller(robot, control, solver, scenario.plant.period_s))
-    python = Safe(driver, make_guard(robot, scenario), robot.gravity(q))
+    driver = ControllerAdapter(Controller(robot, control, solver, scenario.plant.period_s))
+    python = FilteredController(driver, make_safety_filter(robot, scenario), robot.gravity(q))
     ordinary = True
     for k in range(TICKS):
         given = _inputs(robot, rng, q + k * scenario.plant.period_s * v, v)
@@ -90,9 +91,9 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
         found = c.tick(given["q"], given["v"], given["tip_ref"], given["trocar"], given["wrench"], stamp)
         if not (np.isfinite(found).all() and (np.abs(found) <= robot.tau_max).all()):
             raise AssertionError(f"tick {k}: torque {found.tolist()} is beyond its limits")
-        if ordinary and not (np.abs(found - expected).max() <= SAME_NM and python.lost.startswith(c.reason)):
+        if ordinary and not (np.abs(found - expected).max() <= SAME_NM and python.stop_reason.startswith(c.reason)):
             raise AssertionError(
-                f"tick {k}: C has {found.tolist()} ({c.reason}), Python {expected.tolist()} ({python.lost})"
+                f"tick {k}: C has {found.tolist()} ({c.reason}), Python {expected.tolist()} ({python.stop_reason})"
             )
     return "refused" if c.reason else "accepted"
 

@@ -21,7 +21,7 @@ from moc_opt.control.null_space import null_space
 from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
 from moc_opt.model.robot_model import load_robot
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.sim.plant import Plant
@@ -173,7 +173,7 @@ def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]])
         return  # ill-conditioned: a residual of rounding errors is no wrong claim
     if 0.0 < part.weights[2] * np.abs(part.grad_mu).max() < 1e-9:
         return
-    found = judge(qp.row[None], x[None])
+    found = compute_residuals(qp.row[None], x[None])
     # A loss is a share of the way that the box leaves, which may be one of rounding errors: only ways count.
     off = answer_residuals(qp.row, qp.n, null_space(part.A), x)[3]
     if found.primal[0] > 1e-6 or (found.loss[0] > 1e-2 and off > 1e-9):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.mutation import Config as MutationConfig
+from benchmarks.reliability.config import Config as FaultsConfig
 from benchmarks.reliability.fuzz_checks import Verdict, Wrong, few_ticks
 from benchmarks.reliability.fuzz_files import SHAPES, Damage, HostileFile
 from benchmarks.reliability.fuzz_inputs import ROBOTS, good_trace
@@ -49,7 +49,7 @@ def _read_urdf(path: Path) -> None:
 
 
 READ: dict[str, Callable[[Path], Any]] = {
-    "scenario": Scenario.load, "sweep": SweepConfig.load, "study": StudyConfig.load, "mutation": MutationConfig.load,
+    "scenario": Scenario.load, "sweep": SweepConfig.load, "study": StudyConfig.load, "faults": FaultsConfig.load,
     "robot": load_robot, "urdf": _read_urdf, "trace": Trace.load, "plan": _read_plan, "part": _read_part,
     "replay_us": lambda path: Setup(Scenario(solver={"replay_us": str(path)})),
     "testset": lambda path: TestSet.load("file", path.parent),
@@ -98,7 +98,7 @@ def extreme_number(case: tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]) ->
 def small_plan() -> Plan:
     """Eight runs that are not done in earnest."""
     scenario = {"duration_s": 0.05, "judge": False, "bound_samples": 0}
-    return Plan(SweepConfig(grid={"control.damping": [1e-6, 1e-5]}, seeds=4, scenario=scenario)).number_runs()
+    return Plan(SweepConfig(grid={"control.regularization": [1e-6, 1e-5]}, seeds=4, scenario=scenario)).number_runs()
 
 
 def _made_up(i: int) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from benchmarks.sweeps.config import Config as SweepConfig
 from moc_opt.scenario import Scenario
 
 READERS = (
-    "scenario", "sweep", "study", "mutation", "robot", "urdf", "trace", "replay_us", "testset", "plan", "part",
+    "scenario", "sweep", "study", "faults", "robot", "urdf", "trace", "replay_us", "testset", "plan", "part",
 )  # fmt: skip
 """Whatever opens a file from outside; see `fuzz_file_checks.READ`."""
 
@@ -199,7 +199,7 @@ def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], 
         elif path[-1] in ("grid", "fields"):
             ends = {"low": value, "high": draw(st.sampled_from(EXTREMES))}
             ends["scale"] = draw(st.sampled_from(["linear", "log", "integer"]))
-            value = {"control.damping": [value]} if path[-1] == "grid" else {"control.damping": ends}
+            value = {"control.regularization": [value]} if path[-1] == "grid" else {"control.regularization": ends}
         elif draw(st.integers(0, 4)) == 0:
             value = [value] * draw(st.integers(1, 7))
         wanted.append((path, value))

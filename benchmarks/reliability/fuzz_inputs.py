@@ -176,7 +176,7 @@ SUBPROBLEM = (
     "c0",
     "c1",
     "c2",
-    "damping",
+    "regularization",
     "q",
 )
 

@@ -219,4 +219,4 @@ def _problem() -> NullSpaceQP:
     wrist = J + 0.4 * np.cross(rng.normal(size=(7, 3)), u).T
     x = rng.uniform(-0.5, 0.5, 7)
     grad = rng.normal(size=7)
-    return NullSpaceQP(J, wrist, J @ x, wrist @ x, grad, np.full(7, -2.0), np.full(7, 2.0), damping=1e-5)
+    return NullSpaceQP(J, wrist, J @ x, wrist @ x, grad, np.full(7, -2.0), np.full(7, 2.0), regularization=1e-5)

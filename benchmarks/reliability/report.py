@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
-from benchmarks.output import save_page
 from benchmarks.reliability.summary import Summary, outcome
 from moc_opt.report import figures
 from moc_opt.report.page import Page
@@ -87,23 +83,10 @@ def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
     return text + ". " + (f"Not reached: {'; '.join(missed)}." if missed else "Every goal is reached.")
 
 
-def print_tables(console: Console, summary: Summary, goals: list[dict[str, Any]], out: Path) -> None:
-    """The tables on the screen, and where the files are."""
-    for table in tables(summary, goals):
-        for piece in table.fitted(console.width):
-            console.print(piece)
-    console.print(headline(summary, goals))
-    console.print(f"written: {out}/summary.json rows.parquet environment.json report.html")
-
-
-def write_report(
-    path: Path,
-    summary: Summary,
-    goals: list[dict[str, Any]],
-    traces: Mapping[str, Trace],
-    environment: Mapping[str, Any],
-) -> None:
-    """One page that opens by itself."""
+def report(
+    summary: Summary, goals: list[dict[str, Any]], traces: Mapping[str, Trace], environment: Mapping[str, Any]
+) -> Page:
+    """Make the page out of the summary, the goals and the traces of one trial."""
     page = Page("Faults", "every fault under every controller: survived, or stopped safely")
     page.headline(headline(summary, goals))
     first, cases, seen = tables(summary, goals)
@@ -119,7 +102,7 @@ def write_report(
     page.section("Solver faults")
     page.table(seen)
     page.environment(environment)
-    save_page(page, path)
+    return page
 
 
 def markdown(columns: list[Column], rows: list[dict[str, Any]]) -> str:

@@ -26,7 +26,7 @@ from benchmarks.solver_study.store import Part, Store
 from benchmarks.solver_study.worker import Worker
 from benchmarks.testsets import TestSet
 from benchmarks.timing import percentiles
-from moc_opt.qp.problem import fields, judge
+from moc_opt.qp.problem import compute_residuals, fields
 
 BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
@@ -44,7 +44,7 @@ class Cell:
     part: Part
 
     def __post_init__(self) -> None:
-        found = judge(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
+        found = compute_residuals(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
         object.__setattr__(self, "residuals", found)
         object.__setattr__(self, "verified", found.verified() & self.data.feasible)
 

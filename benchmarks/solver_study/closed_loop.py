@@ -17,7 +17,7 @@ from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
-from moc_opt.redundancy.transient import travelling
+from moc_opt.redundancy.transient import in_transient
 from moc_opt.scenario import Scenario
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import summarize
@@ -160,7 +160,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, t
     metrics["ticks"] = float(len(trace))
     arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
     if travel:
-        flags = travelling(
+        flags = in_transient(
             trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
         )
         metrics["travelling_percent"] = 100.0 * float(np.mean(flags))

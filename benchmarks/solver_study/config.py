@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator
 
@@ -111,7 +111,7 @@ class Config(Configuration):
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
 
-    def quick(self) -> Config:
+    def quick(self) -> Self:
         """The same study on less data: for a first look and for the tests."""
         few = {
             "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
@@ -129,7 +129,7 @@ class Config(Configuration):
             parts=[part for part in self.parts if part not in ("qpbenchmark", "growth")],
         )  # fmt: skip
 
-    def full(self) -> Config:
+    def full(self) -> Self:
         """More of everything, for figures to be cited: an hour or two."""
         return self._with(
             open_loop={"ticks": 4000, "cold": 400},
@@ -154,7 +154,7 @@ class Config(Configuration):
             changes["testsets"] = TestSets(**{**self.testsets.model_dump(), "names": sets, "timed": timed})
         return self._with(**{k: v.model_dump() if isinstance(v, TestSets) else v for k, v in changes.items()})
 
-    def _with(self, **changes: Any) -> Config:
+    def _with(self, **changes: Any) -> Self:
         update = {
             name: getattr(self, name).model_copy(update=value) if isinstance(value, dict) else value
             for name, value in changes.items()

@@ -10,7 +10,7 @@ from typing import Any
 from benchmarks.look import add_replay, trial_map
 from benchmarks.solver_study.closed_loop import BASELINE, Run
 from moc_opt.redundancy.manipulability_map import SwivelMap
-from moc_opt.redundancy.map_analysis import read_course
+from moc_opt.redundancy.map_analysis import read_trajectory
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
@@ -33,7 +33,7 @@ class Look:
         """Controller -> what its course amounts to."""
         if isinstance(self.found, str):
             return {}
-        return {name: asdict(read_course(self.found, name)) for name in self.found.courses}
+        return {name: asdict(read_trajectory(self.found, name)) for name in self.found.trajectories}
 
     def add_section(self, page: Page, folder: Path) -> None:
         """The map on the page, and the replay in ``folder``, which the page will lie in."""

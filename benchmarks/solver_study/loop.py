@@ -92,7 +92,7 @@ def damping_sweep() -> Sweep:
     """rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
     values = [0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
     points = [
-        Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "damping": v}, "solver": {"name": "exact"}})
+        Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "regularization": v}, "solver": {"name": "exact"}})
         for v in values
     ]
     return Sweep("damping", "rho with c2 = 1e-3, solver exact", points, group="damping")

@@ -45,7 +45,9 @@ def print_tables(console: Console, study: Study, out: Path) -> None:
     )
 
 
-def write_report(path: Path, study: Study, environment: Mapping[str, Any], look: Look | None) -> None:
+def write_report(
+    path: Path, study: Study, environment: Mapping[str, Any], look: Look | None, figures: bool = False
+) -> None:
     """One page that opens by itself, and the replay beside it."""
     summary, made = study.summary, tables(study.summary)
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
@@ -80,7 +82,7 @@ def write_report(path: Path, study: Study, environment: Mapping[str, Any], look:
         page.section("Not run")
         page.table(made["not_run"])
     page.environment(environment)
-    save_page(page, path)
+    save_page(page, path, figures=figures)
 
 
 def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:

@@ -79,7 +79,7 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
     "quadprog": {
         RECOMMENDED: (
             {},
-            "as it comes: it has no tolerance; five rows, as it fails on dependent ones; needs damping > 0",
+            "as it comes: it has no tolerance; five rows, as it fails on dependent ones; needs regularization > 0",
         ),
     },
     "clarabel": {
@@ -93,7 +93,7 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
             {**PAPER_FORM, "options": {"constr_viol_tol": 1e-11, "dual_inf_tol": 1e-11}},
             "both tolerances 1e-11",
         ),
-        RECOMMENDED: ({}, "five rows: it fails on six; needs damping > 0, as it cycles without"),
+        RECOMMENDED: ({}, "five rows: it fails on six; needs regularization > 0, as it cycles without"),
     },
     "nlp-sqp": {
         DEFAULT: (
@@ -103,7 +103,7 @@ SETTINGS: dict[str, dict[str, tuple[dict[str, Any], str]]] = {
         TIGHT: ({"cost_scale": 1.0, "eps": 1e-9, "hessian": "exact"}, "both tolerances 1e-9"),
         RECOMMENDED: (
             {},
-            "BFGS: the exact Hessian is indefinite without damping and often finds no answer; costs x 1e5 make "
+            "BFGS: the exact Hessian is indefinite without regularization and often finds no answer; costs x 1e5 make "
             "the identity, where BFGS begins, the true Hessian",
         ),
     },

@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 # What decides a part's content, beside the package itself; reports and figures do not.
 SOURCES = (
     "timing", "arms", "solver_study/closed_loop", "solver_study/open_loop", "solver_study/answers", "solver_study/loop",
-    "solver_study/growth", "solver_study/worker",
+    "solver_study/growth", "processes",
 )  # fmt: skip
 META = "_meta"
 MOST_BYTES = 2**27

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
 from benchmarks.config import Configuration
 from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.sweeps.errors import SweepError
+from benchmarks.sweeps.fields import grid_axes
 from moc_opt.errors import SolverError, UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.settings import Settings
@@ -31,7 +32,6 @@ class RandomSample(Settings):
 class Config(Configuration):
     """benchmarks/configs/sweep.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
     seed: int = Field(
         0, ge=0, le=LARGEST_INTEGER - MOST_LISTED,
         description="of the random sample, and the first of the scenarios' seeds",
@@ -47,6 +47,20 @@ class Config(Configuration):
     random: RandomSample = RandomSample()
     settings: dict[str, dict[str, Any]] = Field(default_factory=dict, description="per solver")
     scenario: Scenario = Scenario()
+
+    def quick(self) -> Self:
+        """The same sweep with the first two values of everything, and short runs."""
+        solvers = None if self.solvers is None else chosen_solvers(self)[0][:2]
+        length = min(self.scenario.duration_s or 0.2, 0.2)
+        return self.model_copy(
+            update={
+                "seeds": chosen_seeds(self)[:1], "solvers": solvers,
+                "grid": {path: values[:2] for path, values in grid_axes(self.grid).items()},
+                "random": self.random.model_copy(update={"samples": min(self.random.samples, 2)}),
+                "settings": {n: s for n, s in self.settings.items() if solvers is None or n in solvers},
+                "scenario": self.scenario.change(duration_s=length),
+            }
+        )  # fmt: skip
 
 
 def chosen_seeds(config: Config) -> list[int]:

@@ -31,7 +31,6 @@ class DaskPool:
 
     shared: bool = True
     attempts: int = 2  # each of several workers: the scheduler itself tries a run again elsewhere
-    falls_together: bool = False
 
     def __init__(self, address: str, workers: int | None = None, patience_s: float = 300.0) -> None:
         self.address, self._wanted, self._patience_s = address, workers or 1, patience_s
@@ -71,9 +70,6 @@ class DaskPool:
         """See ``engine.Pool``."""
         found: Future[dict[str, Any]] = self._executor.submit(work, table, limit_s)
         return found
-
-    def renew(self) -> None:
-        """Nothing: Dask's nannies begin new workers by themselves."""
 
     def _meet_workers(self) -> None:
         try:

@@ -63,7 +63,6 @@ class Pool(Protocol):
     shared: bool  # other work on the same machine while a run is timed
     deaths: tuple[type[BaseException], ...]  # what a run ends with when its worker died under it
     attempts: int  # that a run has, before it is given up
-    falls_together: bool  # one death ends every run in flight
 
     def __enter__(self) -> Self: ...
 
@@ -77,10 +76,6 @@ class Pool(Protocol):
         """Send one run."""
         ...
 
-    def renew(self) -> None:
-        """Get ready again after a worker died."""
-        ...
-
 
 def run_all(
     pool: Pool,
@@ -92,8 +87,8 @@ def run_all(
 ) -> dict[int, str]:
     """Do all runs; each result is kept as soon as it is there.
 
-    When a worker dies, every run that was in flight is a suspect: they are done again one by one, alone, so that
-    the one that kills its worker harms no other. It is given up after ``pool.attempts``.
+    A run whose worker dies is done again, alone, so that one that kills its worker harms no other. It is given up
+    after ``pool.attempts``.
 
     Args:
         pool: entered.
@@ -128,8 +123,6 @@ def run_all(
             if more:
                 launch(index)
         landed, _ = wait(flying, timeout=1.0, return_when=FIRST_COMPLETED)
-        if pool.falls_together and any(isinstance(future.exception(), pool.deaths) for future in landed):
-            landed, _ = wait(flying)
         fallen: dict[int, BaseException] = {}
         for future in landed:
             index = flying.pop(future)
@@ -141,8 +134,6 @@ def run_all(
                 suspects.barren = 0
         if fallen:
             suspects.take(fallen)
-            if any(isinstance(error, pool.deaths) for error in fallen.values()):
-                pool.renew()
     return suspects.lost
 
 

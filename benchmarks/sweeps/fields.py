@@ -11,11 +11,13 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from benchmarks.sweeps.errors import SweepError
+from moc_opt.control import ControlSettings
 from moc_opt.errors import MocOptError, UnknownNameError, shown
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 
 ELSEWHERE = {"seed": "seeds", "solver.name": "solvers"}
+FORMER = {f"control.{former}": f"control.{name}" for former, name in ControlSettings.FORMER.items()}
 
 
 class Range(Settings):
@@ -46,8 +48,8 @@ def paths(model: type[BaseModel] = Scenario, prefix: str = "") -> Iterator[tuple
             yield f"{prefix}{name}", any(get_origin(kind) in (dict, Mapping) for kind in kinds)
 
 
-def check_path(path: str) -> None:
-    """Is this a field of a scenario that a sweep may vary?
+def check_path(path: str) -> str:
+    """Return the path of a field that a sweep may vary, under the field's present name.
 
     Raises:
         UnknownNameError: there is no such field; the message lists the nearest ones.
@@ -58,9 +60,11 @@ def check_path(path: str) -> None:
             f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration"
         )
     known = dict(paths())
+    path = FORMER.get(path, path)
     table, _, key = path.rpartition(".")
     if path not in known and not (key and known.get(table, False)):
         raise UnknownNameError("scenario field", path, [*known, *(f"{p}.NAME" for p in known if known[p])])
+    return path
 
 
 def flatten(
@@ -83,7 +87,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
     """
     axes: dict[str, list[Any]] = {}
     for path, values in flatten(table, lambda value: False):
-        check_path(path)
+        path = check_path(path)
         if path in axes:
             raise SweepError(f"[grid] {path} is given twice: keep one list")
         if not isinstance(values, list) or not values:
@@ -96,7 +100,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
     """Path -> ``samples`` values drawn by ``seed``.
 
-    Each field has a stream of its own, named by its path: another field changes nothing in it, and more
+    Each field has a stream of its own, named by its path as written: another field changes nothing in it, and more
     samples only lengthen it.
 
     Raises:
@@ -104,11 +108,11 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
         SweepError: a range without width, or a logarithmic one that reaches zero.
     """
     draws: dict[str, list[Any]] = {}
-    for path, entry in flatten(table, lambda value: bool({"low", "high", "choice"} & value.keys())):
-        check_path(path)
+    for written, entry in flatten(table, lambda value: bool({"low", "high", "choice"} & value.keys())):
+        path = check_path(written)
         if path in draws:
             raise SweepError(f"[random.fields] {path} is given twice: keep one range")
-        words = np.frombuffer(hashlib.sha256(path.encode()).digest(), dtype=np.uint32)
+        words = np.frombuffer(hashlib.sha256(written.encode()).digest(), dtype=np.uint32)
         rng = np.random.default_rng([seed, *words.tolist()])
         draws[path] = draw(path, entry, samples, rng)
     return draws

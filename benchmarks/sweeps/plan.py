@@ -202,18 +202,3 @@ def _words(point: Point) -> str:
     values = {"solver": point.solver, "seed": point.seed, **point.values}
     return ", ".join(f"{name} = {value!r}" for name, value in values.items())
 
-
-def quick(config: Config) -> Config:
-    """The same sweep with the first two values of everything, and short runs."""
-    plan = Plan(config)
-    alone = config.solvers is None
-    length = min(config.scenario.duration_s or 0.2, 0.2)
-    return config.model_copy(
-        update={
-            "seeds": plan.seeds[:1], "solvers": None if alone else plan.solvers[:2],
-            "grid": {path: values[:2] for path, values in plan.grid.items()},
-            "random": config.random.model_copy(update={"samples": min(config.random.samples, 2)}),
-            "settings": {n: s for n, s in config.settings.items() if alone or n in plan.solvers[:2]},
-            "scenario": config.scenario.change(duration_s=length),
-        }
-    )  # fmt: skip

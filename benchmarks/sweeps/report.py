@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import plotly.graph_objects as go
-from rich.console import Console
 
-from benchmarks.output import save_page
 from moc_opt.report.figures.style import Styles, figure
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -86,22 +83,10 @@ def headline(summary: Summary) -> str:
     return ". ".join(part[0].upper() + part[1:] for part in parts) + "."
 
 
-def print_tables(console: Console, summary: Summary, out: Path) -> None:
-    """The tables on the screen, and where the files are."""
-    for table in tables(summary):
-        for piece in table.fitted(console.width):
-            console.print(piece)
-    console.print(headline(summary), soft_wrap=True)
-    console.print(f"written: {out}/summary.json rows.parquet clock.parquet environment.json report.html")
-
-
-def write_report(
-    path: Path, summary: Summary, numeric: Mapping[str, list[float]], environment: Summary
-) -> None:
-    """One page that opens by itself.
+def page(summary: Summary, numeric: Mapping[str, list[float]], environment: Summary) -> Page:
+    """Make the page.
 
     Args:
-        path: of the page.
         summary: of the sweep.
         numeric: the fields of the grid that are numbers, with their values.
         environment: how it came about.
@@ -118,7 +103,7 @@ def write_report(
             if drawn.data:
                 page.figure(drawn, f"{label.capitalize()} against {field}: mean over all other settings.")
     page.environment(environment)
-    save_page(page, path)
+    return page
 
 
 def against(

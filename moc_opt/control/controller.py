@@ -19,7 +19,7 @@ from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import Session, Solution, Solver
 
@@ -27,12 +27,12 @@ Array = NDArray[np.float64]
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
 
-_BEFORE_SOLVER = Entry(
+_BEFORE_SOLVER = CompiledKernel(
     tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64, MATRIX, VECTOR, float64, MATRIX,
     VECTOR, VECTOR,
 )  # fmt: skip
-_TRACKING_TORQUE = Entry(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64)
-_AFTER_SOLVER = Entry(
+_TRACKING_TORQUE = CompiledKernel(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64)
+_AFTER_SOLVER = CompiledKernel(
     tick.after_solver, VECTOR, int64, MATRIX, VECTOR, VECTOR, VECTOR, float64, VECTOR, VECTOR, VECTOR
 )
 
@@ -81,9 +81,9 @@ class Controller:
         self._guide, self._pull_of_wish = guide, 0.0
         if guide is not None:
             settings.check_guided()
-            self._pull_of_wish = settings.damping / settings.c2
+            self._pull_of_wish = settings.regularization / settings.c2
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
-        self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.damping])
+        self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.regularization])
         self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
         self._pull, self._damping = gains.K_N2, gains.D_N2
         if settings.law == "dcac":
@@ -228,7 +228,7 @@ class Controller:
         self._tau = tau
         return tau
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
         self._tau = _read_only(np.array(tau, dtype=np.float64))
 

@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.numerics.dense import dot, forward_in_place
+from moc_opt.qp.equalities import directions_across
 
 Array = NDArray[np.float64]
 
@@ -51,16 +52,9 @@ def desired_wrist_acceleration(
 def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
     """A5 (5, n): the tip's rows and the wrist's across u; and the two directions across u, (2, 3)."""
     n = A.shape[1]
-    # The axis that u is least along, so that their cross product is well conditioned.
-    k = 0 if abs(u[0]) <= abs(u[1]) else 1
-    k = k if abs(u[k]) <= abs(u[2]) else 2
-    i, j = (k + 1) % 3, (k + 2) % 3
-    across = np.empty((2, 3))
-    length = np.sqrt(u[i] * u[i] + u[j] * u[j])
-    across[0, k], across[0, i], across[0, j] = 0.0, u[j] / length, -u[i] / length
+    across, directions = np.empty((2, 3)), directions_across(u[0], u[1], u[2])
     for c in range(3):
-        d, e = (c + 1) % 3, (c + 2) % 3
-        across[1, c] = u[d] * across[0, e] - u[e] * across[0, d]
+        across[0, c], across[1, c] = directions[c], directions[3 + c]
     A5 = np.empty((5, n))
     for c in range(n):
         for d in range(3):

@@ -20,7 +20,7 @@ import numpy as np
 from numba import float64, njit
 from numpy.typing import NDArray
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,7 @@ def _take(
     return _BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else _ABOVE
 
 
-_TAKE = Entry(_take, MATRIX, MATRIX, VECTOR, float64, float64, float64, VECTOR, VECTOR)
+_TAKE = CompiledKernel(_take, MATRIX, MATRIX, VECTOR, float64, float64, float64, VECTOR, VECTOR)
 
 
 @dataclass
@@ -152,8 +152,8 @@ class Incision:
         """Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number."""
         return float(trocar_force(self._pose(q), self._point, wrench, *self._tool))
 
-    def look(self, q: Array, trocar: Array, wrench: Array) -> str:
-        """Take in one tick; return the reason to stop, or "".
+    def check(self, q: Array, trocar: Array, wrench: Array) -> str:
+        """Check one tick; return the reason to stop, or "".
 
         Args:
             q: (n,) believed pose [rad].

@@ -8,19 +8,23 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control import motion_kernels as kernels
+from moc_opt.control import replay_kernels as replays
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
-_READINGS = Entry(
+_READINGS = CompiledKernel(
     kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
 )
+_REPLAYED = CompiledKernel(replays.count_replayed, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR)
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
-_AGE = Entry(kernels.age, int64, int64, INDICES)
-_MOMENTUM = Entry(kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX)
+_AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
+_MOMENTUM = CompiledKernel(
+    kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX
+)
 
 
 class MotionSettings(Settings):
@@ -45,7 +49,7 @@ class MotionSettings(Settings):
     )
     repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     repeat_whole_ticks: int = Field(
-        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise"
+        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise, and of a recording"
     )
     stuck_torque: float = Field(
         0.06, ge=0.0,
@@ -72,8 +76,8 @@ class MotionSettings(Settings):
         ])  # fmt: skip
 
 
-class MotionWatch:
-    """The memory of one arm's measurements.
+class MotionMonitor:
+    """Check age and motion of one arm's measurements.
 
     Args:
         settings: the levels.
@@ -87,18 +91,20 @@ class MotionWatch:
         self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
+        self._replayed, self._most_replayed = _REPLAYED.code, settings.repeat_whole_ticks
         self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
         self._rest = np.zeros(self._n)
         self.start(np.zeros(self._n), np.zeros(self._n), 0)
 
     def start(self, q: Array, v: Array, stamp: int) -> None:
-        """Begin anew at a measurement; the next one taken in may be the same."""
+        """Begin at a measurement; the next one may be the same."""
         self._clock = np.array([stamp - 1, stamp - 1, -2], dtype=np.int64)
         self._memory = np.zeros((kernels.ROWS, self._n))
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
         self._still = np.zeros(12)
-        self._weighed, self._ticks = 0, 0  # control periods since the last reading that was looked at
+        self._seen, self._count = np.zeros((2, replays.SLOTS)), np.zeros(3)
+        self._checked, self._ticks = 0, 0  # control periods since the last reading that was looked at
         self._tip = np.zeros(3)
 
     def age(self, stamp: int) -> int:
@@ -110,40 +116,44 @@ class MotionWatch:
         self._ticks += int(self._clock[1]) - before
         return found
 
-    def reference(self, tip_ref: Array) -> None:
-        """Take note of where the tip is told to be, (3, 3) rows X_d, dX_d, ddX_d."""
+    def set_reference(self, tip_ref: Array) -> None:
+        """Note the tip's reference, (3, 3) rows X_d, dX_d, ddX_d."""
         self._tip[:] = tip_ref[0]
 
-    def look(self, q: Array, v: Array, tau: Array, wrench: Array | None = None) -> str:
-        """Take in a new reading, after the torque (n,) [Nm] went out; return what is wrong with it, or ""."""
+    def check_reading(self, q: Array, v: Array, tau: Array, wrench: Array | None = None) -> str:
+        """Check a new reading, taken after the torque (n,) [Nm] was applied; return what is wrong with it, or ""."""
         if not self._on:
             return ""
+        wrench = self._no_wrench if wrench is None else wrench
         found = self._readings(
-            q, v, tau, self._no_wrench if wrench is None else wrench, self._tip, self._period * max(1, self._ticks),
+            q, v, tau, wrench, self._tip, self._period * max(1, self._ticks),
             self._patience, self._tau_max, self._levels, self._memory, self._still,
         )  # fmt: skip
         self._ticks = 0
+        came_before = self._replayed(q, v, wrench, self._seen, self._count)
+        if came_before > self._most_replayed and kernels.has_noise(self._still):
+            return "the measurements are a recording: they came before, to the last bit"
         if found == kernels.NOTHING:
             return ""
         if found == kernels.REPEATED:
             return "all encoders repeat one reading, as no arm that moves or has noise does"
         return "the encoders' positions do not follow their velocities"
 
-    def weigh(self, state: RobotState, tau: Array) -> str:
-        """Take in the state of a measurement; return what is wrong with its motion, or "".
+    def check_momentum(self, state: RobotState, tau: Array) -> str:
+        """Compare the motion of an accepted measurement with the torque; return what is wrong with it, or "".
 
         Args:
-            state: of what is believed.
-            tau: (n,) the torque that went out before it [Nm].
+            state: of the measurement.
+            tau: (n,) torque that was applied before it [Nm].
         """
         if not self._on:
             return ""
-        self._weighed += 1
-        if self._weighed == 1:
+        self._checked += 1
+        if self._checked == 1:
             self._memory[kernels.INTEGRAL] = state.M @ state.v
             return ""
         record = state.record
-        settled = int(self._weighed > self._settling)
+        settled = int(self._checked > self._settling)
         found = self._momentum(
             record, self._n, tau, settled, self._period, self._patience, self._tau_max, self._levels, self._memory
         )

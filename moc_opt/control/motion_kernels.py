@@ -62,6 +62,12 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
 
 
 @njit(cache=True, nogil=True)
+def has_noise(still: Array) -> bool:
+    """Whether the wrench sensor never repeated itself in the first readings; False until they are in."""
+    return still[10] >= FIRST_TICKS and still[11] == 0.0
+
+
+@njit(cache=True, nogil=True)
 def compare_readings(
     q: Array,
     v: Array,
@@ -126,7 +132,7 @@ def compare_readings(
         for i in range(3):
             still[i] = tip[i]
     else:
-        if still[10] >= FIRST_TICKS and still[11] == 0.0 and still[9] > levels[12]:
+        if has_noise(still) and still[9] > levels[12]:
             return REPEATED
         whole = still[9] > patience
         least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import ControlError
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
-from moc_opt.numerics.compiled import VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def observe(
     momentum_residual(s.M, s.energy_slope, s.gravity, s.v, tau, gain, period, integral, r)
 
 
-_OBSERVE = Entry(observe, VECTOR, int64, VECTOR, float64, float64, VECTOR, VECTOR)
+_OBSERVE = CompiledKernel(observe, VECTOR, int64, VECTOR, float64, float64, VECTOR, VECTOR)
 
 
 class MomentumObserver:

@@ -16,7 +16,7 @@ from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, t
 
 Array = NDArray[np.float64]
 
-PROJECTORS = ("dynamic", "static", "printed")
+PROJECTORS = ("dynamic", "static", "as_published")
 
 
 @njit(cache=True, nogil=True)
@@ -74,7 +74,7 @@ def project_static(J_tip: Array, tau: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def project_printed(J_tip: Array, tau: Array) -> Array:
+def project_as_published(J_tip: Array, tau: Array) -> Array:
     """(I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
     free: Array = tau - transpose_times(J_tip, times(J_tip, tau))
     return free

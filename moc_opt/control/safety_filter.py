@@ -1,11 +1,11 @@
-"""Limits that hold at every tick, whatever the levels ask for, and the order to stop.
+"""The safety filter: limits on torque and motion that hold whatever the levels ask for, and the request to stop.
 
-Torque and torque rate are cut. A joint may come near its limit only as fast as it can still be stopped;
-a faster one, and one above its speed limit, is braked. A measurement that cannot be true (NaN, or a jump
-that no motion explains), a torque that is no number, or a controller that breaks down ends the run: the
-drives brake, and the torque carries the arm's weight in the last pose that was believed. So does a tip that
-has been far off its reference for a while, a shaft that has been far from the registered trocar, and a trocar
-that has been pressed hard: an unstable loop, or an arm that stands against its joint limit, does not go on.
+Limits: torque and torque rate are cut; a joint near its limit or above its speed limit is braked.
+
+Reasons to stop: a measurement that cannot be true (NaN, or a jump that no motion explains) for too long, a torque
+that is not finite, a controller that fails, a tip far off its reference, a shaft far from the registered trocar, a
+trocar that is pressed hard, and motion that the torque does not explain. In a stop the drives brake, and the torque
+carries the arm's weight in the last pose that passed the checks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from moc_opt.control.incision import Incision
-from moc_opt.control.motion import MotionSettings, MotionWatch
+from moc_opt.control.motion import MotionMonitor, MotionSettings
 from moc_opt.control.motion_kernels import FRESH, OLD
 from moc_opt.control.safety_kernels import believable, holding_friction, limit_torque, squared_error
 from moc_opt.errors import ControlError, MocOptError
@@ -32,7 +32,7 @@ _NEEDS_HOLD, _NOT_FINITE = -1, -2
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 
 
-class GuardSettings(MotionSettings):
+class SafetyFilterSettings(MotionSettings):
     """Safety limits."""
 
     KIND: ClassVar[str] = "[guard]"
@@ -88,25 +88,29 @@ class GuardSettings(MotionSettings):
         return self
 
 
-class Guard:
-    """The limits of one arm, with the memory they need.
+class SafetyFilter:
+    """Check measurements and limit torques of one arm.
 
     Args:
         data: the arm.
-        settings: see GuardSettings.
+        settings: see SafetyFilterSettings.
         period: control period [s].
         gravity: q (n,) [rad] -> torque (n,) [Nm] that carries the arm's weight (``RobotModel.gravity``); None for
             drives that carry it by themselves.
         tool_pose: q (n,) [rad] -> (4, 3) axes and tip of the tool (``RobotModel.tool_pose``); None for an arm
-            that is in no incision: nothing is known of a trocar then.
-        state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: without one, what
-            torque the motion needs is not known.
+            that is in no incision: RCM error and trocar force are not checked then.
+        state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: its motion is not
+            compared with its torque.
+
+    Attributes:
+        limited: number of joints at which the last torque was changed.
+        reason: why a stop was requested; empty while none was.
     """
 
     def __init__(
         self,
         data: RobotData,
-        settings: GuardSettings,
+        settings: SafetyFilterSettings,
         period: float,
         gravity: Callable[[Array], Array] | None = None,
         tool_pose: Callable[[Array], Array] | None = None,
@@ -124,7 +128,7 @@ class Guard:
         self._step = settings.torque_rate_Nm_per_s * period
         self._unknown, self._rest = np.empty(0), np.zeros(data.n)
         self._gravity, self._state = gravity, state
-        self._motion = MotionWatch(settings, period, settings.patience_ticks, data.tau_max)
+        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max)
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
         self._press_share = min(1.0, PRESS_PER_S * period)
@@ -133,64 +137,64 @@ class Guard:
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
             (settings.trocar_force_warning_N, settings.trocar_force_N),
         )  # fmt: skip
-        self._believe_anew(np.zeros(data.n), np.zeros(data.n))
+        self._forget(np.zeros(data.n), np.zeros(data.n))
 
-    def _believe_anew(self, q: Array, v: Array) -> None:
+    def _forget(self, q: Array, v: Array) -> None:
         self._q, self._v, self._bad = q, v, 0
         self._square, self.limited, self.reason, self._yields = 0.0, 0, "", False
         self._press = 0.0
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
-        """Believe the first measurement, number ``stamp``; what is compiled runs once: no compiler runs in the loop.
+        """Begin at the first measurement, number ``stamp``, and run every compiled check once, before the loop.
 
         Raises:
             ControlError: it is not finite.
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
-        self._believe_anew(np.array(q), np.array(v))
+        self._forget(np.array(q), np.array(v))
         self._motion.start(q, v, stamp)
-        self.believe(q, v)
+        self.check_measurement(q, v)
         if self._state is not None:
-            self.weigh(q, v, None, self._rest)
-            self.weigh(q, v, None, self._rest)
-        self.limit(self._rest, self._rest, q, v)
-        self.follow(np.zeros(3), np.zeros((3, 3)))
+            self.check_motion(q, v, None, self._rest)
+            self.check_motion(q, v, None, self._rest)
+        self.limit_torque(self._rest, self._rest, q, v)
+        self.check_tip(np.zeros(3), np.zeros((3, 3)))
         self.limited = 0
-        self._believe_anew(np.array(q), np.array(v))
+        self._forget(np.array(q), np.array(v))
         self._motion.start(q, v, stamp)
         if self._incision is not None:
-            self._incision.look(q, np.zeros((2, 3)), np.zeros(6))
+            self._incision.check(q, np.zeros((2, 3)), np.zeros(6))
             self._incision.forget()
 
-    def believe(
-        self, q: Array, v: Array, stamp: int | None = None, sent: Array | None = None, wrench: Array | None = None
+    def check_measurement(
+        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None, wrench: Array | None = None
     ) -> tuple[Array, Array]:
-        """The measurement, or the last believed one moved on where this one cannot be true.
+        """Return the measurement, or the last accepted one extrapolated where this one is late or cannot be true.
 
         Args:
             q, v: (n,) as measured [rad], [rad/s].
             stamp: number of the control period in which it was taken; None: the arm counts none.
-            sent: (n,) the torque that went out before it [Nm]; None: not known.
+            applied: (n,) torque that was applied before it [Nm]; None: not known.
             wrench: (6,) as the sensor at the tool's mount shows it; None: not known.
         """
         late = FRESH if stamp is None else self._motion.age(stamp)
         if late == OLD:
-            self.give_up(f"measurements are more than {self.settings.patience_ticks} ticks late")
+            self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
         if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
             self._q, self._v, self._bad = q, v, 0
-            wrong = self._motion.look(q, v, sent, wrench) if sent is not None else ""
+            wrong = self._motion.check_reading(q, v, applied, wrench) if applied is not None else ""
             if wrong:
-                self.give_up(wrong)
+                self.request_stop(wrong)
         else:
             self._bad += 1
             self._q = self._q + self._v * self._period
             if self._bad > self.settings.patience_ticks:
-                self.give_up("measurements not believed")
+                self.request_stop("measurements not believed")
         return self._q, self._v
 
-    def weigh(self, q: Array, v: Array, state: RobotState | None, sent: Array) -> None:
-        """Take note of the motion that the torque (n,) [Nm] before (q, v) should have made.
+    def check_motion(self, q: Array, v: Array, state: RobotState | None, applied: Array) -> None:
+        """Compare the motion at (q, v) with the torque (n,) [Nm] that was applied before it.
 
         ``state`` is that of (q, v) where the controller shows it; None: it is computed.
         """
@@ -198,47 +202,47 @@ class Guard:
             if self._state is None:
                 return
             state = self._state(q, v)
-        wrong = self._motion.weigh(state, sent)
+        wrong = self._motion.check_momentum(state, applied)
         if wrong:
-            self.give_up(wrong)
+            self.request_stop(wrong)
 
-    def follow(self, tip: Array, tip_ref: Array) -> None:
-        """Take note of how far the tip (3,) is from its reference (3, 3) rows X_d, ... [m]."""
-        self._motion.reference(tip_ref)
+    def check_tip(self, tip: Array, tip_ref: Array) -> None:
+        """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d [m]."""
+        self._motion.set_reference(tip_ref)
         self._square += self._share * (squared_error(tip, tip_ref) - self._square)
         if not self._square <= self._most:
-            self.give_up(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
+            self.request_stop(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
 
-    def feel(self, q: Array, trocar: Array, wrench: Array) -> None:
-        """Take note of the incision; arguments as for ``Incision.look``."""
+    def check_incision(self, q: Array, trocar: Array, wrench: Array) -> None:
+        """Check RCM error and trocar force; arguments as for ``Incision.check``."""
         if self._incision is not None:
-            reason = self._incision.look(q, trocar, wrench)
+            reason = self._incision.check(q, trocar, wrench)
             if reason:
-                self.give_up(reason)
+                self.request_stop(reason)
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What was above its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        """What exceeded its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
         return [] if self._incision is None else self._incision.warnings(self._period)
 
     @property
     def bad_ticks(self) -> int:
-        """Measurements in a row that were not believed."""
+        """Number of measurements in a row that were not accepted."""
         return self._bad
 
     @property
-    def lost(self) -> bool:
-        """Whether it is time to stop; ``reason`` says why. There is no way back but ``start``."""
+    def stopped(self) -> bool:
+        """Whether a stop was requested; only ``start`` ends it."""
         return bool(self.reason)
 
-    def give_up(self, reason: str) -> None:
-        """Order the stop; the first reason stays."""
+    def request_stop(self, reason: str) -> None:
+        """Request the stop; the first reason stays."""
         self.reason = self.reason or reason
 
-    def limit(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
-        """A torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
+    def limit_torque(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+        """Return the torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
 
-        A torque that is no number is an order to stop; ``before`` is returned then.
+        A torque that is not finite requests the stop, and ``before`` is returned.
         """
         tau = tau.copy()
         rest = (before, q, v, self._unknown, self._limits, self._wall, self._step)
@@ -247,28 +251,28 @@ class Guard:
             self.limited = limit_torque(tau, *rest[:3], self._weight(q), *rest[4:])
         if self.limited == _NOT_FINITE:
             self.limited = 0
-            self.give_up("the controller's torque is not finite")
+            self.request_stop("the controller's torque is not finite")
             return before
         return tau
 
-    def rest(self, before: Array) -> Array:
-        """The torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose believed.
+    def stop_torque(self, before: Array) -> Array:
+        """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
 
-        Holding the last torque instead would go on pushing wherever the levels were pushing at that moment.
+        The last torque itself would go on pushing wherever the levels pushed at that moment.
         """
         self.limited = 0
         weight = self._weight(self._q)
         if not np.isfinite(weight).all():
-            return self._rest  # a model that knows no weight: the brakes alone
+            return self._rest  # the weight is not known: the brakes alone
         wanted = np.clip(weight, -self._limits[3], self._limits[3])
         return before + np.clip(wanted - before, -self._step, self._step)
 
-    def hold(self, wrench: Array) -> Array:
-        """Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
+    def brake_friction(self, wrench: Array) -> Array:
+        """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
-        They stay closed where the drives cannot carry the weight. Brakes that hold an arm against tissue that pushes it
-        would keep up the force; an arm without them sinks under any load that its model does not know of. They close
-        again once the force has halved.
+        Closed brakes hold the arm against tissue that pushes it, and keep up the force; open ones let it sink under
+        any load that its model does not know of. So they open at ``stop_yield_N``, close again at half of it, and stay
+        closed where the drives cannot carry the weight.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
@@ -276,7 +280,7 @@ class Guard:
         level, friction, weight = self.settings.stop_yield_N, np.zeros(self._rest.size), self._weight(self._q)
         weight = weight if np.isfinite(weight).all() else self._rest
         if self._incision is not None and level is not None and (np.abs(weight) <= self._limits[3]).all():
-            # A mean: in the first moments the tool's inertia force stands beside the trocar's.
+            # A mean: in the first moments the sensor also shows the tool's inertia force.
             force = self._incision.pressed(self._q, wrench)
             self._press = self._press + self._press_share * (force - self._press) if np.isfinite(force) else 0.0
             self._yields = self._press > (0.5 * level if self._yields else level)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -29,6 +30,11 @@ def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
 PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbers)]
 """One number for all joints, or one per joint."""
 
+
+def _current_projector(value: Any) -> Any:
+    return "as_published" if value == "printed" else value
+
+
 PRESETS = ("paper", "tuned", "robust")
 
 
@@ -54,7 +60,7 @@ PAPER: dict[str, Any] = {
     "feedforward": False,
     "rcm_lambda": 0.5,
     "k0_per_s": 0.1,
-    "damping": 0.0,
+    "regularization": 0.0,
     "observer_gain_per_s": 0.0,
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
@@ -73,7 +79,7 @@ TUNED: dict[str, Any] = {
     "observer_gain_per_s": 33.3,
     "feedforward": True,
     "k0_per_s": 1.58,
-    "damping": 3.24e-5,
+    "regularization": 3.24e-5,
     "speed_fraction": 0.49,
     "ramp_s": 0.653,
 }
@@ -93,6 +99,7 @@ class ControlSettings(Settings):
 
     KIND: ClassVar[str] = "[control]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
+    FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
     law: Literal["dcac", "moc"] = "moc"
     gains: str | None = "default"
@@ -109,7 +116,9 @@ class ControlSettings(Settings):
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
     )
-    projector: Literal["dynamic", "static", "printed"] = "dynamic"
+    projector: Annotated[Literal["dynamic", "static", "as_published"], BeforeValidator(_current_projector)] = Field(
+        default="dynamic", description="of level 2: docs/errata.md has all three; 'printed' is the old name of the last"
+    )
     feedforward: bool = Field(
         default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
     )
@@ -123,7 +132,7 @@ class ControlSettings(Settings):
     c0: NotNegative = 0.01
     c1: NotNegative = 0.01
     c2: NotNegative = 0.001
-    damping: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
+    regularization: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
     fallback: Literal["damping", "hold", "least-violation"] = Field(
         default="least-violation", description="the answer to an infeasible subproblem"
     )
@@ -153,17 +162,17 @@ class ControlSettings(Settings):
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
         """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
-        return cls(**{**PAPER, **changes})
+        return cls(**{**PAPER, **cls.present_names(changes)})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
         """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
-        return cls(**{**TUNED, **changes})
+        return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod
     def robust(cls, **changes: Any) -> ControlSettings:
         """Softer than ``tuned``, for loops with more delay; see ``ROBUST``."""
-        return cls(**{**ROBUST, **changes})
+        return cls(**{**ROBUST, **cls.present_names(changes)})
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
@@ -181,15 +190,18 @@ class ControlSettings(Settings):
         """Refuse settings under which the third level cannot follow a guide.
 
         Raises:
-            ControlError: rho or c2 is 0, or the tick is compiled.
+            ControlError: rho or c2 is 0.
         """
-        if not min(self.damping, self.c2) > 0.0:
+        if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
-                f"third_level = {self.third_level!r} with c2 = {self.c2:g}, rho = {self.damping:g}: set both above 0, "
-                "so that the subproblem has one answer"
+                f"third_level = {self.third_level!r} with c2 = {self.c2:g}, regularization = {self.regularization:g}: "
+                "set both above 0, so that the subproblem has one answer"
             )
-        if self.backend == "c":
-            raise ControlError("third_level = 'planned' with backend = 'c': the compiled tick climbs; take 'python'")
+
+    @property
+    def damping(self) -> float:
+        """The former name of ``regularization``."""
+        return self.regularization
 
     @property
     def damps_dcac(self) -> bool:

@@ -7,8 +7,10 @@ from numba import int64, njit
 from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import all_finite
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.dense import dot
+from moc_opt.qp.equalities import offsets
+from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.residuals import GRADIENT_ROUNDING, RANK_TOLERANCE
 from moc_opt.solvers.base import Solution, Status, no_answer
 
@@ -89,11 +91,11 @@ def way_down(row: Array, n: int, Z: Array, x: Array, d: Array) -> float:
     and nowhere else. Joints that are ``AT_BOUND`` may only move inwards; their multipliers are found one after the
     other (Hildreth 1957), which is exact for one and converges for several. Idle joints are left out.
     """
-    o = 6 * n + 6
-    c2, rho = row[o + 3 * n + 2], row[o + 3 * n + 3]
+    at = offsets(n)
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     cost, projector, side, multiplier = np.zeros(n), np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for j in range(n):
-        cost[j] = c2 * row[o + j] - rho * x[j]
+        cost[j] = c2 * row[at.grad_mu + j] - rho * x[j]
         for i in range(Z.shape[0]):
             for k in range(n):
                 projector[j, k] += Z[i, j] * Z[i, k]
@@ -102,13 +104,14 @@ def way_down(row: Array, n: int, Z: Array, x: Array, d: Array) -> float:
         moved, raised = 0.0, 0.0
         for k in range(n):
             moved += projector[j, k] * cost[k]
-            raised += projector[j, k] * row[o + k]
+            raised += projector[j, k] * row[at.grad_mu + k]
         idle = projector[j, j] > 1.0 - 1e-12  # e_j itself lies in ker A
         d[j] = 0.0 if idle else moved
         largest = max(largest, 0.0 if idle else c2 * abs(raised))
         length = max(length, abs(d[j]))
         if not idle and projector[j, j] > 1e-12:
-            at_lower, at_upper = x[j] - row[o + n + j] <= AT_BOUND, row[o + 2 * n + j] - x[j] <= AT_BOUND
+            at_lower = x[j] - row[at.lower + j] <= AT_BOUND
+            at_upper = row[at.upper + j] - x[j] <= AT_BOUND
             side[j] = 2.0 if at_lower and at_upper else 1.0 if at_lower else -1.0 if at_upper else 0.0
     for _ in range(SWEEPS):
         change = 0.0
@@ -151,13 +154,12 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     row, Z, x = borrowed(row), borrowed(Z), borrowed(x)
     if not all_finite(x):
         return np.nan, np.nan, np.nan, np.nan, np.nan
-    o = 6 * n
-    grad_mu = row[o + 6 : o + 6 + n]
-    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
-    c2, rho = row[o + 8 + 3 * n], row[o + 9 + 3 * n]
+    at = offsets(n)
+    grad_mu, lower, upper = row[at.grad_mu : at.lower], row[at.lower : at.upper], row[at.upper : at.weights]
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     primal, outside = 0.0, 0.0
     for i in range(6):
-        gap = -row[o + i]
+        gap = -row[at.b + i]
         for j in range(n):
             gap += row[i * n + j] * x[j]
         primal = max(primal, abs(gap))
@@ -202,5 +204,5 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     return primal, outside, natural, abs(best), abs(worst)
 
 
-RESIDUALS = Entry(answer_residuals, VECTOR, int64, MATRIX, VECTOR)
+RESIDUALS = CompiledKernel(answer_residuals, VECTOR, int64, MATRIX, VECTOR)
 """`answer_residuals` for the loop."""

@@ -41,7 +41,7 @@ class Fault(Enum):
     MALFORMED = "the answer has not the form of a Solution"
     NOT_FINITE = "the answer holds NaN or infinity"
     OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
-    LIED = "the solver claimed an optimum and the residual check disagrees"
+    FALSE_OPTIMUM = "the solver claimed an optimum and the residual check disagrees"
     LATE = "the solver took longer than its budget"
 
     label: str
@@ -210,7 +210,7 @@ class Supervisor:
             elif primal > claim or outside > claim:
                 return Fault.OUTSIDE
             elif relative > natural or (off > turned and opposite < off):
-                return Fault.LIED
+                return Fault.FALSE_OPTIMUM
         return Fault.LATE if self._late else _NO_FAULT
 
     @property

@@ -15,8 +15,8 @@ from moc_opt.control.null_space import (
 )
 from moc_opt.control.rcm import (
     desired_wrist,
+    project_as_published,
     project_dynamic,
-    project_printed,
     project_static,
     published_share,
 )
@@ -24,10 +24,11 @@ from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import StateViews, state_views
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
+from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
-DYNAMIC, STATIC, PRINTED = 0, 1, 2
+DYNAMIC, STATIC, AS_PUBLISHED = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
@@ -48,7 +49,7 @@ def tracking_torque(
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         trocar: (2, 3) rows P_t, dP_t.
         gains: K_X, D_X, K_N, D_N, ...
-        projector: DYNAMIC, STATIC or PRINTED.
+        projector: DYNAMIC, STATIC or AS_PUBLISHED.
         feedforward: add the accelerations of tip and desired wrist.
         rcm_lambda: constant lambda of the paper's |e_N1| = d / lambda; 0 takes |N_d - N| itself.
     """
@@ -88,7 +89,7 @@ def _tracking(
     elif projector == STATIC:
         tau += project_static(J_tip, tau_wrist)
     else:
-        tau += project_printed(J_tip, tau_wrist)
+        tau += project_as_published(J_tip, tau_wrist)
     return tau
 
 
@@ -107,7 +108,7 @@ def fill_subproblem(
 @njit(cache=True, nogil=True)
 def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array) -> None:
     n = s.q.shape[0]
-    o = 6 * n
+    at = offsets(n)
     for i in range(6):
         for j in range(n):
             row[i * n + j] = s.A[i, j]
@@ -115,19 +116,19 @@ def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: 
     _, v_wrist = desired_wrist(s.tip, v_tip, trocar[0], trocar[1], s.scalars[1])
     consistent = consistent_wrist_velocity(v_tip, v_wrist, s.u)
     for i in range(3):
-        row[o + i], row[o + 3 + i] = v_tip[i], consistent[i]
+        row[at.b + i], row[at.b + 3 + i] = v_tip[i], consistent[i]
     for i in range(n):
-        row[o + 6 + i], row[o + 10 + 3 * n + i] = s.grad_mu[i], s.q[i]
+        row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i], s.q[i]
     for i in range(4):
-        row[o + 6 + 3 * n + i] = weights[i]
+        row[at.weights + i] = weights[i]
     velocity_damper(
         s.q,
         limits[0],
         limits[1],
         limits[2],
         k0,
-        row[o + 6 + n : o + 6 + 2 * n],
-        row[o + 6 + 2 * n : o + 6 + 3 * n],
+        row[at.lower : at.upper],
+        row[at.upper : at.weights],
     )
 
 

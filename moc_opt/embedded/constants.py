@@ -8,7 +8,7 @@ import numpy as np
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.motion import SETTLED
-from moc_opt.control.safety_filter import PRESS_PER_S, GuardSettings
+from moc_opt.control.safety_filter import PRESS_PER_S, SafetyFilterSettings
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.symbolic import Tick
@@ -18,7 +18,7 @@ from moc_opt.solvers.exact.solver import Exact
 
 LATE = ("hold", "zero", "iterate")
 FALLBACKS = ("damping", "hold", "least-violation")
-DEFAULT_GUARD = GuardSettings()
+DEFAULT_SAFETY_FILTER = SafetyFilterSettings()
 
 _HEADER = """\
 /* Generated: the settings as numbers, SI units. Change the scenario and export again instead of editing. */
@@ -42,7 +42,7 @@ def constants(
     control: ControlSettings,
     solver: Solver | None,
     period: float,
-    guard: GuardSettings,
+    guard: SafetyFilterSettings,
 ) -> dict[str, str]:
     """Both files as text, by name."""
     macros = _law(tick, control, solver, period) | _supervisor(control) | _guard(robot, guard, period)
@@ -113,7 +113,7 @@ def _supervisor(control: ControlSettings) -> dict[str, str]:
     }
 
 
-def _guard(robot: RobotModel, guard: GuardSettings, period: float) -> dict[str, str]:
+def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dict[str, str]:
     return {
         "MOC_TORQUE_STEP": number(guard.torque_rate_Nm_per_s * period),
         "MOC_WALL_MARGIN": number(guard.position_margin_rad),
@@ -137,7 +137,7 @@ def _guard(robot: RobotModel, guard: GuardSettings, period: float) -> dict[str, 
     }
 
 
-def _motion(guard: GuardSettings, period: float) -> dict[str, str]:
+def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
     return {
         "MOC_MOTION": str(int(guard.motion)),
         "MOC_MOTION_S": number(guard.motion_s),

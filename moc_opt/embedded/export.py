@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
-from moc_opt.embedded.constants import DEFAULT_GUARD, constants
+from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER, constants
 from moc_opt.embedded.source import Recording, SafeRecording
-from moc_opt.embedded.support import check_guard
+from moc_opt.embedded.support import check_safety_filter
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
@@ -54,7 +54,7 @@ def c_files(
     settings: ControlSettings,
     solver: Solver | None,
     period: float,
-    guard: GuardSettings = DEFAULT_GUARD,
+    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
 ) -> tuple[Tick, dict[str, str]]:
     """The tick, and the C files of the bare tick as text by file name.
 
@@ -76,14 +76,14 @@ def safe_files(
     settings: ControlSettings,
     solver: Solver | None,
     period: float,
-    guard: GuardSettings = DEFAULT_GUARD,
+    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
 ) -> tuple[Tick, dict[str, str]]:
     """The tick, and the C files of the whole controller: the bare tick, its supervisor and its guard.
 
     Raises:
         ControlError: the C code cannot do what a setting asks for.
     """
-    check_guard(guard)
+    check_safety_filter(guard)
     tick, texts = c_files(robot, settings, solver, period, guard)
     return tick, texts | {"moc_arm.c": source.arm(tick)} | program.guarded(tick)
 
@@ -95,7 +95,7 @@ def export(
     period: float,
     recording: Recording,
     out: str | os.PathLike[str],
-    guard: GuardSettings = DEFAULT_GUARD,
+    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
     safe_recording: SafeRecording | None = None,
 ) -> list[Path]:
     """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.

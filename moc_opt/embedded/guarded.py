@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.embedded import program
 from moc_opt.embedded.compiler import compile_library
-from moc_opt.embedded.constants import DEFAULT_GUARD
+from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER
 from moc_opt.embedded.export import safe_files
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
@@ -27,6 +27,7 @@ REASONS = (
     "the trocar's force has been above", "the tip has been", "the controller's torque is not finite",
     "measurements are more than", "all encoders repeat one reading", "the encoders' positions do not follow",
     "an encoder repeats one reading", "the torque went into a motion",
+    "the measurements are a recording",
 )  # fmt: skip
 """How the guard in Python begins the reasons to stop in moc_safe.h, in its order."""
 
@@ -49,7 +50,7 @@ class GuardedController:
         settings: ControlSettings,
         solver: Solver | None = None,
         period: float = 0.002,
-        guard: GuardSettings = DEFAULT_GUARD,
+        guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
     ) -> None:
         _, texts = safe_files(robot, settings, solver, period, guard)
         self._n = robot.n

@@ -28,7 +28,7 @@ _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
 class NativeController:
-    """`Controller` in C, with the interface that the loop asks of its brain (`sim.loop.Brain`).
+    """`Controller` in C, with the interface that the loop asks of its brain (`sim.loop.LoggedController`).
 
     Same torque to rounding, and the same columns in the trace except ``solve_us``: inside the compiled tick
     the solver has no clock of its own. Where the rows of tip and wrist lose rank, `exact` may still find an
@@ -109,7 +109,7 @@ class NativeController:
         self._status = status
         return self._tau.copy()
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
         self._state["torque"][:] = tau
 

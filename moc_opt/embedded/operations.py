@@ -40,7 +40,7 @@ def third_level(n: int, rows: int) -> int:
     return 5 * n + products + cholesky(rows) + solve_factored(rows) + 2 * n * rows + 2 + 4 * n
 
 
-def judge(n: int, rows: int) -> int:
+def residual_check(n: int, rows: int) -> int:
     """moc_judge."""
     violations = all_finite(n) + 6 * (dot(n) + 3) + 7 * n
     line = rows * (dot(n) + 2 * n) + dot(n) + 4
@@ -77,10 +77,10 @@ def straight_elbow(n: int) -> int:
 
 
 def guard(n: int, gravity: int, tool_pose: int) -> int:
-    """moc_guard, moc_motion, moc_incision, and the checks of moc_safe_step; what only a stop needs as well."""
+    """moc_guard, moc_motion, moc_replay, moc_incision, and the checks of moc_safe_step; what only a stop needs, too."""
     believed = 1 + n * 10
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 24 + 2 * 3 + 4 + 2 * 6
-    readings = 2 + 6 * 3 + n * 24 + 8 + 6 + 3 * n
+    readings = 2 + 6 * 3 + n * 24 + 8 + 6 + 3 * n + 2 * (2 * n + 6) + 14
     weighed = n * (dot(n) + 6) + n * 26
     walls = all_finite(n) + n * (4 + 2 * 6 + 12) + gravity + n * 12
     rest = gravity + all_finite(n) + n * 7
@@ -95,7 +95,7 @@ def worst_path(tick: Tick) -> dict[str, int]:
     parts = {
         "generated equations": tick.tick.n_instructions(),
         "third level": third_level(n, rows),
-        "supervisor": judge(n, rows) + 12 if solves else 0,
+        "supervisor": residual_check(n, rows) + 12 if solves else 0,
         "fallback": max(retreat(n, rows), least_violation(n)) if solves else 0,
         "straight elbow": straight_elbow(n) if tick.rows else 0,
         "guard": guard(n, tick.gravity.n_instructions(), tick.tool_pose.n_instructions()),

@@ -9,7 +9,7 @@ from moc_opt.embedded.symbolic import Tick
 
 TICK = ("moc_dense", "moc_level3")
 """What the bare tick needs beside what is generated."""
-GUARDED = ("moc_arm.h", "moc_guard", "moc_incision", "moc_motion", "moc_safe")
+GUARDED = ("moc_arm.h", "moc_guard", "moc_incision", "moc_motion", "moc_replay", "moc_safe")
 FALLBACK = ("moc_fallback", "moc_subproblem.h")
 """What it needs beside that where it solves."""
 SINGULAR = ("moc_null_space",)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import GuardSettings
-from moc_opt.control.supervisor import SupervisorSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.errors import ControlError
+from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.solver import Exact
@@ -14,12 +14,12 @@ from moc_opt.solvers.exact.solver import Exact
 # `supervisor` are below.
 OBEYED = frozenset((
     "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
-    "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "damping", "fallback",
+    "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "regularization", "fallback",
     "speed_fraction", "limit_margin_rad", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
 
 
-# Every field of GuardSettings and SupervisorSettings that the C code follows.
+# Every field of SafetyFilterSettings and SupervisorSettings that the C code follows.
 GUARDED = frozenset((
     "torque_rate_Nm_per_s", "position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad",
     "wall_brake_rad_per_s2", "jump_rad", "speed_factor", "patience_ticks", "tip_error_m", "tip_error_s",
@@ -35,7 +35,7 @@ SUPERVISED = frozenset((
 ))  # fmt: skip
 
 
-def check_guard(guard: GuardSettings) -> None:
+def check_safety_filter(guard: SafetyFilterSettings) -> None:
     """Say no to limits that the C guard does not hold.
 
     Raises:
@@ -44,7 +44,7 @@ def check_guard(guard: GuardSettings) -> None:
     _refuse_unknown(guard, GUARDED)
 
 
-def _refuse_unknown(settings: ControlSettings | GuardSettings | SupervisorSettings, known: frozenset[str]) -> None:
+def _refuse_unknown(settings: Settings, known: frozenset[str]) -> None:
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         if name not in known and value != field.get_default(call_default_factory=True):

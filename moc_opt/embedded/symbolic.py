@@ -213,12 +213,12 @@ class _Law:
             ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max),
         )
         answer = swivel.solve(
-            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active, settings.c2, settings.damping,
+            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active, settings.c2, settings.regularization,
             tolerance,
         )  # fmt: skip
         self.status = answer.status
         on_tip = (answer.dual[4] * b1 - answer.dual[3] * b2) / self.span
-        weights = [settings.c0, settings.c1, settings.c2, settings.damping]
+        weights = [settings.c0, settings.c1, settings.c2, settings.regularization]
         A = ca.vertcat(self.at.J_tip, self.at.J_wrist)
         self.results |= {
             "x": answer.x,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Annotated, Any, ClassVar
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
@@ -51,6 +52,8 @@ class Settings(BaseModel):
     ERROR: ClassVar[type[MocOptError]] = ScenarioError
     MOST: ClassVar[int] = 10_000_000
     """Largest integer of a field that is no seed: a count of things that are listed, tried or waited for."""
+    FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    """Former name of a field -> its name; either is accepted, both at once are not."""
 
     @field_validator("*", mode="after")
     @classmethod
@@ -65,6 +68,7 @@ class Settings(BaseModel):
         return value
 
     def __init__(self, **values: Any) -> None:
+        values = self.present_names(values)
         for name in values:
             if name not in type(self).model_fields:
                 raise UnknownNameError(self.KIND, name, type(self).model_fields)
@@ -72,6 +76,26 @@ class Settings(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise self.ERROR("; ".join(explain(error, self.KIND))) from error
+
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return type(self)(**{**values, **self.present_names(changes)})
+
+    @classmethod
+    def present_names(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Copy a table with every former name of a field replaced by its present one.
+
+        Raises:
+            MocOptError: the table has a field under both names.
+        """
+        for former, name in cls.FORMER.items():
+            if former in values and name in values:
+                raise cls.ERROR(
+                    f"{cls.KIND} {name} = {shown(values[name])} is given beside {former} = {shown(values[former])}, "
+                    f"its former name: keep {name}"
+                )
+        return {cls.FORMER.get(name, name): value for name, value in values.items()}
 
 
 def field_name(keys: Iterable[object]) -> str:

@@ -61,3 +61,36 @@ class MovingTrocar:
         self._amplitude += swell
         self._phase = math.fmod(self._phase + rate * seconds, 2.0 * math.pi)
         return rows
+
+
+class MovingTrocars:
+    """The trocar as it is and as it was registered, moved together.
+
+    Args:
+        true, registered: where they are before anything is ordered.
+        breathing_known: whether the registered one breathes with the true one.
+    """
+
+    def __init__(self, true: Trocar, registered: Trocar, breathing_known: bool) -> None:
+        self._given, self._breathing_known = (true, registered), breathing_known
+        self._true, self._registered = MovingTrocar(true), MovingTrocar(registered)
+
+    def move(
+        self, offset: Array | None = None, amplitude: float | None = None, period_s: float | None = None
+    ) -> None:
+        """Order another offset (3,) [m], breathing amplitude [m] or period [s]; None: as it is."""
+        for trocar in (self._true, self._registered):
+            trocar.offset = trocar.offset if offset is None else offset
+            if trocar is self._true or self._breathing_known:
+                trocar.amplitude = trocar.amplitude if amplitude is None else amplitude
+                trocar.period_s = trocar.period_s if period_s is None else period_s
+
+    def restart(self) -> None:
+        """Go back to where they were at first; what was ordered stays ordered."""
+        told = self._true
+        self._true, self._registered = (MovingTrocar(trocar) for trocar in self._given)
+        self.move(told.offset, told.amplitude, told.period_s)
+
+    def step(self, seconds: float) -> tuple[Array, Array]:
+        """Rows (2, 3) P_t, dP_t of both for a period that begins now; then that period goes by."""
+        return self._true.step(seconds), self._registered.step(seconds)

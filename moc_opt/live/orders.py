@@ -74,8 +74,7 @@ def check_push(force_N: float, seconds: float) -> None:
 
 def changed(settings: ControlSettings, **changes: Any) -> ControlSettings:
     """With all the checks of the constructor, which `model_copy` leaves out."""
-    values = {name: getattr(settings, name) for name in ControlSettings.model_fields}
-    return ControlSettings(**{**values, **changes})
+    return settings.replace(changes)
 
 
 def child_link(robot: RobotModel, joint: int) -> str:

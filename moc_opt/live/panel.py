@@ -28,7 +28,7 @@ PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
 }
 """Title -> (quantity, name, factor to the unit shown, colour)."""
 FIELDS = {
-    "damping": ("ρ", "weight of |x|² in the subproblem; 0 is the paper's linear problem"),
+    "regularization": ("ρ", "weight of |x|² in the subproblem; 0 is the paper's linear problem"),
     "K_X": ("K_X [N/m]", "tip stiffness"),
     "K_N": ("K_N [N/m]", "wrist stiffness"),
     "K_N2": ("K_N2 [N m s/rad]", "third level, on x* - v; one number, or one per joint"),

@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from threading import Lock
-from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.settings import Gains
 from moc_opt.errors import MocOptError, RobotError
+from moc_opt.live.exchange import Choice, ExchangeableController
 from moc_opt.live.history import History, thinned
-from moc_opt.live.motion import MovingTrocar, ToAndFro
+from moc_opt.live.motion import MovingTrocars, ToAndFro
 from moc_opt.live.orders import (
     DCAC,
     LiveError,
@@ -30,16 +30,14 @@ from moc_opt.live.orders import (
 from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.scenario import Safe, Scenario, Setup, make_guard, make_solver, make_stop
+from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
 
-BLEND_S = 0.1
-"""Time constant in which the difference of two controllers' torques dies away after an exchange."""
 RAMP_S = 0.3
-"""Time in which the third level of a new controller fades in, where its settings do not say longer: it pulls so hard
-at first, and so shortly, that no blend could make up for it."""
+"""Least time in which the third level of a new controller fades in: it pulls so hard at first, and so shortly, that
+no blend of the torques makes up for it."""
 BOUND_EVERY_TICKS = 50
 HISTORY_S = 20.0
 
@@ -64,12 +62,11 @@ class LiveRun:
         """
         self.scenario = scenario
         self._setup = Setup(scenario)
-        self.robot, self._plant = self._setup.robot, self._setup.plant
-        self.period_s = scenario.plant.period_s
+        self.robot, self.period_s = self._setup.robot, scenario.plant.period_s
         self.reference = ToAndFro(self._setup.reference, self._setup.duration_s)
         self.one_way_s = self._setup.duration_s
         self.messages: deque[str] = deque(maxlen=100)
-        self._todo: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self._todo: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._lock, self._building = Lock(), Lock()
         # Solvers may be built, with CasADi functions of the arm, while the loop uses its own model.
         self._workshop = RobotModel(self.robot.data)
@@ -79,10 +76,12 @@ class LiveRun:
         wrist = self.robot.state(self._setup.q_start).wrist
         self._elbow = Elbow(self.robot, wrist[None])
         self._elbow_link = child_link(self.robot, self._elbow.joint)
-        self._guard, self._stop = make_guard(self.robot, scenario), make_stop(scenario)
         self._truth = np.empty(2 * self.robot.n + 9)
-        self._controller, self._used = self._build(self._control, self._name), (self._name, self._control)
-        self._waiting: tuple[Controller, tuple[str, ControlSettings]] | None = None
+        first = Choice(self._build(self._control, self._name), self._name, self._control)
+        self._in_use = ExchangeableController(self.robot, first, self.period_s, self._refused)
+        self._trocars = MovingTrocars(
+            self._setup.trocar, self._setup.registered, scenario.trocar.breathing_known
+        )
         self._begin()
 
     # --- what may be called from anywhere ---
@@ -133,7 +132,7 @@ class LiveRun:
             LiveError: farther than `MOST_OFFSET_M`.
         """
         offset = checked_offset(x_m, y_m, z_m)
-        self._todo.put(lambda: self._move_trocar(offset=offset))
+        self._todo.put(lambda: self._trocars.move(offset=offset))
 
     def breathe(self, amplitude_m: float, period_s: float) -> None:
         """Let the trocar breathe.
@@ -142,7 +141,7 @@ class LiveRun:
             LiveError: out of range.
         """
         check_breathing(amplitude_m, period_s)
-        self._todo.put(lambda: self._move_trocar(amplitude=amplitude_m, period_s=period_s))
+        self._todo.put(lambda: self._trocars.move(amplitude=amplitude_m, period_s=period_s))
 
     def push_elbow(self, force_N: float, seconds: float = 0.3) -> None:
         """Push the elbow along its swivel, against it where the force is negative.
@@ -193,102 +192,51 @@ class LiveRun:
                 self.messages.append(str(error))
 
     def _begin(self) -> None:
-        self._plant.reset(self._setup.q_start)
-        old = getattr(self, "_trocar", None)
-        self._trocar, self._registered = (
-            MovingTrocar(self._setup.trocar),
-            MovingTrocar(self._setup.registered),
-        )
-        if old is not None:
-            self._move_trocar(old.offset, old.amplitude, old.period_s)
-        self._ticks, self._push_until, self._stopped, self._bound = 0, -1, "", np.nan
-        self._offset, self._sent = np.zeros(self.robot.n), np.array(self._plant.applied_torque)
-        self._waiting = self._waiting or (self._controller, self._used)
-        self._now = self._trocar.step(self.period_s), self._registered.step(self.period_s)
-        seen, tip_ref = self._plant.measure(), self.reference.rows(0.0)
-        self._safe, self._halt_at = Safe(_Pilot(self), self._guard, self._sent), -1
-        self._safe.start(seen, tip_ref, self._now[1])
-        state = self._state = self.robot.state(seen.q, seen.v)
+        self._setup.plant.reset(self._setup.q_start)
+        self._trocars.restart()
+        self._in_use.restart()
+        self._push_until, self._stopped, self._bound = -1, "", np.nan
+        self._now = self._trocars.step(self.period_s)
+        tip_ref = self.reference.rows(0.0)
+        self._loop = self._setup.closed_loop(self._in_use)
+        self._loop.start(tip_ref, self._now[1])
         with self._lock:
             self._history.clear()
-        self._show(state, tip_ref[0], self._now[0][0])
+        self._show(tip_ref[0], self._now[0][0])
 
     def _tick(self) -> None:
-        seen, t = self._plant.measure(), self._ticks * self.period_s
+        t, plant = self._t, self._setup.plant
         tip_ref, (trocar, registered) = self.reference.rows(t), self._now
-        begin = perf_counter_ns()
-        self._sent = self._safe.tick(seen, tip_ref, registered)
-        tick_us = (perf_counter_ns() - begin) * 1e-3
-        if self._safe.lost:
-            self._plant.brake(self._stop.damping, self._safe.hold(seen))
-        if self._safe.lost and self._halt_at < 0:
-            self._halt_at = self._ticks + round(self._stop.seconds / self.period_s)
-        self._fade()
-        self._plant.write_truth(self._truth)
-        self._note(t, self._state, tip_ref[0], trocar[0], tick_us)
-        self._plant.step(self._sent, trocar)
-        self._ticks += 1
-        self._now = self._trocar.step(self.period_s), self._registered.step(self.period_s)
-        if self._ticks == self._push_until:
-            self._plant.clear_pushes(self._elbow_link)
-        if self._ticks == self._halt_at:
-            self._halt(self._safe.lost)
+        plant.write_truth(self._truth)
+        self._loop.step(tip_ref, registered, trocar)
+        self._note(t, tip_ref[0], trocar[0])
+        self._now = self._trocars.step(self.period_s)
+        if self._loop.ticks == self._push_until:
+            plant.clear_pushes(self._elbow_link)
+        if self._loop.finished:
+            self._halt(self._loop.stop_reason)
 
-    def _asked(self, q: Array, v: Array, tip_ref: Array, registered: Array) -> Array:
-        """The torque of the controller in use, blended with that of the one before."""
-        state = self._state = self.robot.state(q, v)
-        if self._waiting is not None:
-            self._take_over(*self._waiting, state, tip_ref, registered)
-        asked = self._controller.tick(state, tip_ref, registered)
-        if not self._offset.any():
-            return asked
-        asked = asked + self._offset
-        self._controller.sent(asked)
-        return asked
+    @property
+    def _t(self) -> float:
+        return self._loop.ticks * self.period_s
 
-    def _take_over(
-        self,
-        controller: Controller,
-        asked: tuple[str, ControlSettings],
-        state: RobotState,
-        tip_ref: Array,
-        trocar: Array,
-    ) -> None:
-        """Exchange the controller; the torque goes on where it was, and to the new one's within `BLEND_S`."""
-        self._waiting = None
-        try:
-            controller.start(state, tip_ref, trocar)
-            first = controller.tick(state, tip_ref, trocar)
-            controller.start(state, tip_ref, trocar)
-        except MocOptError as error:
-            if controller is self._controller:
-                raise
-            self._name, self._control = self._used
-            self.messages.append(f"{error}; {self._name} goes on")
-            return
-        if self._ticks:
-            self._offset = self._sent - first
-            controller.sent(self._sent)
-        self._controller, self._used = controller, asked
+    def _refused(self, error: MocOptError) -> None:
+        """Keep the controller in use where the one that was chosen cannot start."""
+        _, self._name, self._control = self._in_use.used
+        self.messages.append(f"{error}; {self._name} goes on")
 
-    def _fade(self) -> None:
-        if self._offset.any():
-            self._offset = self._offset * np.exp(-self.period_s / BLEND_S)
-            if np.abs(self._offset).max() < 1e-6:
-                self._offset = np.zeros(self.robot.n)
-
-    def _note(self, t: float, state: RobotState, tip_ref: Array, trocar: Array, tick_us: float) -> None:
-        n = self.robot.n
+    def _note(self, t: float, tip_ref: Array, trocar: Array) -> None:
+        n, state, controller = self.robot.n, self._in_use.state, self._in_use.used.controller
         tip, wrist, force = self._truth[2 * n :].reshape(3, 3)
-        if self._ticks % BOUND_EVERY_TICKS == 0:
+        if self._loop.ticks % BOUND_EVERY_TICKS == 1:
             self._bound = self._largest_mu(state.q)
         with self._lock:
             self._history.add(
                 t, state.mu, self._bound, float(np.linalg.norm(tip - tip_ref)),
                 float(shaft_distance(tip, wrist, trocar)), float(np.linalg.norm(force)),
-                self._controller.solve_us, tick_us,
+                controller.solve_us, self._loop.tick_us,
             )  # fmt: skip
-        self._show(state, tip_ref, trocar)
+        self._show(tip_ref, trocar, t)
 
     def _largest_mu(self, q: Array) -> float:
         try:
@@ -296,35 +244,26 @@ class LiveRun:
         except RobotError:
             return float("nan")  # a singular pose: no single curve leads through it
 
-    def _show(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
-        solution = self._controller.solution
+    def _show(self, tip_ref: Array, trocar: Array, t: float = 0.0, state: RobotState | None = None) -> None:
+        used = self._in_use.used
+        solution, state = used.controller.solution, self._in_use.state if state is None else state
         moment = Moment(
-            self._ticks * self.period_s, state.q, state.tip, np.array(tip_ref), np.array(trocar), state.J_tip, state.mu,
-            self._used[0], "none" if solution is None else solution.status.label, self._stopped,
+            t, state.q, state.tip, np.array(tip_ref), np.array(trocar), state.J_tip, state.mu, used.solver,
+            "none" if solution is None else solution.status.label, self._stopped,
         )  # fmt: skip
         with self._lock:
             self._moment = moment
 
     def _halt(self, reason: str) -> None:
-        self._stopped = f"stopped at {self._ticks * self.period_s:.2f} s: {reason}"
+        self._stopped = f"stopped at {self._t:.2f} s: {reason}"
         self.messages.append(f"{self._stopped}; change what caused it and reset")
         seen = self._moment
-        self._show(self.robot.state(seen.q), seen.tip_ref, seen.trocar)
-
-    def _move_trocar(
-        self, offset: Array | None = None, amplitude: float | None = None, period_s: float | None = None
-    ) -> None:
-        known = self.scenario.trocar.breathing_known
-        for trocar in (self._trocar, self._registered):
-            trocar.offset = trocar.offset if offset is None else offset
-            if trocar is self._trocar or known:
-                trocar.amplitude = trocar.amplitude if amplitude is None else amplitude
-                trocar.period_s = trocar.period_s if period_s is None else period_s
+        self._show(seen.tip_ref, seen.trocar, self._t, self.robot.state(seen.q))
 
     def _push(self, force_N: float, seconds: float) -> None:
-        direction = self._elbow.direction(self._plant.q)
-        self._plant.push(self._elbow_link, force_N * direction)
-        self._push_until = self._ticks + max(1, round(seconds / self.period_s))
+        plant = self._setup.plant
+        plant.push(self._elbow_link, force_N * self._elbow.direction(plant.q))
+        self._push_until = self._loop.ticks + max(1, round(seconds / self.period_s))
 
     def _build(self, control: ControlSettings, name: str) -> Controller:
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
@@ -333,38 +272,6 @@ class LiveRun:
 
     def _exchange(self, control: ControlSettings, name: str) -> None:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})
-        controller = self._build(gently, name)
+        choice = Choice(self._build(gently, name), name, control)
         self._control, self._name = control, name
-
-        def exchange() -> None:
-            self._waiting = controller, (name, control)
-
-        self._todo.put(exchange)
-
-
-class _Pilot:
-    """A live run as its guarded loop calls it."""
-
-    def __init__(self, run: LiveRun) -> None:
-        self._run = run
-
-    @property
-    def tip(self) -> Array:
-        """Where the last tick saw the tip (3,) [m]."""
-        return self._run._state.tip
-
-    @property
-    def state(self) -> RobotState:
-        """The model's state at the last tick."""
-        return self._run._state
-
-    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Nothing: the controller starts at its first tick, when it takes over."""
-
-    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.safe.Pilot``."""
-        return self._run._asked(q, v, tip_ref, trocar)
-
-    def sent(self, tau: Array) -> None:
-        """See ``sim.safe.Pilot``."""
-        self._run._controller.sent(tau)
+        self._todo.put(lambda: self._in_use.replace(choice))

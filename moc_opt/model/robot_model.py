@@ -6,6 +6,7 @@ Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add w
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -15,19 +16,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
-from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData, load_data
 
 Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-_FILL_STATE = Entry(
+_FILL_STATE = CompiledKernel(
     kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
-_TIP_MANIPULABILITY = Entry(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
-_TOOL_POSE = Entry(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
+_TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
+_TOOL_POSE = CompiledKernel(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
 _forward = pin.forwardKinematics
@@ -221,8 +223,14 @@ def load_robot(
     tool_length: float | None = None,
     tool_mass: float | None = None,
 ) -> RobotModel:
-    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors."""
-    return RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+    """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors.
+
+    Tables of gains that its TOML does not have are derived from its inertia (`moc_opt.model.gains`).
+    """
+    robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
+    if not CARTESIAN.keys() <= robot.data.gains.keys():
+        robot.data = replace(robot.data, gains={**derived_gains(robot), **robot.data.gains})
+    return robot
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

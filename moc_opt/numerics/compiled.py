@@ -16,7 +16,7 @@ INDICES, FLAGS = int64[::1], bool_[:, ::1]
 """The same of integers and of truth values."""
 
 
-class Entry:
+class CompiledKernel:
     """A kernel's machine code for arguments of fixed kinds, without numba's look at their types at every call.
 
     That look costs some 30 ns an argument, and three times as much where an array is read-only. The code still

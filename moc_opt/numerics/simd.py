@@ -27,29 +27,29 @@ Build = Callable[[Any, Any, Any, Any], Any]
 Typed = tuple[Any, Build]
 
 
-class LanesType(types.Type):  # type: ignore[misc]
+class SimdType(types.Type):  # type: ignore[misc]
     """numba's type of eight numbers; a single number is spread over all of them where they are asked for."""
 
     def __init__(self) -> None:
-        super().__init__(name="lanes")
+        super().__init__(name="simd")
 
     def can_convert_from(self, typing_context: Any, other: Any) -> Any:
         """A number can be taken for eight equal ones."""
         return Conversion.promote if isinstance(other, _TERM) else None
 
 
-LANES = LanesType()
-_TERM = (LanesType, types.Integer, types.Float)
+SIMD = SimdType()
+_TERM = (SimdType, types.Integer, types.Float)
 
 
-@register_model(LanesType)
+@register_model(SimdType)
 class _Model(models.PrimitiveModel):  # type: ignore[misc]
     def __init__(self, manager: Any, kind: Any) -> None:
         super().__init__(manager, kind, _EIGHT)
 
 
-@lower_cast(types.Integer, LanesType)  # type: ignore[untyped-decorator]
-@lower_cast(types.Float, LanesType)  # type: ignore[untyped-decorator]
+@lower_cast(types.Integer, SimdType)  # type: ignore[untyped-decorator]
+@lower_cast(types.Float, SimdType)  # type: ignore[untyped-decorator]
 def _cast(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
     return _spread(builder, context.cast(builder, value, given, float64))
 
@@ -67,7 +67,7 @@ def load(typing_context: Any, M: Any, i: Any, c: Any) -> Typed:
     def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         return builder.load(_place(context, builder, signature.args[0], *given), align=8)
 
-    return LANES(M, int64, int64), build
+    return SIMD(M, int64, int64), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -78,7 +78,7 @@ def store(typing_context: Any, M: Any, i: Any, c: Any, value: Any) -> Typed:
         builder.store(given[3], _place(context, builder, signature.args[0], *given[:3]), align=8)
         return context.get_dummy_value()
 
-    return types.void(M, int64, int64, LANES), build
+    return types.void(M, int64, int64, SIMD), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -91,7 +91,7 @@ def part(typing_context: Any, vector: Any, at: Any, count: Any) -> Typed:
         read = cgutils.get_or_insert_function(builder.module, kind, "llvm.masked.load.v8f64.p0")
         return builder.call(read, [place, ir.Constant(ir.IntType(32), 8), inside, _constant([0.0] * COUNT)])
 
-    return LANES(vector, int64, int64), build
+    return SIMD(vector, int64, int64), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -105,7 +105,7 @@ def keep(typing_context: Any, vector: Any, at: Any, count: Any, value: Any) -> T
         builder.call(write, [given[3], place, ir.Constant(ir.IntType(32), 8), inside])
         return context.get_dummy_value()
 
-    return types.void(vector, int64, int64, LANES), build
+    return types.void(vector, int64, int64, SIMD), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -131,7 +131,7 @@ def stack_indices(typing_context: Any, count: Any) -> Typed:
 @intrinsic  # type: ignore[untyped-decorator]
 def zeros(typing_context: Any) -> Typed:
     """Eight zeros."""
-    return LANES(), lambda context, builder, signature, given: _constant([0.0] * COUNT)
+    return SIMD(), lambda context, builder, signature, given: _constant([0.0] * COUNT)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -142,7 +142,7 @@ def unit(typing_context: Any, k: Any) -> Typed:
         here = builder.icmp_signed("==", _numbered(), _spread(builder, given[0]))
         return builder.select(here, _constant([1.0] * COUNT), _constant([0.0] * COUNT))
 
-    return LANES(int64), build
+    return SIMD(int64), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -157,7 +157,7 @@ def magnitude(typing_context: Any, a: Any) -> Typed:
             given,
         )
 
-    return LANES(LANES), build
+    return SIMD(SIMD), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -168,37 +168,37 @@ def above(typing_context: Any, a: Any, b: Any, x: Any, y: Any) -> Typed:
         a, b, x, y = given
         return builder.select(builder.fcmp_ordered(">", a, b), x, y)
 
-    return LANES(LANES, LANES, LANES, LANES), build
+    return SIMD(SIMD, SIMD, SIMD, SIMD), build
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def larger(typing_context: Any, a: Any, b: Any) -> Typed:
     """The larger of a and b at every place."""
-    return LANES(LANES, LANES), lambda context, builder, signature, given: _larger(builder, *given)
+    return SIMD(SIMD, SIMD), lambda context, builder, signature, given: _larger(builder, *given)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def lesser(typing_context: Any, a: Any, b: Any) -> Typed:
     """The lesser of a and b at every place."""
-    return LANES(LANES, LANES), lambda context, builder, signature, given: _lesser(builder, *given)
+    return SIMD(SIMD, SIMD), lambda context, builder, signature, given: _lesser(builder, *given)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def largest(typing_context: Any, a: Any) -> Typed:
     """The largest of the eight numbers."""
-    return float64(LANES), lambda context, builder, signature, given: _folded(builder, given[0], _larger)
+    return float64(SIMD), lambda context, builder, signature, given: _folded(builder, given[0], _larger)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def least(typing_context: Any, a: Any) -> Typed:
     """The least of the eight numbers."""
-    return float64(LANES), lambda context, builder, signature, given: _folded(builder, given[0], _lesser)
+    return float64(SIMD), lambda context, builder, signature, given: _folded(builder, given[0], _lesser)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
 def total(typing_context: Any, a: Any) -> Typed:
     """The sum of the eight numbers."""
-    return float64(LANES), lambda context, builder, signature, given: _folded(builder, given[0], _sum)
+    return float64(SIMD), lambda context, builder, signature, given: _folded(builder, given[0], _sum)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -210,23 +210,23 @@ def first(typing_context: Any, a: Any, value: Any) -> Typed:
         bits = builder.zext(builder.bitcast(equal, _BYTE), _INDEX)
         return builder.cttz(builder.or_(bits, ir.Constant(_INDEX, 1 << COUNT)), ir.Constant(ir.IntType(1), 1))
 
-    return int64(LANES, float64), build
+    return int64(SIMD, float64), build
 
 
 def _entrywise(operation: Any, name: str) -> None:
-    """``a operation b`` where one of them, or both, are lanes. (``overload`` would compile a function for each.)"""
+    """``a operation b`` where one of them, or both, are such. (``overload`` would compile a function for each.)"""
 
     @type_callable(operation)  # type: ignore[untyped-decorator]
     def typer_of(typing_context: Any) -> Any:
         return lambda a, b: (
-            LANES if LANES in (a, b) and isinstance(a, _TERM) and isinstance(b, _TERM) else None
+            SIMD if SIMD in (a, b) and isinstance(a, _TERM) and isinstance(b, _TERM) else None
         )
 
-    @lower_builtin(operation, LanesType, LanesType)  # type: ignore[untyped-decorator]
-    @lower_builtin(operation, LanesType, types.Number)  # type: ignore[untyped-decorator]
-    @lower_builtin(operation, types.Number, LanesType)  # type: ignore[untyped-decorator]
+    @lower_builtin(operation, SimdType, SimdType)  # type: ignore[untyped-decorator]
+    @lower_builtin(operation, SimdType, types.Number)  # type: ignore[untyped-decorator]
+    @lower_builtin(operation, types.Number, SimdType)  # type: ignore[untyped-decorator]
     def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        a, b = (context.cast(builder, *of, LANES) for of in zip(given, signature.args, strict=True))
+        a, b = (context.cast(builder, *of, SIMD) for of in zip(given, signature.args, strict=True))
         return getattr(builder, name)(a, b, flags=_FUSED)
 
 
@@ -273,10 +273,10 @@ def _spread(builder: Any, value: Any) -> Any:
     """Eight times one number."""
     nothing = ir.Constant(ir.VectorType(value.type, COUNT), ir.Undefined)
     once = builder.insert_element(nothing, value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(once, nothing, _lanes([0] * COUNT))
+    return builder.shuffle_vector(once, nothing, _indices([0] * COUNT))
 
 
-def _lanes(places: list[int]) -> Any:
+def _indices(places: list[int]) -> Any:
     kind = ir.IntType(32)
     return ir.Constant(ir.VectorType(kind, len(places)), [ir.Constant(kind, place) for place in places])
 
@@ -287,7 +287,7 @@ def _folded(builder: Any, value: Any, pair: Callable[[Any, Any, Any], Any]) -> A
     while half:
         nothing = ir.Constant(value.type, ir.Undefined)
         lower, upper = (
-            builder.shuffle_vector(value, nothing, _lanes(list(range(start, start + half))))
+            builder.shuffle_vector(value, nothing, _indices(list(range(start, start + half))))
             for start in (0, half)
         )
         value, half = pair(builder, lower, upper), half // 2

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.sim.closed_loop import ClosedLoop, Stop
 from moc_opt.sim.hand import Hand, HandSettings
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import Safe
 from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class HandsOnSettings(Settings):
         0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake"
     )
     hand: HandSettings = HandSettings()
-    guard: GuardSettings = GuardSettings()
+    guard: SafetyFilterSettings = SafetyFilterSettings()
 
 
 class HandsOnStatus(Enum):
@@ -162,19 +162,19 @@ class _Guiding:
         self.seen = self._robot.state(q, v)
         return self._law.tick(self.seen)
 
-    def sent(self, tau: Array) -> None:
+    def set_applied_torque(self, tau: Array) -> None:
         """Nothing: the law has no memory."""
 
 
 def _guide(
     goal: Array, plant: Plant, robot: RobotModel, settings: HandsOnSettings
 ) -> tuple[dict[str, Array], Array, HandsOnStatus, Array, str]:
-    """The loop; returns the columns, the measured tips of the rest (k, 3), how it ended, the last pose, and the reason
-    of a stop."""
-    period = plant.settings.period_s
+    """Run the loop; return columns, measured tips of the rest (k, 3), how it ended, last pose, reason of a stop."""
+    period, guard = plant.settings.period_s, settings.guard
     law = _Guiding(HandGuiding(robot, settings.joint_damping_Nm_s_per_rad), robot)
-    # Not yet in an incision: there is no trocar to keep to.
-    safe = Safe(law, Guard(robot.data, settings.guard, period, robot.gravity), np.array(plant.applied_torque))
+    # The arm is in no incision yet: the safety filter has no trocar to check.
+    safety_filter = SafetyFilter(robot.data, guard, period, robot.gravity)
+    loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     needed = max(1, round(settings.rest_s / period))
@@ -182,41 +182,32 @@ def _guide(
     rows: list[dict[str, Array | float]] = []
     resting: list[Array] = []
     ticks = math.ceil(settings.time_limit_s / period)
-    measured = plant.measure()
-    safe.start(measured, _NO_REFERENCE, _NO_TROCAR)
-    while len(resting) < needed and len(rows) < ticks:
+    loop.start(_NO_REFERENCE, _NO_TROCAR)
+    while len(resting) < needed and loop.ticks < ticks and not loop.finished:
         force = hand.pull(plant.tip, _tip_velocity(plant, robot), goal)
         plant.push("tool", force, point)
-        tau = safe.tick(measured, _NO_REFERENCE, _NO_TROCAR)
-        if safe.lost:
-            plant.brake(settings.guard.stop_damping_Nm_s_per_rad, safe.hold(measured))
-            ticks = min(ticks, len(rows) + round(settings.guard.stop_s / period))
-        rows.append(_row(plant, tau, force))
+        rows.append({
+            "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tip_m": plant.tip, "wrist_m": plant.wrist,
+            "hand_force_N": force,
+        })  # fmt: skip
+        there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
+        loop.step(_NO_REFERENCE, _NO_TROCAR)
+        rows[-1]["tau_Nm"] = loop.tau
         seen = law.seen
         slow += gain * (seen.J_tip @ seen.v - slow)
-        there = float(np.linalg.norm(plant.tip - goal)) <= settings.tolerance_m
         reached = reached or there
-        if there and not safe.lost and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
+        if there and not loop.stop_reason and float(np.linalg.norm(slow)) <= settings.rest_speed_m_per_s:
             resting.append(seen.tip)
         else:
             resting.clear()
-        plant.step(tau)
-        measured = plant.measure()
     plant.clear_pushes("tool")
     status = HandsOnStatus.REGISTERED
-    if safe.lost:
+    if loop.stop_reason:
         status = HandsOnStatus.STOPPED
     elif len(resting) < needed:
         status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return columns, np.array(resting), status, np.array(law.seen.q), safe.lost
-
-
-def _row(plant: Plant, tau: Array, force: Array) -> dict[str, Array | float]:
-    return {
-        "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tau_Nm": tau, "tip_m": plant.tip,
-        "wrist_m": plant.wrist, "hand_force_N": force,
-    }  # fmt: skip
+    return columns, np.array(resting), status, np.array(law.seen.q), loop.stop_reason
 
 
 def _tip_velocity(plant: Plant, robot: RobotModel) -> Array:

@@ -1,7 +1,8 @@
-"""The null-space subproblem as data, and the judge of its answers.
+"""The null-space subproblem as data, and the residuals of its answers.
 
-Read first: ``problem`` (``NullSpaceQP``: cost, rows, box, validated and read-only), then ``residuals`` (how
-every solver's answer is judged; the judge asks no solver). ``extremes`` finds best and worst cost with
-several freedoms, ``equalities`` packs the six or five rows for solvers. Imports ``errors`` alone, and numpy
-alone but in ``equalities`` (numba); knows no robot and no solver.
+Read first: ``problem`` (``NullSpaceQP``: cost, rows, box, validated and read-only), then ``residuals`` (how every
+solver's answer is measured, without asking a solver; ``extremes`` finds best and worst cost with several freedoms).
+``layout`` says where the parts of a packed subproblem lie, ``reduction`` takes six rows to five, and ``equalities``
+compiles both for solvers. Imports ``errors`` alone, and numpy alone but in ``equalities`` (numba); knows no robot and
+no solver.
 """

@@ -1,6 +1,6 @@
 """The smallest and the largest cost over a box cut by a plane: plain, slow, and independent of every solver.
 
-With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + damping/2 |w|^2 and the box is
+With x = x0 + Z w, Z an orthonormal basis of ker A, the cost is slope^T w + rho/2 |w|^2 and the box is
 low <= Z w <= high. Everything rests on one step, the point of that set nearest to a given one: Lawson and Hanson,
 Solving Least Squares Problems (1974), chapter 23, turn it into non-negative least squares (algorithms LDP and NNLS).
 """
@@ -31,7 +31,7 @@ class Extremes(NamedTuple):
     Attributes:
         w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
         least: a lower bound on the cost, by weak duality: that of w, where w is the optimum.
-        most: the largest cost; with damping and more than ``MOST_CORNERS`` candidates that of a corner where no
+        most: the largest cost; with rho and more than ``MOST_CORNERS`` candidates that of a corner where no
             linearisation rises, which may be below it.
         pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
     """
@@ -42,42 +42,42 @@ class Extremes(NamedTuple):
     pull: Array
 
 
-def extremes(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> Extremes | None:
-    """Find both ends of slope^T w + damping/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
+def extremes(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> Extremes | None:
+    """Find both ends of slope^T w + rho/2 |w|^2 over low <= Z w <= high; None where no w is allowed.
 
     Args:
         Z: (n, r) orthonormal columns.
         low, high: (n,) the box less x0, finite [rad/s].
         slope: (r,) gradient of the cost at w = 0.
-        damping: zero or larger, and not zero with a slope of zero.
+        rho: zero or larger, and not zero with a slope of zero.
     """
     # In units of the box's width and of the steepest that the cost can be over it.
     width = max(float((high - low).max()), 1e-12)
-    steep = max(float(np.linalg.norm(slope)), damping * width)
-    low, high, slope, damping = low / width, high / width, slope / steep, damping * width / steep
-    found = optimum(Z, low, high, slope, damping)
+    steep = max(float(np.linalg.norm(slope)), rho * width)
+    low, high, slope, rho = low / width, high / width, slope / steep, rho * width / steep
+    found = optimum(Z, low, high, slope, rho)
     if found is None:
         return None
     w, force = found
     pull = Z @ slope + force - Z @ (Z.T @ force)
-    least = _lower_bound(low, high, pull, damping)
-    most = _largest(Z, low, high, slope, damping, w)
+    least = _lower_bound(low, high, pull, rho)
+    most = _largest(Z, low, high, slope, rho, w)
     if most - least <= FLAT:  # every point is optimal to rounding
         least, most = 0.0, 1.0
     return Extremes(width * w, steep * width * least, steep * width * most, steep * pull)
 
 
-def optimum(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> tuple[Array, Array] | None:
+def optimum(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> tuple[Array, Array] | None:
     """Find the w (r,) of least cost and the multipliers (n,) of its bounds; None where no w is allowed.
 
     By proximal steps from w = 0: a step of a linear cost that is long enough ends at the optimum nearest to where it
     began (Ferris 1991, Finite termination of the proximal point algorithm).
     """
     w = np.zeros(len(slope))
-    if damping * FAR >= np.linalg.norm(slope):
-        found = nearest(Z, low, high, -slope / damping)
-        return None if found is None else (found[0], damping * found[1])
-    weight = damping + 1.0 / FAR
+    if rho * FAR >= np.linalg.norm(slope):
+        found = nearest(Z, low, high, -slope / rho)
+        return None if found is None else (found[0], rho * found[1])
+    weight = rho + 1.0 / FAR
     force = np.zeros(len(low))
     for _ in range(ROUNDS):
         found = nearest(Z, low, high, (w / FAR - slope) / weight)
@@ -145,24 +145,24 @@ def _least_squares(E: Array, f: Array, free: NDArray[np.bool_]) -> Array:
     return u
 
 
-def _lower_bound(low: Array, high: Array, pull: Array, damping: float) -> float:
+def _lower_bound(low: Array, high: Array, pull: Array, rho: float) -> float:
     """Weak duality: with multipliers of A x = b the cost falls apart into one of each joint's own."""
-    best = np.clip(-pull / damping, low, high) if damping > 0.0 else np.where(pull > 0.0, low, high)
-    return float((pull * best + 0.5 * damping * best**2).sum())
+    best = np.clip(-pull / rho, low, high) if rho > 0.0 else np.where(pull > 0.0, low, high)
+    return float((pull * best + 0.5 * rho * best**2).sum())
 
 
-def _largest(Z: Array, low: Array, high: Array, slope: Array, damping: float, w: Array) -> float:
+def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array) -> float:
     """The largest cost: a corner's, as the cost is convex; no less than that of the point ``w`` of the set."""
     n, r = Z.shape
 
     def cost(w: Array) -> float:
-        return float(slope @ w + 0.5 * damping * w @ w)
+        return float(slope @ w + 0.5 * rho * w @ w)
 
-    if damping == 0.0:
+    if rho == 0.0:
         found = optimum(Z, low, high, -slope, 0.0)
         return cost(w if found is None else found[0])
     if comb(n, r) << r <= MOST_CORNERS:
-        return max(cost(w), _largest_corner(Z, low, high, slope, damping))
+        return max(cost(w), _largest_corner(Z, low, high, slope, rho))
     # Frank and Wolfe's steps uphill: each goes to the corner where the linearised cost is largest.
     most = cost(w)
     axis = np.eye(r)[0]
@@ -171,11 +171,11 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, damping: float, w:
             found = optimum(Z, low, high, -ascent, 0.0)
             if found is None or cost(found[0]) <= most + ROUNDING:
                 break
-            most, ascent = cost(found[0]), slope + damping * found[0]
+            most, ascent = cost(found[0]), slope + rho * found[0]
     return most
 
 
-def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, damping: float) -> float:
+def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> float:
     """The largest cost over all corners: r joints at their bounds, the others follow."""
     n, r = Z.shape
     joints, sides = _choices(n, r)
@@ -187,7 +187,7 @@ def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, damping: fl
     w = np.linalg.solve(basis, np.swapaxes(bounds, 1, 2))  # (k, r, 2^r)
     moved = Z @ w
     inside = (moved >= low[:, None] - 1e-9) & (moved <= high[:, None] + 1e-9)
-    costs = np.einsum("krs,r->ks", w, slope) + 0.5 * damping * (w**2).sum(1)
+    costs = np.einsum("krs,r->ks", w, slope) + 0.5 * rho * (w**2).sum(1)
     return float(np.where(inside.all(1), costs, -np.inf).max(initial=-np.inf))
 
 

@@ -1,9 +1,9 @@
 """The null-space subproblem of one control tick, as data: no robot and no solver.
 
-    min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + damping/2 |x|^2
+    min_x  c0/2 |J_T x - v_T|^2 + c1/2 |J_W x - v_W|^2 - c2 x^T grad_mu + regularization/2 |x|^2
     s.t.   J_T x = v_T,   J_W x = v_W,   lower <= x <= upper
 
-x is a joint velocity [rad/s]. damping = 0 is the problem of Su et al. 2019; damping > 0 makes it a
+x is a joint velocity [rad/s]. regularization = 0 is the problem of Su et al. 2019; regularization > 0 makes it a
 strictly convex QP. The six rows have rank five where tip and wrist are tied by a rigid tool.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
@@ -18,18 +19,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SubproblemError
 from moc_opt.qp import residuals as optimality
-from moc_opt.qp.residuals import TIED, Residuals
+from moc_opt.qp.layout import offsets
+from moc_opt.qp.reduction import reduce_rows
+from moc_opt.qp.residuals import Residuals
 
 Array = NDArray[np.float64]
 
 LARGEST_WEIGHT = 1e12
-WEIGHTS = ("c0", "c1", "c2", "damping")
+REGULARIZATION = 1e-5
+WEIGHTS = ("c0", "c1", "c2", "regularization")
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 
 
 def row_length(n: int) -> int:
-    """Length of the flat record of a subproblem with n joints."""
-    return 10 * n + 10
+    """Compute the length of the flat record of a subproblem with n joints."""
+    return offsets(n).end
 
 
 class Fields(NamedTuple):
@@ -40,7 +44,7 @@ class Fields(NamedTuple):
     grad_mu: Array  # (..., n)
     lower: Array  # (..., n)
     upper: Array  # (..., n)
-    weights: Array  # (..., 4) = c0, c1, c2, damping
+    weights: Array  # (..., 4) = c0, c1, c2, regularization
     q: Array  # (..., n), NaN where it was not given
 
 
@@ -59,11 +63,10 @@ def fields(rows: Array) -> Fields:
 @cache
 def _places(n: int) -> tuple[slice, ...]:
     """Where each field lies in a record."""
-    stops = np.cumsum([6 * n, 6, n, n, n, 4, n]).tolist()
-    return tuple(slice(a, b) for a, b in zip([0, *stops[:-1]], stops, strict=True))
+    return tuple(slice(*ends) for ends in pairwise(offsets(n)))
 
 
-def judge(rows: Array, x: Array, y: Array | None = None) -> Residuals:
+def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:
     """Residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
     return optimality.residuals(optimality.Problem(*fields(rows)[:6]), x, y)
 
@@ -84,8 +87,9 @@ class NullSpaceQP:
         v_tip, v_wrist: (3,) reference velocities [m/s]; u^T (v_tip - v_wrist) = 0 is the caller's part.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
-        c0, c1, c2: weights of the paper; damping: rho, 0 for the paper's problem.
+        c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
         q: (n,) joint position where this was linearized [rad]; only the NLP back-ends need it.
+        damping: the former name of ``regularization``.
 
     Raises:
         SubproblemError: naming the field, its value and the cure.
@@ -106,9 +110,19 @@ class NullSpaceQP:
         c0: float = 0.01,
         c1: float = 0.01,
         c2: float = 0.001,
-        damping: float = 1e-5,
+        regularization: float | None = None,
         q: ArrayLike | None = None,
+        *,
+        damping: float | None = None,
     ) -> None:
+        if damping is not None:
+            if regularization is not None:
+                raise SubproblemError(
+                    f"regularization: {regularization!r} stands beside damping = {damping!r}, its former name: keep one"
+                )
+            regularization = damping
+        elif regularization is None:
+            regularization = REGULARIZATION
         jacobian = _array("J_tip", J_tip)
         if jacobian.ndim != 2 or jacobian.shape[0] != 3 or jacobian.shape[1] < 1:
             raise SubproblemError(
@@ -125,7 +139,7 @@ class NullSpaceQP:
             _array("upper", upper, (n,)),
         ]
         weights = []
-        for name, value in zip(WEIGHTS, (c0, c1, c2, damping), strict=True):
+        for name, value in zip(WEIGHTS, (c0, c1, c2, regularization), strict=True):
             weight = float(_array(name, value, ()))
             if weight < 0.0:
                 raise SubproblemError(f"{name}: {weight} is negative; a weight must be 0 or larger")
@@ -177,8 +191,8 @@ class NullSpaceQP:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        c0, c1, c2, damping = self.fields.weights
-        return f"NullSpaceQP(n={self.n}, c0={c0:g}, c1={c1:g}, c2={c2:g}, damping={damping:g})"
+        c0, c1, c2, regularization = self.fields.weights
+        return f"NullSpaceQP(n={self.n}, c0={c0:g}, c1={c1:g}, c2={c2:g}, regularization={regularization:g})"
 
     @cached_property
     def fields(self) -> Fields:
@@ -195,7 +209,8 @@ class NullSpaceQP:
     c0 = property(lambda self: float(self.fields.weights[0]), doc="weight of the tip rows")
     c1 = property(lambda self: float(self.fields.weights[1]), doc="weight of the wrist rows")
     c2 = property(lambda self: float(self.fields.weights[2]), doc="weight of the manipulability")
-    damping = property(lambda self: float(self.fields.weights[3]), doc="rho")
+    regularization = property(lambda self: float(self.fields.weights[3]), doc="rho")
+    damping = property(lambda self: self.regularization, doc="the former name of ``regularization``")
     A = property(lambda self: self.fields.A, doc="(6, n): J_tip over J_wrist")
     b = property(lambda self: self.fields.b, doc="(6,): v_tip over v_wrist")
 
@@ -206,7 +221,7 @@ class NullSpaceQP:
 
     @cached_property
     def P(self) -> Array:
-        """(n, n) Hessian: c0 J_T^T J_T + c1 J_W^T J_W + damping I."""
+        """(n, n) Hessian: c0 J_T^T J_T + c1 J_W^T J_W + regularization I."""
         A = self.fields.A
         P = (A.T * np.repeat(self.fields.weights[:2], 3)) @ A
         P.flat[:: self.n + 1] += self.fields.weights[3]
@@ -225,21 +240,10 @@ class NullSpaceQP:
 
     @cached_property
     def _reduced(self) -> Reduced:
-        # u^T (J_T - J_W) = 0: u is the left null vector of the difference, and the wrist row along u
-        # repeats the tip row along u. Two rows across u remain of the wrist's three.
-        difference = self.J_tip - self.J_wrist
-        u = np.linalg.eigh(difference @ difference.T)[1][:, 0]
-        u = u * np.sign(u[np.argmax(np.abs(u))])
-        lift = np.eye(6)
-        # [u; -u] / sqrt(2) is then the left singular vector of A that belongs to its sixth singular value.
-        sixth = np.sqrt(0.5) * np.linalg.norm(u @ difference)
-        if self.n >= 3 and sixth <= TIED * np.linalg.norm(self.A):
-            k = int(np.argmin(np.abs(u)))
-            across = np.cross(u, np.eye(3)[k])
-            across /= np.linalg.norm(across)
-            lift = np.zeros((5, 6))
-            lift[:3, :3], lift[3, 3:], lift[4, 3:] = np.eye(3), across, np.cross(u, across)
-        return Reduced(_frozen(lift @ self.A), _frozen(lift @ self.b), _frozen(lift))
+        A, b, lift = np.empty((5, self.n)), np.empty(5), np.empty((5, 6))
+        if not reduce_rows(self.row.tolist(), self.n, A, b, lift):
+            A, b, lift = self.A, self.b, np.eye(6)
+        return Reduced(_frozen(A), _frozen(b), _frozen(lift))
 
     def reduced(self) -> Reduced:
         """Five independent rows, or the six where tip and wrist are not rigidly tied."""
@@ -258,7 +262,7 @@ class NullSpaceQP:
             raise SubproblemError(
                 f"y: shape {np.shape(y)} is not (6,); lift five duals with reduced().lift.T"
             )
-        found = judge(self.row, x, None if y is None else np.asarray(y, dtype=float))
+        found = compute_residuals(self.row, x, None if y is None else np.asarray(y, dtype=float))
         return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
 
 

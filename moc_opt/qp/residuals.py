@@ -3,7 +3,7 @@
 All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
 a single tick or a whole recording. None of them uses the status that the solver reports.
 
-On A x = b the tracking terms of the cost are constant. What is left, damping/2 |x|^2 - c2 grad_mu^T x, is a sum over
+On A x = b the tracking terms of the cost are constant. What is left, rho/2 |x|^2 - c2 grad_mu^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
 their part of ker A. With one freedom that is an interval too; with more ``moc_opt.qp.extremes`` finds best and worst.
 
@@ -52,7 +52,7 @@ class Residuals(NamedTuple):
             told from a bad x by ``natural >> natural_best``. With more than ``MOST_FACETS`` facets the
             optimum's y stands for the best one: never too small, and zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
-            gradient: max(c2 |Z Z^T grad_mu|_inf, damping times 1 rad/s), Z a basis of ker A; idle joints
+            gradient: max(c2 |Z Z^T grad_mu|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
             have one of their own. A gradient of which almost nothing is left on ker A hides nothing [rad/s].
         loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
             1 the worst point. Of independent parts the one that loses most counts. Never too small; where the
@@ -86,7 +86,7 @@ class Problem(NamedTuple):
     grad_mu: Array  # (..., n)
     lower: Array  # (..., n)
     upper: Array  # (..., n)
-    weights: Array  # (..., 4): c0, c1, c2, damping
+    weights: Array  # (..., 4): c0, c1, c2, rho
 
 
 def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
@@ -124,9 +124,9 @@ def residuals(problem: Problem, x: Array, y: Array | None = None) -> Residuals:
     if y is not None:
         y = np.broadcast_to(y, (*shape, 6)).reshape(-1, 6)
         given = np.all(np.isfinite(y), axis=-1)
-        c0, c1, c2, damping = flat.weights.T
+        c0, c1, c2, rho = flat.weights.T
         rows6 = slack * np.repeat(np.stack([c0, c1], -1), 3, axis=-1) + np.where(given[:, None], y, 0.0)
-        full = np.einsum("kij,ki->kj", flat.A, rows6) + damping[:, None] * x - c2[:, None] * flat.grad_mu
+        full = np.einsum("kij,ki->kj", flat.A, rows6) + rho[:, None] * x - c2[:, None] * flat.grad_mu
         own = np.abs(x - np.clip(x - full, flat.lower, flat.upper)).max(-1)
         natural = np.where(given, own, best)
     for figure in (primal, natural, best, relative, distance):
@@ -177,21 +177,21 @@ def _gradient(grad_mu: Array, size: Array) -> Array:
 
 def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
     """natural_best, relative, loss and distance (4, k) of joints that move neither tip nor wrist: the worst of them."""
-    _, _, c2, damping = problem.weights.T
+    _, _, c2, rho = problem.weights.T
     worst = np.zeros((4, len(x)))
     for j in range(x.shape[1]):
         here, low, high = x[:, j], problem.lower[:, j], problem.upper[:, j]
         push = c2 * _gradient(problem.grad_mu[:, j : j + 1], size)[:, 0]
-        slope, scale = damping * here - push, np.maximum(np.abs(push), damping)
+        slope, scale = rho * here - push, np.maximum(np.abs(push), rho)
         natural, relative = (np.abs(here - np.clip(here - s, low, high)) for s in (slope, slope / _or_one(scale)))
-        step, loss = _on_an_interval(slope, damping, low - here, high - here)
+        step, loss = _on_an_interval(slope, rho, low - here, high - here)
         worst = np.maximum(worst, [natural, relative, loss, np.abs(step)])
     return worst
 
 
 def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Array) -> Array:
     """natural_best, relative, loss and distance (4, k) of the joints that move tip or wrist, along Z (k, n, r)."""
-    _, _, c2, damping = problem.weights.T
+    _, _, c2, rho = problem.weights.T
     n, r = Z.shape[1:]
     # Onto A x = b: what is missing there is judged by `primal`.
     on = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=PROJECTION_TOLERANCE), slack)
@@ -199,14 +199,14 @@ def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Arr
         nothing = np.zeros(len(x))
         return np.stack([nothing, nothing, nothing, np.abs(on - x).max(-1, initial=0.0)])
     along = _gradient(np.einsum("kni,kmi,km->kn", Z, Z, problem.grad_mu), size)
-    slope = np.einsum("kni,kn->ki", Z, damping[:, None] * on - c2[:, None] * along)
-    scale = np.maximum(c2 * np.abs(along).max(-1), damping)
+    slope = np.einsum("kni,kn->ki", Z, rho[:, None] * on - c2[:, None] * along)
+    scale = np.maximum(c2 * np.abs(along).max(-1), rho)
     low, high = problem.lower - on, problem.upper - on
     if r == 1:
-        moved, loss = _along_a_line(Z[:, :, 0], slope[:, 0], damping, low, high)
+        moved, loss = _along_a_line(Z[:, :, 0], slope[:, 0], rho, low, high)
         pull = slope * Z[:, :, 0]
     else:
-        moved, loss, pull = _in_a_polytope(Z, slope, damping, low, high)
+        moved, loss, pull = _in_a_polytope(Z, slope, rho, low, high)
     both = np.array([np.ones(len(x)), 1.0 / _or_one(scale)])[:, :, None]
     if comb(n, r - 1) <= MOST_FACETS:
         natural = _best_natural(problem, x, Z, both * slope)
@@ -220,17 +220,17 @@ def _or_one(scale: Array) -> Array:
     return np.where(scale > 0.0, scale, 1.0)
 
 
-def _on_an_interval(slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Step to the optimum of slope s + damping/2 s^2 on [low, high], and the share of its range lost at s = 0: (k,)."""
+def _on_an_interval(slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Step to the optimum of slope s + rho/2 s^2 on [low, high], and the share of its range lost at s = 0: (k,)."""
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        free = np.where(slope == 0.0, 0.0, -slope / damping)  # without damping to the end: division by zero
+        free = np.where(slope == 0.0, 0.0, -slope / rho)  # without rho to the end: division by zero
     best = np.clip(free, low, high)
-    least, *ends = (s * (slope + 0.5 * damping * s) for s in (best, low, high))
+    least, *ends = (s * (slope + 0.5 * rho * s) for s in (best, low, high))
     spread = np.where(high - low > A_POINT, np.maximum(*ends) - least, 0.0)
     return best, np.where(spread > 0.0, np.clip(-least / _or_one(spread), 0.0, 1.0), 0.0)
 
 
-def _along_a_line(z: Array, slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Way to the optimum (k, n) along the unit vector z (k, n) within low <= s z <= high, and the loss (k,)."""
     moving = np.abs(z) > STILL
     per_step = np.where(moving, z, 1.0)
@@ -243,22 +243,22 @@ def _along_a_line(z: Array, slope: Array, damping: Array, low: Array, high: Arra
     (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
     empty, point = wide_first > wide_last, 0.5 * (wide_first + wide_last)
     step, loss = _on_an_interval(
-        slope, damping, np.where(first > last, point, first), np.where(first > last, point, last)
+        slope, rho, np.where(first > last, point, first), np.where(first > last, point, last)
     )
     return np.where(empty[:, None], np.inf, step[:, None] * z), np.where(empty, 1.0, loss)
 
 
-def _in_a_polytope(Z: Array, slope: Array, damping: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
+def _in_a_polytope(Z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Way to the optimum (k, n) along Z (k, n, r) within low <= Z w <= high, the loss (k,), and the pull (k, n) there.
 
     The pull is the gradient of the cost with the optimum's y.
     """
     moved, loss, pull = np.zeros(low.shape), np.zeros(len(low)), np.einsum("kni,ki->kn", Z, slope)
-    for i in np.flatnonzero((slope != 0.0).any(-1) | (damping > 0.0)):
-        found = extremes(Z[i], low[i], high[i], slope[i], damping[i])
+    for i in np.flatnonzero((slope != 0.0).any(-1) | (rho > 0.0)):
+        found = extremes(Z[i], low[i], high[i], slope[i], rho[i])
         point = found is None
         if found is None:
-            found = extremes(Z[i], low[i] - FEASIBLE, high[i] + FEASIBLE, slope[i], damping[i])
+            found = extremes(Z[i], low[i] - FEASIBLE, high[i] + FEASIBLE, slope[i], rho[i])
         if found is None:
             moved[i], loss[i] = np.inf, 1.0
             continue

@@ -1,4 +1,4 @@
-"""The manipulability map: mu over time along the path and elbow swivel, with the courses that runs took on it.
+"""The manipulability map: mu over time along the path and elbow swivel, with the trajectories that runs took on it.
 
 At every time the path asks for one tip and, through the trocar, one wrist centre; what is left to the arm is one
 number, the swivel of the elbow. The map shows every swivel there is, and where a joint limit forbids it.
@@ -30,11 +30,11 @@ COURSE_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
 OTHER_BRANCH_RAD = 0.5
-"""A course with a larger gap belongs to an arm that is folded another way than the map."""
+"""A trajectory with a larger gap belongs to an arm that is folded another way than the map."""
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class Trajectory:
     """Where a run went on the map; arrays (c,)."""
 
     t_s: Array
@@ -64,7 +64,7 @@ class SwivelMap:
     """(k,) of the largest feasible mu; NaN where nothing is feasible"""
     best_mu: Array
     """(k,)"""
-    courses: Mapping[str, Course]
+    trajectories: Mapping[str, Trajectory]
 
 
 def manipulability_map(
@@ -112,13 +112,13 @@ def manipulability_map(
         swivel -= 2.0 * np.pi
     q, mu, limit = (np.roll(array, -turn, axis=1) for array in (q, mu, limit))
     best[0] = _onto(best[0], swivel)
-    courses = {
-        name: _course(robot, elbow, trace, guide.t_s[ticks], swivel, q) for name, trace in traces.items()
+    trajectories = {
+        name: _trajectory(robot, elbow, trace, guide.t_s[ticks], swivel, q) for name, trace in traces.items()
     }
     for array in (swivel, q, mu, limit, best):
         array.flags.writeable = False
     return SwivelMap(
-        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(courses)
+        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(trajectories)
     )  # fmt: skip
 
 
@@ -194,7 +194,7 @@ def _onto(angles: Array, swivel: Array) -> Array:
     return low + np.mod(angles - low, 2.0 * np.pi)
 
 
-def _course(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Course:
+def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Trajectory:
     ticks = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), COURSE_POINTS)).round().astype(int))
     poses = trace.q_rad[ticks]
     angles = _onto(elbow.swivel(poses), swivel)
@@ -204,4 +204,4 @@ def _course(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel:
     apart = np.mod(q[columns, rows] - poses + np.pi, 2.0 * np.pi) - np.pi
     gaps = np.abs(apart[:, moving]).max(axis=1)
     gap = float(np.median(gaps[np.isfinite(gaps)])) if np.isfinite(gaps).any() else float("nan")
-    return Course(trace.t_s[ticks], angles, robot.mu_along(poses), gap)
+    return Trajectory(trace.t_s[ticks], angles, robot.mu_along(poses), gap)

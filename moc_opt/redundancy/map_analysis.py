@@ -1,6 +1,6 @@
-"""What the courses on a manipulability map amount to: how long each is on the ridge, and what keeps it off in the end.
+"""What the trajectories on a manipulability map amount to: how long each is at the optimum, what keeps it off.
 
-Where a course ends off the ridge, the map is climbed from there at the time of the end: upwards in mu, swivel by
+Where a trajectory ends off the optimum, the map is climbed from there at the time of the end: upwards in mu, swivel by
 swivel, poses beyond a joint limit included. A climb that stops close by, on a lower top or before a forbidden pose, is
 what holds the run; where the way up is open, only the run itself can tell why it is not there: a controller without
 third level, or the box of the third level, which closes before the joint limits that the map knows.
@@ -14,24 +14,24 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, Course, SwivelMap
+from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, SwivelMap, Trajectory
 
 Array = NDArray[np.float64]
 
 NEAR = 0.02
-"""A course is on the ridge where its mu is at most this fraction below the best."""
+"""A trajectory is at the optimum where its mu is at most this fraction below the best."""
 END = 0.2
-"""The last part of a course, as a fraction of its time: what it comes to."""
+"""The last part of a trajectory, as a fraction of its time: what it comes to."""
 CLOSE_RAD = np.radians(12.0)
-"""Nearer to a lower top or a forbidden pose than this, a course is held by it."""
+"""Nearer to a lower top or a forbidden pose than this, a trajectory is held by it."""
 STILL_RAD_PER_S = np.radians(1.0)
 ALIKE_RAD = np.radians(3.0)
 
 
 class End(StrEnum):
-    """Where a course is in the end."""
+    """Where a trajectory is in the end."""
 
-    RIDGE = "on the ridge"
+    OPTIMUM = "at the optimum"
     LOWER = "on a lower top"
     GREY = "before a forbidden pose"
     STILL = "stays put, the map shows a way up"
@@ -43,17 +43,17 @@ class End(StrEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """What one course amounts to."""
+    """What one trajectory amounts to."""
 
     name: str
     near: float
-    """Share of the time in which it is on the ridge; NaN where no pose of the map is allowed."""
+    """Share of the time in which it is at the optimum; NaN where no pose of the map is allowed."""
     mu_share: float
     """Mean mu over the mean of the best mu at the same times."""
     travel_rad: float
     """How far the elbow has turned in the end; positive upwards on the map."""
     from_s: float
-    """From when on it stays on the ridge [s]; NaN where it is not there in the end."""
+    """From when on it stays at the optimum [s]; NaN where it is not there in the end."""
     end: End
     joint: int
     """The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing."""
@@ -63,44 +63,44 @@ class Reading:
     """Whose limits these are, joints from 1."""
 
 
-def read_course(found: SwivelMap, name: str) -> Reading:
-    """What the course of one run amounts to.
+def read_trajectory(found: SwivelMap, name: str) -> Reading:
+    """What the trajectory of one run amounts to.
 
     Args:
         found: the map.
-        name: of one of its courses.
+        name: of one of its trajectories.
     """
-    course, known = found.courses[name], np.isfinite(found.best_mu)
-    travel = float(np.unwrap(course.swivel_rad)[-1] - course.swivel_rad[0])
+    trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
+    travel = float(np.unwrap(trajectory.swivel_rad)[-1] - trajectory.swivel_rad[0])
     nan = float("nan")
     if not known.any():
         return Reading(name, nan, nan, travel, nan, End.UNKNOWN, 0, nan, ())
-    if course.gap_rad > OTHER_BRANCH_RAD:
+    if trajectory.gap_rad > OTHER_BRANCH_RAD:
         return Reading(name, nan, nan, travel, nan, End.ELSEWHERE, 0, nan, ())
-    grey = _at_grey(found, course)
-    best = np.interp(course.t_s, found.t_s[known], found.best_mu[known])
-    near = course.mu >= (1.0 - NEAR) * best
-    late = course.t_s >= course.t_s[-1] - END * (course.t_s[-1] - course.t_s[0])
-    share = float(course.mu.mean() / best.mean())
-    if np.median(course.mu[late] / best[late]) >= 1.0 - NEAR:
+    grey = _at_grey(found, trajectory)
+    best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
+    near = trajectory.mu >= (1.0 - NEAR) * best
+    late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
+    share = float(trajectory.mu.mean() / best.mean())
+    if np.median(trajectory.mu[late] / best[late]) >= 1.0 - NEAR:
         off = np.flatnonzero(~near)
-        since = course.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else course.t_s[0]
-        return Reading(name, float(near.mean()), share, travel, float(since), End.RIDGE, 0, *grey)
-    end, joint = _what_holds(found, course, late)
+        since = trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0]
+        return Reading(name, float(near.mean()), share, travel, float(since), End.OPTIMUM, 0, *grey)
+    end, joint = _what_holds(found, trajectory, late)
     return Reading(name, float(near.mean()), share, travel, nan, end, joint, *grey)
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
-    """Courses that cannot be told apart on the map: first of each kind -> the others, in their order.
+    """Trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
 
     Args:
         found: the map.
-        within_rad: two courses are alike where their swivels never lie farther apart at the same time.
+        within_rad: two trajectories are alike where their swivels never lie farther apart at the same time.
     """
     kinds: dict[str, list[str]] = {}
-    for name, course in found.courses.items():
+    for name, trajectory in found.trajectories.items():
         for first in kinds:
-            if _apart(found.courses[first], course) <= within_rad:
+            if _apart(found.trajectories[first], trajectory) <= within_rad:
                 kinds[first].append(name)
                 break
         else:
@@ -108,8 +108,8 @@ def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str
     return kinds
 
 
-def _apart(one: Course, two: Course) -> float:
-    """Largest distance of two courses at the same time [rad]; infinite where one lasts longer or folds otherwise."""
+def _apart(one: Trajectory, two: Trajectory) -> float:
+    """Largest distance of two trajectories at one time [rad]; infinite where one lasts longer or folds otherwise."""
     longer = abs(one.t_s[-1] - two.t_s[-1]) > 0.02 * (one.t_s[-1] - one.t_s[0])
     folded = (one.gap_rad > OTHER_BRANCH_RAD) != (two.gap_rad > OTHER_BRANCH_RAD)
     if longer or folded:
@@ -118,21 +118,21 @@ def _apart(one: Course, two: Course) -> float:
     return float(np.abs(_turned(there - one.swivel_rad)).max())
 
 
-def _at_grey(found: SwivelMap, course: Course) -> tuple[float, tuple[int, ...]]:
+def _at_grey(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int, ...]]:
     """Share of the time beside or among forbidden poses, and the joints whose limits forbid them."""
-    columns = np.abs(found.t_s[None] - course.t_s[:, None]).argmin(axis=1)
-    rows = np.abs(_turned(found.swivel_rad[None] - course.swivel_rad[:, None])).argmin(axis=1)
+    columns = np.abs(found.t_s[None] - trajectory.t_s[:, None]).argmin(axis=1)
+    rows = np.abs(_turned(found.swivel_rad[None] - trajectory.swivel_rad[:, None])).argmin(axis=1)
     beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
     joints = np.unique(beside[beside > FEASIBLE])
     return float((beside != FEASIBLE).any(axis=1).mean()), tuple(int(joint) for joint in joints)
 
 
-def _what_holds(found: SwivelMap, course: Course, late: NDArray[np.bool_]) -> tuple[End, int]:
-    """Why a course that ends off the ridge is not on it, and the joint of the limit it stands before, or 0."""
-    column = _last_known(found, course.t_s[-1])
+def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
+    """Why a trajectory that ends off the optimum is not on it, and the joint of the limit it stands before, or 0."""
+    column = _last_known(found, trajectory.t_s[-1])
     mu, limit, best = found.mu[column], found.limit[column], found.best_mu[column]
     count, step = len(mu), float(found.swivel_rad[1] - found.swivel_rad[0])
-    away = _turned(found.swivel_rad - course.swivel_rad[-1])
+    away = _turned(found.swivel_rad - trajectory.swivel_rad[-1])
     row = int(np.argmin(np.abs(away)))
     side = _uphill(mu, row)
     stop = row
@@ -147,7 +147,7 @@ def _what_holds(found: SwivelMap, course: Course, late: NDArray[np.bool_]) -> tu
         return End.GREY, max(int(limit[(stop + side) % count]), 0)
     if close and mu[stop] < (1.0 - NEAR) * best:
         return End.LOWER, 0
-    t, swivel = course.t_s[late], np.unwrap(course.swivel_rad[late])
+    t, swivel = trajectory.t_s[late], np.unwrap(trajectory.swivel_rad[late])
     speed = (swivel[-1] - swivel[0]) / max(t[-1] - t[0], 1e-9)
     if abs(speed) < STILL_RAD_PER_S:
         return End.STILL, 0

@@ -3,7 +3,7 @@
 At each sample the self-motion through the pose is scanned and the maximum of mu uphill of the pose is found: the
 place to which a gradient leads. The arc length in joint space from the pose to it (idle joints left out) is the
 elbow's distance to go. While the elbow follows the optimum that the path carries along, that distance stands
-still, however fast both move. So the elbow is travelling while it is neither there (the distance is above a
+still, however fast both move. So the elbow is in its transient while it is neither there (the distance is above a
 tolerance) nor at rest relative to its optimum (the distance changes faster than a tolerance).
 """
 
@@ -63,7 +63,7 @@ def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[
     return found[0], found[1]
 
 
-def travelling(
+def in_transient(
     robot: RobotModel,
     t_s: ArrayLike,
     q_rad: ArrayLike,
@@ -84,7 +84,7 @@ def travelling(
         near_rad: nearer to its optimum than this it has arrived [rad]. Near a maximum that costs less than
             half a percent of mu on the LWR4+.
         still_rad_per_s: an elbow that moves slower than this relative to its optimum is stuck or held, not
-            travelling [rad/s]. On its way it does 0.3 to 0.8 rad/s.
+            in a transient [rad/s]. On its way it does 0.3 to 0.8 rad/s.
 
     Raises:
         RobotError: no ticks, or a setting that is not positive.

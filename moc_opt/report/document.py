@@ -1,4 +1,4 @@
-"""What every HTML file of ours has: the same head and colours, a limit of size, and it is written all or nothing."""
+"""Render HTML files from the templates in ``report/assets``, every text escaped, and save them all or nothing."""
 
 from __future__ import annotations
 
@@ -6,45 +6,69 @@ import os
 import re
 from collections.abc import Callable
 from contextlib import suppress
-from importlib import resources
 from pathlib import Path
-from string import Template
+from typing import Any
 from urllib.parse import quote
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from moc_opt.errors import ReportError
 from moc_opt.inputs.files import check_replaceable
-from moc_opt.report.table_html import escape
+from moc_opt.report.notation import DASH, printable
 
 MAX_BYTES = 8_000_000
 # A piece of a path: no scheme's colon, no backslash that browsers read as a slash, nothing that leads upwards.
 PIECE = re.compile(r"(?!\.+$)[\w.()+, -]+")
 
 
-def document(title: str, style: str, body: str) -> str:
-    """A whole file as text.
-
-    Args:
-        title: plain text; it is escaped.
-        style: name of the asset with its style sheet, after that which all files share.
-        body: HTML, its scripts included.
-    """
-    styles = f"{asset('document.css')}\n{asset(style)}"
-    return Template(asset("document.html")).substitute(title=escape(title), style=styles, body=body)
+def render(template: str, **values: Any) -> str:
+    """Fill in a template of ``report/assets``; every value is escaped unless it is `Markup`."""
+    return _TEMPLATES.get_template(template).render(values)
 
 
-def asset(name: str) -> str:
-    """The text of a file in ``report/assets``."""
-    return resources.files("moc_opt.report").joinpath("assets", name).read_text(encoding="utf-8").strip()
+def macros(template: str) -> Any:
+    """The macros of a template as functions that return `Markup`; every argument is escaped."""
+    return _TEMPLATES.get_template(template).module
 
 
-def script_data(name: str, text: str) -> str:
-    """JSON for a page's scripts, under an id; no text in it can end the element."""
-    inert = text.replace("<", "\\u003c")
-    return f'<script type="application/json" id="{name}">{inert}</script>'
+def asset(name: str) -> Markup:
+    """The text of a style sheet or script in ``report/assets``, as it is."""
+    return Markup(_LOADER.get_source(_TEMPLATES, name)[0].strip())
+
+
+def inline(text: str) -> Markup:
+    """A text for an element, with `backticks` as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
+
+
+def inert(json: str) -> Markup:
+    """JSON for a script element: no text in it can end the element."""
+    return Markup(json.replace("<", "\\u003c"))
+
+
+def in_words(value: Any) -> str:
+    """A plain value or a list of them as text, a dash where there is none."""
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(in_words, value)) or DASH
+    return DASH if value is None or value in ("", {}) else str(value)
+
+
+def _shown(value: Any) -> Any:
+    """A text without control and direction characters; escaping follows."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+_LOADER = PackageLoader("moc_opt.report", "assets")
+_TEMPLATES = Environment(
+    loader=_LOADER, autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
+)
+_TEMPLATES.globals["asset"] = asset
+_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words)
 
 
 def beside(target: str) -> str:
-    """The address of a file that lies beside a page or below it, ready for an attribute.
+    """The address of a file that lies beside a page or below it.
 
     Args:
         target: a relative path with slashes, and after a ``#`` a place in the file.
@@ -57,7 +81,7 @@ def beside(target: str) -> str:
         raise ReportError(
             f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'"
         )
-    return escape(quote(path) + (f"#{quote(place, safe='=')}" if place else ""))
+    return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str]) -> Path:
@@ -65,7 +89,7 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
 
     Args:
         path: of the file; its folder is made.
-        text: what is in it.
+        text: its content.
         what: it is: "page".
         cure: what to do where it is too large; asked only then.
 

@@ -9,7 +9,13 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError
-from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, UNREACHABLE, Course, SwivelMap
+from moc_opt.redundancy.manipulability_map import (
+    FEASIBLE,
+    OTHER_BRANCH_RAD,
+    UNREACHABLE,
+    SwivelMap,
+    Trajectory,
+)
 from moc_opt.redundancy.map_analysis import alike
 from moc_opt.report.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
 
@@ -20,7 +26,7 @@ SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"
 EDGE, BEST = "#fffffe", "#17191b"
 HEIGHT_PX = 460
 SHARED = ("9px,9px", "5px,13px", "3px,15px")
-"""Dashes of the second, third and further courses on one line: the colours of all of them show."""
+"""Dashes of the second, third and further trajectories on one line: the colours of all of them show."""
 
 
 def map_figure(
@@ -39,8 +45,8 @@ def map_figure(
     Raises:
         ReportError: no pose of the map is allowed.
     """
-    styles = styles or Styles(found.courses)
-    titles = {name: name for name in found.courses} if titles is None else titles
+    styles = styles or Styles(found.trajectories)
+    titles = {name: name for name in found.trajectories} if titles is None else titles
     allowed = found.limit == FEASIBLE
     if not allowed.any():
         raise ReportError("no pose on the map is within the joint limits: check trocar and path")
@@ -52,22 +58,22 @@ def map_figure(
     places = {name: k for first, others in alike(found).items() for k, name in enumerate([first, *others])}
     # First what has a white edge, then what shares its line with one of these.
     for name in sorted(titles, key=lambda name: min(places[name], 1)):
-        course, style = found.courses[name], styles[name]
-        if course.gap_rad > OTHER_BRANCH_RAD:
+        trajectory, style = found.trajectories[name], styles[name]
+        if trajectory.gap_rad > OTHER_BRANCH_RAD:
             style = Style(style.color, "dot", style.symbol)
         elif places[name] and len(titles) > 1:
             style = Style(style.color, SHARED[min(places[name], len(SHARED)) - 1], style.symbol)
-        t, y = _broken(course.t_s, np.degrees(course.swivel_rad))
+        t, y = _broken(trajectory.t_s, np.degrees(trajectory.swivel_rad))
         if style.dash not in SHARED:
             _edge(drawn, t, y, name)
         drawn.add_scatter(
             x=t, y=y, mode="lines", name=label(titles[name]), legendgroup=name, connectgaps=False,
-            legendrank=list(titles).index(name) + 1, customdata=np.interp(t, course.t_s, course.mu),
+            legendrank=list(titles).index(name) + 1, customdata=np.interp(t, trajectory.t_s, trajectory.mu),
             line={"color": style.color, "width": 2.4, "dash": style.dash}, hovertemplate=HOVER,
         )  # fmt: skip
     # Above the others: a run that has arrived lies on it.
     _best(drawn, t_best, y_best, np.interp(t_best, found.t_s, found.best_mu))
-    _starts(drawn, [found.courses[name] for name in titles])
+    _starts(drawn, [found.trajectories[name] for name in titles])
     drawn.add_scatter(
         x=[None], y=[None], mode="markers", name="not allowed",
         marker={"symbol": "square", "size": 11, "color": BAD, "line": {"color": MUTED, "width": 0.5}},
@@ -127,11 +133,11 @@ def _best(drawn: go.Figure, t: Array, y: Array, mu: Array) -> None:
     )
 
 
-def _starts(drawn: go.Figure, courses: Iterable[Course]) -> None:
+def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:
     """One marker where several begin: runs of one trial begin at one pose."""
     starts: list[tuple[float, float]] = []
-    for course in courses:
-        t, y = float(course.t_s[0]), float(np.degrees(course.swivel_rad[0]))
+    for trajectory in trajectories:
+        t, y = float(trajectory.t_s[0]), float(np.degrees(trajectory.swivel_rad[0]))
         if all(abs(t - other[0]) > 0.1 or abs(y - other[1]) > 2.0 for other in starts):
             starts.append((t, y))
     drawn.add_scatter(

@@ -8,7 +8,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from moc_opt.redundancy.manipulability_map import SwivelMap, manipulability_map
-from moc_opt.redundancy.map_analysis import ALIKE_RAD, CLOSE_RAD, END, NEAR, End, Reading, alike, read_course
+from moc_opt.redundancy.map_analysis import (
+    ALIKE_RAD,
+    CLOSE_RAD,
+    END,
+    NEAR,
+    End,
+    Reading,
+    alike,
+    read_trajectory,
+)
 from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.notation import Missing
@@ -18,9 +27,9 @@ from moc_opt.report.tables import Column, Table
 
 MOST_LINES = 8
 COLUMNS = (
-    Column("name", "course"),
+    Column("name", "trajectory"),
     Column(
-        "near", "on the ridge", unit="%", format=".0f", better="high",
+        "near", "at the optimum", unit="%", format=".0f", better="high",
         help=f"of the time: mu at most {100 * NEAR:.0f} % below the best at that time",
     ),
     Column("from_s", "for good from", unit="s", format=".1f", better="low", help="from then on it stays there"),
@@ -44,7 +53,7 @@ def add_map(
 ) -> list[Reading]:
     """Words, figure and table of one map.
 
-    Of more than eight courses those that cannot be told apart are drawn as one.
+    Of more than eight trajectories those that cannot be told apart are drawn as one.
 
     Args:
         page: they are appended to it.
@@ -54,27 +63,27 @@ def add_map(
         styles: how each run looks, as in the page's other figures.
 
     Returns:
-        What each course amounts to, those that are not drawn among them.
+        What each trajectory amounts to, those that are not drawn among them.
 
     Raises:
         ReportError: no pose of the map is allowed.
     """
     kinds, titles = kinds_of(found), lines(found)
-    readings = {course: read_course(found, course) for course in found.courses}
+    readings = {trajectory: read_trajectory(found, trajectory) for trajectory in found.trajectories}
     figure = map_figure(found, styles, titles=titles)
     page.text(in_words([readings[first] for first in kinds], titles))
     page.figure(figure, caption(found, what), name=name)
-    page.table(course_table(readings, kinds, what))
+    page.table(trajectory_table(readings, kinds, what))
     return list(readings.values())
 
 
 def kinds_of(found: SwivelMap) -> dict[str, list[str]]:
-    """The courses to speak of -> those that go the same way and are not spoken of, where there are many."""
-    return alike(found) if len(found.courses) > MOST_LINES else {name: [] for name in found.courses}
+    """The trajectories to speak of -> those that go the same way and are not spoken of, where there are many."""
+    return alike(found) if len(found.trajectories) > MOST_LINES else {name: [] for name in found.trajectories}
 
 
 def lines(found: SwivelMap) -> dict[str, str]:
-    """The courses to draw, eight at most -> what to call each in the legend."""
+    """The trajectories to draw, eight at most -> what to call each in the legend."""
     kinds = list(kinds_of(found).items())[:MOST_LINES]
     return {first: first + (f" and {len(others)} more" if others else "") for first, others in kinds}
 
@@ -86,16 +95,16 @@ def caption(found: SwivelMap, what: str = "") -> str:
     return (
         f"{begin} pose that keeps tip and trocar, over time ({times} by {swivels} poses): upwards the swivel of the "
         "elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
-        "reach. A line is the course of a run, from the marker at its start, and of several colours where runs go the "
-        "same way; the dotted one joins the best poses, and may leap where no arm can follow."
+        "reach. A line is the trajectory of a run, from the marker at its start, and of several colours where runs go "
+        "the same way; the dotted one joins the best poses, and may leap where no arm can follow."
     )
 
 
 def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = None) -> str:
-    """Sentences on who is on the ridge, who is not, and why.
+    """Sentences on who is at the optimum, who is not, and why.
 
     Args:
-        readings: of the courses to speak of.
+        readings: of the trajectories to speak of.
         titles: name -> what the figure calls it.
     """
     called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}
@@ -110,7 +119,7 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
             )
             timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
     limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
-    said = [f"On the ridge ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
+    said = [f"At the optimum ({limit}), as a share of the time: {'; '.join(timed) or 'none'}."] if known else []
     groups: dict[str, list[str]] = {}
     for reading in readings:
         never = "never gets there: it " if _never(reading) else ""
@@ -141,7 +150,7 @@ def end_in_words(reading: Reading) -> str:
     """A verb in the singular and what follows it."""
     limit = f"the limit of joint {reading.joint}" if reading.joint else "the arm's reach"
     return {
-        End.RIDGE: "ends on the ridge",
+        End.OPTIMUM: "ends at the optimum",
         End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
         End.GREY: f"ends before the grey: the way up leads beyond {limit}",
         End.STILL: "stays put in the end, though the map shows a way up (joint limits are in it, the narrower "
@@ -154,17 +163,17 @@ def end_in_words(reading: Reading) -> str:
 
 
 def grey_in_words(reading: Reading) -> str:
-    """A verb in the singular and what follows it; nothing for a course that keeps away from the grey."""
+    """A verb in the singular and what follows it; nothing for a trajectory that keeps away from the grey."""
     if not reading.at_grey > 0.0 or reading.end is End.GREY:
         return ""
     joints = [f"joint {joint}" for joint in reading.limits]
     return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
 
 
-def course_table(
+def trajectory_table(
     readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = ""
 ) -> Table:
-    """One row for each kind of course, in their order."""
+    """One row for each kind of trajectory, in their order."""
     rows = []
     for first in kinds:
         reading = readings[first]
@@ -176,12 +185,12 @@ def course_table(
                 "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
             }
         )  # fmt: skip
-        if reading.end is not End.RIDGE:
+        if reading.end is not End.OPTIMUM:
             rows[-1]["from_s"] = Missing("not there in the end")
     stand_for = [f"{first} stands for {', '.join(others)} too" for first, others in kinds.items() if others]
     apart = f"within {np.degrees(ALIKE_RAD):.0f} deg of its elbow at all times"
     note = f"{'; '.join(stand_for)}: {apart}." if stand_for else ""
-    return Table(f"Courses on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
+    return Table(f"Trajectories on the map{': ' * bool(what)}{what}", COLUMNS, rows, note)
 
 
 def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from numbers import Real
 
-MINUS, TIMES, NARROW_SPACE, INFINITY, DASH = "\u2212", "\u00d7", "\u202f", "\u221e", "\u2013"
+NARROW_SPACE, INFINITY, DASH = "\u202f", "\u221e", "\u2013"
 
 RAISED = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -93,16 +93,6 @@ def missing(value: object) -> Missing | None:
 def fraction_length(text: str) -> int:
     """Characters from the decimal point on: what must be padded to align a column on its points."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
-
-
-def typeset(text: str, exponent_width: int = 0) -> str:
-    """HTML of a number written by `Notation`: real minus signs, and powers of ten set as powers."""
-    mantissa, _, exponent = text.partition("e")
-    mantissa = mantissa.replace("-", MINUS)
-    if not exponent:
-        return mantissa
-    style = f' style="min-width:{exponent_width}ch"' if exponent_width else ""
-    return f"{mantissa}{TIMES}10<sup{style}>{exponent.replace('-', MINUS)}</sup>"
 
 
 def pretty_unit(unit: str) -> str:

@@ -9,18 +9,17 @@ import re
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from string import Template
 from types import MappingProxyType
 from typing import Any
 
 import plotly.graph_objects as go
+from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from moc_opt.inputs.files import to_json
-from moc_opt.report.document import asset, beside, document, save_document, script_data
+from moc_opt.report.document import beside, macros, render, save_document
 from moc_opt.report.figures.style import DARK
-from moc_opt.report.notation import DASH
-from moc_opt.report.table_html import escape
+from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Table
 
 
@@ -32,8 +31,9 @@ class Page:
 
     def __init__(self, title: str, subtitle: str = "") -> None:
         self.title, self.subtitle = title, subtitle
-        self._parts: list[str] = []
-        self._sections: list[tuple[str, str]] = []
+        self._parts: list[Markup] = []
+        self._sections: dict[str, str] = {}
+        self._macros = macros("parts.html")
         self._figures: dict[str, go.Figure] = {}
         self._tables = 0
 
@@ -44,17 +44,17 @@ class Page:
 
     def headline(self, text: str) -> None:
         """A finding in words, set apart; several make several."""
-        self._parts.append(f'<p class="headline">{_inline(text)}</p>')
+        self._parts.append(self._macros.headline(text))
 
     def section(self, title: str) -> None:
         """Begin a section; the table of contents lists it."""
-        name = self._name(title, {name for name, _ in self._sections})
-        self._sections.append((name, title))
-        self._parts.append(f'<h2 id="{name}">{_inline(title)}</h2>')
+        name = self._name(title, self._sections)
+        self._sections[name] = title
+        self._parts.append(self._macros.section(name, title))
 
     def text(self, text: str) -> None:
         """Paragraphs."""
-        self._parts += [f"<p>{_inline(part)}</p>" for part in re.split(r"\n\s*\n", text.strip()) if part]
+        self._parts += [self._macros.paragraph(part) for part in re.split(r"\n\s*\n", text.strip()) if part]
 
     def link(self, target: str, text: str, about: str = "") -> None:
         """A paragraph with a link to a file that lies beside the page; the page is complete without it.
@@ -67,12 +67,12 @@ class Page:
         Raises:
             ReportError: the target is not beside or below the page: no other host, scheme or folder above is allowed.
         """
-        self._parts.append(f'<p><a href="{beside(target)}">{_inline(text)}</a>{_inline(about)}</p>')
+        self._parts.append(self._macros.link(beside(target), text, about))
 
     def table(self, table: Table) -> None:
         """A numbered table."""
         self._tables += 1
-        self._parts.append(table.to_html(self._tables))
+        self._parts.append(draw(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
         """A numbered figure.
@@ -85,11 +85,7 @@ class Page:
         name = self._name(name or " ".join(caption.split()[:5]), self._figures)
         self._figures[name] = figure
         height = int(figure.layout.height or figure.layout.template.layout.height or 450)
-        self._parts.append(
-            f'<figure class="plot"><div class="chart" id="{name}" data-name="{name}" role="img" '
-            f'aria-label="{escape(caption)}" style="min-height:{height}px"></div>'
-            f"<figcaption><b>Figure {len(self._figures)}.</b> {_inline(caption)}</figcaption></figure>"
-        )
+        self._parts.append(self._macros.figure(name, len(self._figures), caption, height))
 
     def environment(self, values: Mapping[str, Any], title: str = "Environment") -> None:
         """A section on how the numbers came about: machine, versions, seed, configuration.
@@ -101,30 +97,20 @@ class Page:
         self.section(title)
         plain = {key: value for key, value in values.items() if not isinstance(value, Mapping)}
         if plain:
-            self._parts.append(_definitions(plain))
+            self._parts.append(self._macros.definitions(plain))
         for key, value in values.items():
             if isinstance(value, Mapping):
-                summary = f"<summary>{escape(str(key))}</summary>"
-                self._parts.append(f"<details>{summary}{_definitions(value)}</details>")
+                self._parts.append(self._macros.folded(key, value))
 
     def html(self) -> str:
         """The whole file as text."""
-        links = [f'<li><a href="#{name}">{_inline(title)}</a></li>' for name, title in self._sections]
-        contents = f'<nav aria-label="Contents"><ol>{"".join(links)}</ol></nav>' if len(links) > 1 else ""
-        data = [script_data(f"{name}-data", _plain_json(figure)) for name, figure in self._figures.items()]
-        scripts = [asset("tables.js")]
+        data = {f"{name}-data": _plain_json(figure) for name, figure in self._figures.items()}
         if self._figures:
-            data += [
-                script_data("dark-colors", to_json(DARK, indent=None)),
-                script_data("plotly-packed", _packed_plotly()),
-            ]
-            scripts.append(asset("figures.js"))
-        body = Template(asset("page.html")).substitute(
-            title=escape(self.title), body="\n".join(self._parts), contents=contents,
-            subtitle=f'<p class="subtitle">{_inline(self.subtitle)}</p>' if self.subtitle else "",
-            data="\n".join(data), scripts="\n".join(scripts),
+            data |= {"dark-colors": to_json(DARK, indent=None), "plotly-packed": _packed_plotly()}
+        return render(
+            "page.html", title=self.title, subtitle=self.subtitle, sections=self._sections, parts=self._parts,
+            data=data, figures=self._figures,
         )  # fmt: skip
-        return document(self.title, "page.css", body)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the file, all or nothing: an older one of that name stays until the new one is there.
@@ -149,25 +135,6 @@ class Page:
             count += 1
             name = f"{words}-{count}"
         return name
-
-
-def _inline(text: str) -> str:
-    """Escaped text with `backticks` as code."""
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
-
-
-def _definitions(values: Mapping[str, Any]) -> str:
-    rows = []
-    for key, value in values.items():
-        shown = _definitions(value) if isinstance(value, Mapping) and value else escape(_value(value))
-        rows.append(f"<dt>{escape(str(key))}</dt><dd>{shown}</dd>")
-    return f"<dl>{''.join(rows)}</dl>"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_value, value)) or DASH
-    return DASH if value is None or value in ("", {}) else str(value)
 
 
 def _plain_json(figure: go.Figure) -> str:

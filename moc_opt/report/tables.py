@@ -15,7 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from moc_opt.errors import ReportError
-from moc_opt.report import notation, table_html
+from moc_opt.report import notation
 from moc_opt.report.notation import Missing, Notation, is_number, printable
 
 EDGE, GAP, TEXT = 2, 3, 24
@@ -134,7 +134,7 @@ class Table:
             heading = Text("\n".join(title.split()) if stacked else title)
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
-            drawn.add_column(heading, justify=column.align or table_html.alignment(cells))
+            drawn.add_column(heading, justify=column.align or alignment(cells))
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn
@@ -182,13 +182,11 @@ class Table:
         written: str = console.file.getvalue()  # type: ignore[attr-defined]
         return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
 
-    def to_html(self, number: int | None = None) -> str:
-        """The table as a fragment of a page, sortable there; every text is escaped.
 
-        Args:
-            number: of the table on its page.
-        """
-        return table_html.draw(self, number)
+def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
+    """Numbers to the right, unless there are none."""
+    values = [cell for cell in cells if cell.why is None]
+    return "right" if all(cell.numeric for cell in values) and cells else "left"
 
 
 def _cell(value: Any, written: Notation) -> Cell:

@@ -1,7 +1,7 @@
 """A validated scenario, and its run: the only room that puts solver, controller and plant together.
 
 Read first: ``config`` (``Scenario``: every key of the TOML), then ``setup`` (``Setup`` builds the objects,
-``run`` makes a trace). ``layout`` lays the task out from a start, ``driver`` joins controller and loop,
+``run`` makes a trace). ``layout`` lays the task out from a start, ``adapter`` joins controller and loop,
 ``agreement`` compares the two engines, ``rows`` prepares references by the block, ``exported`` writes the
 controller as C. Imported by live, the command line and benchmarks.
 """
@@ -9,15 +9,14 @@ controller as C. Imported by live, the command line and benchmarks.
 from moc_opt.scenario.setup import (
     MocOptError,
     RunAway,
-    Safe,
     Scenario,
     Setup,
-    make_guard,
+    make_safety_filter,
     make_solver,
     make_stop,
     run,
 )  # fmt: skip
 
 __all__ = [
-    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_guard", "make_solver", "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.settings import Name, Settings
@@ -138,7 +138,7 @@ class Scenario(Settings):
     plant: PlantSettings = PlantSettings.realistic()
     duration_s: float | None = Field(default=None, gt=0.0, le=MOST_S, description="stop early; None: the whole path")
     deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
-    guard: GuardSettings = GuardSettings()
+    guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     bound_samples: int = Field(
@@ -198,7 +198,7 @@ class Scenario(Settings):
         for name in type(self).model_fields:
             old = getattr(self, name)
             new = tables.pop(name, old)
-            if isinstance(old, BaseModel) and isinstance(new, Mapping) and "preset" not in new:
-                new = type(old)(**{**{f: getattr(old, f) for f in type(old).model_fields}, **new})
+            if isinstance(old, Settings) and isinstance(new, Mapping) and "preset" not in new:
+                new = old.replace(new)
             values[name] = new
         return type(self)(**values, **tables)

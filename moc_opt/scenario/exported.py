@@ -14,10 +14,11 @@ from moc_opt.embedded import check_supported, export, record
 from moc_opt.embedded.export import safe_files
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import SafeRecording
-from moc_opt.embedded.support import check_guard
+from moc_opt.embedded.support import check_safety_filter
 from moc_opt.errors import ScenarioError
-from moc_opt.scenario import Safe, Scenario, Setup, make_guard
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario import Scenario, Setup, make_safety_filter
+from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
     )
     law = (setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
     check_supported(*law)
-    check_guard(scenario.guard)
+    check_safety_filter(scenario.guard)
     trace, t = setup.trace(), setup.times()
     begin = min(len(trace), len(t)) // 2
     part = slice(begin, begin + TICKS)
@@ -87,13 +88,13 @@ def record_with_faults(
     q[9 * k // 10 :] = np.nan
     controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
     sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
-    safe = Safe(Driver(controller), make_guard(setup.robot, scenario), sent)
+    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), sent)
     tau, solve_us, stopped_at = np.empty_like(q), np.zeros(k), -1
     stamp = np.arange(float(k))
     stamp[3 * k // 10] -= min(borne, 1)  # a packet comes again
-    safe.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
+    loop.start(Measurement(q[0], v[0], wrench[0], 0), tip_ref[0], trocar[0])
     for i in range(k):
-        tau[i] = safe.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
+        tau[i] = loop.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
         solve_us[i] = 0.0 if np.isnan(controller.solve_us) else controller.solve_us
-        stopped_at = i if safe.lost and stopped_at < 0 else stopped_at
+        stopped_at = i if loop.stop_reason and stopped_at < 0 else stopped_at
     return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)

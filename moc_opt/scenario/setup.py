@@ -13,24 +13,25 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller
-from moc_opt.control.safety_filter import Guard
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import MocOptError, RobotError, ScenarioError, describe
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.driver import Driver
 from moc_opt.scenario.layout import breathing, lay_out
 from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
+from moc_opt.sim.closed_loop import ClosedLoop, Stop
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Sink, Touched
-from moc_opt.sim.loop import BLOCK, RunAway, Stop, simulate
+from moc_opt.sim.log import Sink, TaskOffset
+from moc_opt.sim.loop import BLOCK, RunAway, simulate
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import Brain, Safe
+from moc_opt.sim.protocols import LoggedController, TorqueController
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.faulty import Faulty, draw
 from moc_opt.solvers.registry import accepts
@@ -68,22 +69,22 @@ class Setup:
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
             self.plant.push(scenario.faults.bump_link, np.zeros(3))
         self.plant.reset(self.q_start)
-        self.touched = self._touch(layout.trocar, scenario.trocar.depth_m)
-        entry = layout.trocar + self.touched.trocar
+        self.offset = self._offset_of_touch(layout.trocar, scenario.trocar.depth_m)
+        entry = layout.trocar + self.offset.trocar
         self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
         self._fault_seed = fault_seed
         self._replayed_us = _recorded_times(scenario)
 
-    def _touch(self, entry: Array, depth: float) -> Touched:
+    def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
         """Lay the task where the arm's own tip is; ``entry`` (3,) [m] is where its model puts the incision.
 
         The incision lies on the shaft as it truly stands, and the path begins at the true tip.
         """
         plant = self.plant
         if not (plant.mismatch.displaces or plant.settings.elastic):
-            return Touched.nothing()  # equal but for rounding
+            return TaskOffset.nothing()  # equal but for rounding
         shaft, tip = plant.tip - plant.wrist, self.robot.state(self.q_start).tip
-        return Touched(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
+        return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 
     def solver(self) -> Solver | None:
         """The solver that the scenario asks for; None under DCAC."""
@@ -106,7 +107,7 @@ class Setup:
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
             # one more in front, for the discarded tick before the loop
-            times = itertools.chain([0.0], np.where(self.spoilt(), 10.0 * budget, 0.0))
+            times = itertools.chain([0.0], np.where(self.fault_mask(), 10.0 * budget, 0.0))
         guided = settings.law == "moc" and settings.third_level == "planned"
         guide = follower(self.scenario, self.robot, self.layout) if guided else None
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
@@ -116,14 +117,14 @@ class Setup:
         times = self._replayed_us
         return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
 
-    def spoilt(self) -> NDArray[np.bool_]:
-        """At which ticks the solver's answer is spoilt on purpose, (N,)."""
+    def fault_mask(self) -> NDArray[np.bool_]:
+        """At which ticks the solver's answer is replaced by a fault, (N,)."""
         faults, ticks = self.scenario.faults, self.ticks
         if faults.solver == "none" or self.scenario.control.law != "moc":
             return np.zeros(ticks, dtype=np.bool_)
         return draw(self._fault_seed, faults.solver_share, ticks)
 
-    def brain(self) -> Brain:
+    def adapter(self) -> LoggedController:
         """The controller as the loop wants it, in Python or compiled."""
         if self.scenario.control.backend == "c":
             if self.scenario.faults.solver != "none":
@@ -131,14 +132,17 @@ class Setup:
                     f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
                     "take [control] backend = 'python'"
                 )
-            if self.scenario.control.third_level != "local":
-                self.scenario.control.check_guided()
             from moc_opt.embedded import NativeController  # late: only C needs CasADi and a compiler
 
             return NativeController(
                 self.robot, self.scenario.control, self.solver(), self.scenario.plant.period_s
             )
-        return Driver(self.controller())
+        return ControllerAdapter(self.controller())
+
+    def closed_loop(self, controller: TorqueController) -> ClosedLoop:
+        """The plant under a controller behind the scenario's safety filter; it knows no faults and no trace."""
+        safety_filter = make_safety_filter(self.robot, self.scenario)
+        return ClosedLoop(self.plant, controller, safety_filter, make_stop(self.scenario))
 
     @property
     def ticks(self) -> int:
@@ -189,10 +193,11 @@ class Setup:
             return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
 
         return simulate(
-            self.plant, self.brain(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+            self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
             Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
-            guard=make_guard(self.robot, self.scenario), faults=faults if wrong.around_the_arm else None,
-            stop=make_stop(self.scenario), touched=self.touched, watch=watch, meta=meta, sink=sink, block=block,
+            safety_filter=make_safety_filter(self.robot, self.scenario),
+            faults=faults if wrong.around_the_arm else None,
+            stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
         )  # fmt: skip
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
@@ -230,7 +235,7 @@ class Setup:
         found: dict[str, NDArray[Any]] = {}
         rows = len(columns["t_s"])
         if self.scenario.faults.solver != "none":
-            found["injected"] = self.spoilt()[first : first + rows]
+            found["injected"] = self.fault_mask()[first : first + rows]
         found |= self._model_error(columns)
         found["mu"] = self.robot.mu_along(columns["q_rad"])
         return found | self._judged(columns)
@@ -246,7 +251,7 @@ class Setup:
                 "rcm_error_model_m": columns["rcm_error_registered_m"],
             }
         tips, wrists = self.robot.tool_along(columns["q_rad"] + self.plant.mismatch.encoder_bias)
-        told = columns["trocar_registered_m"] - self.touched.trocar
+        told = columns["trocar_registered_m"] - self.offset.trocar
         return {
             "tip_error_model_m": np.linalg.norm(columns["tip_ref_m"] - tips, axis=1),
             "rcm_error_model_m": shaft_distance(tips, wrists, told),
@@ -269,7 +274,7 @@ class Setup:
             return {}
         x = columns["x_rad_per_s"]
         parts = [slice(first, first + JUDGED) for first in range(0, len(x), JUDGED)]
-        judged = [judge(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+        judged = [compute_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
         found = Residuals(*map(np.concatenate, zip(*judged, strict=True)))
         silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
         figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
@@ -312,9 +317,10 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
     return solvers.create(name, **settings)
 
 
-def make_guard(robot: RobotModel, scenario: Scenario) -> Guard:
+def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
     """The guard of an arm in its incision, with all that it can know."""
-    return Guard(robot.data, scenario.guard, scenario.plant.period_s, robot.gravity, robot.tool_pose, robot.state)
+    period_s = scenario.plant.period_s
+    return SafetyFilter(robot.data, scenario.guard, period_s, robot.gravity, robot.tool_pose, robot.state)
 
 
 def make_stop(scenario: Scenario) -> Stop:
@@ -334,5 +340,5 @@ def run(
 
 
 __all__ = [
-    "MocOptError", "RunAway", "Safe", "Scenario", "Setup", "make_guard", "make_solver", "make_stop", "run",
+    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
 ]  # fmt: skip

@@ -1,7 +1,8 @@
 """The simulated plant and the closed loop: arm, trocar, sensors, faults. Knows torques; no controller and no solver.
 
-Read first: ``loop`` (``simulate``) and ``safe`` (controller and guard as every closed loop calls them:
-protocols), then ``plant`` (MuJoCo), built by ``mjcf``. ``contact``, ``sensors``, ``actuation``, ``elastic``
+Read first: ``closed_loop`` (the one step of every closed loop), ``filtered`` (controller behind its safety filter) and
+``loop`` (``simulate``, which records), then ``plant`` (MuJoCo), built by ``mjcf``.
+``protocols`` says what a controller is. ``contact``, ``sensors``, ``actuation``, ``elastic``
 and ``mismatch`` are its parts; ``faults`` and ``packets`` disturb it; docs/plant.md lists ``settings``.
 Imported by procedure, vision and scenario.
 """

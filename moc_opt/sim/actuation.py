@@ -7,7 +7,7 @@ from numba import int64, njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def _admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) ->
     return True
 
 
-_ADMIT = Entry(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
+_ADMIT = CompiledKernel(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
 
 
 class Drives:

@@ -19,7 +19,7 @@ from numba import float64, int64, njit
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.compiled import VECTOR, Entry
+from moc_opt.numerics.compiled import VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
 
@@ -95,7 +95,7 @@ def _gather(pairs: Array, rates: Array, q: Array, v: Array, theta: Array, omega:
         q[i], v[i] = pairs[2 * i] + pairs[2 * i + 1], rates[2 * i] + rates[2 * i + 1]
 
 
-DRIVE = Entry(_drive, VECTOR, VECTOR, int64, VECTOR, float64, VECTOR, VECTOR)
+DRIVE = CompiledKernel(_drive, VECTOR, VECTOR, int64, VECTOR, float64, VECTOR, VECTOR)
 """Puts the drives' torque (n,) and its ripple [Nm] on the motors; a joint has `stride` coordinates."""
-GATHER = Entry(_gather, *[VECTOR] * 6)
+GATHER = CompiledKernel(_gather, *[VECTOR] * 6)
 """Takes positions [rad] and velocities [rad/s] (n,) of links and motors from MuJoCo's pairs."""

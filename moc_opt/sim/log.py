@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.safe import Brain
+from moc_opt.sim.protocols import LoggedController
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ Sink = Callable[[int, Columns], None]
 """Takes the columns of a block and the number of its first tick; the same block may come twice."""
 
 
-class Course(Protocol):
+class Trajectory(Protocol):
     """A reference of every tick: an array (N, rows, 3), or what makes the part that is asked for."""
 
     def __len__(self) -> int:
@@ -31,15 +31,15 @@ class Course(Protocol):
         ...
 
 
-class Courses(NamedTuple):
+class Trajectories(NamedTuple):
     """Where tip and trocar have to be, are, and are believed to be; see ``sim.loop.simulate``."""
 
-    tip_refs: Course
-    trocars: Course
-    registered: Course
+    tip_refs: Trajectory
+    trocars: Trajectory
+    registered: Trajectory
 
 
-class Touched(NamedTuple):
+class TaskOffset(NamedTuple):
     """True minus believed place of the two points that the arm registered with its own tip, (3,) each [m].
 
     The robot's own frame lies off the true one by calibration error, encoder bias and bending joints. What it touches
@@ -53,7 +53,7 @@ class Touched(NamedTuple):
     """Where the shaft enters, the error of the registration left out."""
 
     @classmethod
-    def nothing(cls) -> Touched:
+    def nothing(cls) -> TaskOffset:
         """The robot's frame is the true one."""
         return cls(np.zeros(3), np.zeros(3))
 
@@ -63,24 +63,25 @@ class Block:
 
     Args:
         plant: tells joints and period.
-        brain: makes columns of its own.
-        courses: references of all ticks.
-        touched: see `Touched`.
+        controller: makes columns of its own.
+        trajectories: references of all ticks.
+        offset: see `TaskOffset`.
         first, ticks: number of the first tick, and how many there are.
         begin_s: time of tick 0 [s].
     """
 
     def __init__(
-        self, plant: Plant, brain: Brain, courses: Courses, touched: Touched, first: int, ticks: int, begin_s: float
+        self, plant: Plant, controller: LoggedController, trajectories: Trajectories, offset: TaskOffset,
+        first: int, ticks: int, begin_s: float,
     ) -> None:
-        n, self._touched = plant.data.n, touched
+        n, self._offset = plant.data.n, offset
         self.first, self.ticks, self.done = first, ticks, 0
-        self.tip_refs, self.trocars, self.registered = (course[first : first + ticks] for course in courses)
+        self.tip_refs, self.trocars, self.registered = (t[first : first + ticks] for t in trajectories)
         self.kept: Columns = {
             "t_s": begin_s + plant.settings.period_s * np.arange(first, first + ticks),
             "tip_ref_m": np.array(self.tip_refs[:, 0]), "trocar_m": np.array(self.trocars[:, 0]),
-            "trocar_registered_m": self.registered[:, 0] + touched.trocar, "tau_Nm": np.empty((ticks, n)),
-            "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **brain.columns(ticks),
+            "trocar_registered_m": self.registered[:, 0] + offset.trocar, "tau_Nm": np.empty((ticks, n)),
+            "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **controller.columns(ticks),
         }  # fmt: skip
         self.truth, self.wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
         self._places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
@@ -93,7 +94,7 @@ class Block:
         kept["force_N"], kept["torque_Nm"] = self.wrench[rows, :3], self.wrench[rows, 3:]
         tip, wrist, tip_ref = kept["tip_m"], kept["wrist_m"], kept["tip_ref_m"]
         kept["tip_error_m"] = np.linalg.norm(tip_ref - tip, axis=1)
-        kept["tip_error_registered_m"] = np.linalg.norm(tip_ref + self._touched.tip - tip, axis=1)
+        kept["tip_error_registered_m"] = np.linalg.norm(tip_ref + self._offset.tip - tip, axis=1)
         kept["rcm_error_m"] = shaft_distance(tip, wrist, kept["trocar_m"])
         kept["rcm_error_registered_m"] = shaft_distance(tip, wrist, kept["trocar_registered_m"])
         return kept
@@ -103,16 +104,17 @@ class Log:
     """The rows of a run: one block of all, or several that go to a sink as they are full.
 
     Args:
-        plant, brain, courses, touched: see `Block`.
+        plant, controller, trajectories, offset: see `Block`.
         sink: takes each full block; None keeps all of them in one.
         most: ticks of a block for the sink.
     """
 
     def __init__(
-        self, plant: Plant, brain: Brain, courses: Courses, touched: Touched, sink: Sink | None, most: int
+        self, plant: Plant, controller: LoggedController, trajectories: Trajectories, offset: TaskOffset,
+        sink: Sink | None, most: int,
     ) -> None:
-        self._make = partial(Block, plant, brain, courses, touched)
-        self._sink, self._begin_s, self.total = sink, plant.time, len(courses.tip_refs)
+        self._make = partial(Block, plant, controller, trajectories, offset)
+        self._sink, self._begin_s, self.total = sink, plant.time, len(trajectories.tip_refs)
         self._most = self.total if sink is None else most
         self.block = self._open(0)
 

@@ -10,7 +10,7 @@ from numba import float64, int64, njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 from moc_opt.sim.actuation import Drives
 from moc_opt.sim.contact import Pushes, load_bodies, shaft_force
@@ -77,13 +77,13 @@ def _write_truth(
 
 
 # The kernels of one period, without a look at the types of their arguments: all are made in this file.
-_FINITE = Entry(_finite, MATRIX)
-_SOUND = Entry(_sound, VECTOR, VECTOR, float64)
-_WRITE = Entry(
+_FINITE = CompiledKernel(_finite, MATRIX)
+_SOUND = CompiledKernel(_sound, VECTOR, VECTOR, float64)
+_WRITE = CompiledKernel(
     _write_truth, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR, int64, int64, int64, MATRIX, VECTOR,
     float64, float64, float64, VECTOR,
 )  # fmt: skip
-_LOAD = Entry(
+_LOAD = CompiledKernel(
     load_bodies, *[MATRIX] * 5, VECTOR, int64, int64, int64, MATRIX, VECTOR, VECTOR,
     float64, float64, float64, INDICES, MATRIX,
 )  # fmt: skip

@@ -11,7 +11,7 @@ from numba import float64, njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ def _read(
         velocity[i], last[i] = estimate[i], position[i]
 
 
-_READ = Entry(_read, VECTOR, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
+_READ = CompiledKernel(_read, VECTOR, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
 
 
 class Encoders:

@@ -20,7 +20,7 @@ class Status(Enum):
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
     MAX_ITER = "raise max_iter or loosen eps"
     TIME_LIMIT = "raise the time budget or take a faster solver"
-    NUMERICAL = "numerical trouble: take rows = 5, damping > 0 or a larger cost_scale"
+    NUMERICAL = "numerical trouble: take rows = 5, regularization > 0 or a larger cost_scale"
     UNSUPPORTED = "ask supports(qp) why this solver cannot take this problem"
 
     label: str

@@ -52,7 +52,7 @@ class Faulty:
         if self.rate > 1.0:
             raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
 
-    def spoilt(self, ticks: int) -> NDArray[np.bool_]:
+    def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
         """Which of the first answers of a session are spoilt, (ticks,)."""
         return draw(self.seed, self.rate, ticks)
 

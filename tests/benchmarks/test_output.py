@@ -2,7 +2,6 @@
 
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -90,13 +89,6 @@ def test_commit_is_none_outside_a_checkout(tmp_path, monkeypatch):
     assert output.environment({}, 0)["commit"] is None
 
 
-def test_options_that_every_benchmark_has():
-    given = output.parser("speed", "about").parse_args(["a.toml", "--out", "b", "--seed", "3", "--quick"])
-    assert (given.config, given.out, given.seed, given.quick) == (Path("a.toml"), Path("b"), 3, True)
-    none = output.parser("speed", "about").parse_args([])
-    assert (none.config, none.out, none.seed, none.quick) == (None, Path("results/speed"), None, False)
-
-
 @pytest.mark.parametrize("name", ["solvers", "speed"])
 def test_default_configurations_ship(name):
     assert output.default_config(name).is_file()
@@ -107,13 +99,11 @@ def test_figures_are_saved_only_when_asked_for(tmp_path, monkeypatch):
     from moc_opt.report.page import Page
 
     asked = []
-    monkeypatch.setattr(output._WantFigures, "wanted", False)  # and so it is again after the test
     monkeypatch.setattr(export, "save_figures", lambda drawn, folder: asked.append((list(drawn), folder)))
     page = Page("a page")
     page.figure(figures.latency_ecdf({"a": [1.0, 2.0]}), "times", name="times")
     output.save_page(page, tmp_path / "report.html")
     assert (tmp_path / "report.html").exists()
     assert not asked
-    output.parser("solvers", "about").parse_args(["--figures"])
-    output.save_page(page, tmp_path / "report.html")
+    output.save_page(page, tmp_path / "report.html", figures=True)
     assert asked == [(["times"], tmp_path / "figures")]

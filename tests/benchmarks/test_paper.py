@@ -160,7 +160,7 @@ def test_settled_ticks_are_the_same_for_all_controllers_of_a_trial(trial, monkey
         return found
 
     monkeypatch.setattr(scenario, "run", remembered)
-    monkeypatch.setattr(paper_trials, "travelling", flags)
+    monkeypatch.setattr(paper_trials, "in_transient", flags)
     found = run_job(Job("g", "circle", trial, (MATCHED, "exact", "rnn")))
     assert asked == ["exact", "rnn"]
     settled = {m.controller: m.metrics for m in found.measurements if m.phase == "settled"}
@@ -464,7 +464,7 @@ def test_the_configuration_that_ships_is_the_papers_experiment():
         ("circle", "sinusoid", "spiral"), 15
     )
     assert {"exact", "rnn", "rnn-printed", *BASELINES} == set(of_paper[0].controllers)
-    assert of_paper[0].trial.control.damping == 0.0
+    assert of_paper[0].trial.control.regularization == 0.0
     tuned = [job.trial for job in jobs if job.group == "tuned"]
     assert [t.seed for t in tuned] == [job.trial.seed for job in of_paper]
 

@@ -22,9 +22,9 @@ from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
 from benchmarks.latency.goals import GOALS, judge_goals
-from benchmarks.latency.report import headline, tables, write_report
+from benchmarks.latency.report import headline, report, tables
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
 
@@ -52,7 +52,7 @@ def test_by_hand_the_answer_is_the_adapter_s_and_optimal(name, sequence):
     answers = [bare(qp)[0] for qp in sequence]
     for qp, x in zip(sequence, answers, strict=True):
         np.testing.assert_allclose(x, session.solve(qp).x, atol=1e-4)
-    found = judge(np.array([qp.row for qp in sequence]), np.array(answers))
+    found = compute_residuals(np.array([qp.row for qp in sequence]), np.array(answers))
     assert (found.primal < 1e-6).all()
     assert (found.relative < 1e-3).all()
 
@@ -111,7 +111,7 @@ def test_residuals_are_those_of_the_answers(sequence):
     assert found["primal_max"] < 1e-12
     assert found["natural_max"] < 1e-12
     answers = [Exact().start(qp).solve(qp) for qp in sequence]
-    judged = judge(
+    judged = compute_residuals(
         np.array([qp.row for qp in sequence]),
         np.array([answer.x for answer in answers]),
         np.array([answer.y for answer in answers]),
@@ -330,8 +330,7 @@ def test_report_and_headline_are_made_of_the_numbers(tmp_path):
     rival = next(row for row in tables(summary)["peers"].rows if row["name"] == "rival")
     assert rival["times_ours"] == pytest.approx(5.0)
     assert rival["times_c"] == pytest.approx(100.0 / 3.0)
-    write_report(tmp_path / "report.html", summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0})
-    page = (tmp_path / "report.html").read_text()
+    page = report(summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0}).html()
     assert "rival" in page
     assert "12.0" in page
 

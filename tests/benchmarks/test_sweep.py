@@ -16,7 +16,7 @@ from benchmarks import sweep
 from benchmarks.output import default_config
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.fields import check_path, paths, random_draws
-from benchmarks.sweeps.plan import Plan, quick
+from benchmarks.sweeps.plan import Plan
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
 from tests.sweeps import TINY, config
 
@@ -50,9 +50,10 @@ def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str
     [
         ({"grid": {"seed": [1]}}, "give 'seeds'"),
         ({"grid": {"solver.name": ["osqp"]}}, "give 'solvers'"),
-        ({"grid": {"control.damping": 1e-5}}, "give a list of values"),
-        ({"grid": {"control.damping": [1e-5, 1e-5]}}, "given twice"),
-        ({"grid": {"control": {"damping": [1.0]}, "control.damping": [2.0]}}, "given twice"),
+        ({"grid": {"control.regularization": 1e-5}}, "give a list of values"),
+        ({"grid": {"control.regularization": [1e-5, 1e-5]}}, "given twice"),
+        ({"grid": {"control": {"regularization": [1.0]}, "control.regularization": [2.0]}}, "given twice"),
+        ({"grid": {"control.damping": [1.0], "control.regularization": [2.0]}}, "given twice"),
         ({"grid": {"plant.mass_error": [0.1, 2.0]}}, "mass_error = 2.0: not a scenario"),
         ({"grid": {"task.sizes.radius": [float("nan")]}}, r"radius\[0\] = nan"),
         ({"random": {"fields": {"plant.mass_error": {"low": 0.2, "high": 0.1}}}}, "not below"),
@@ -64,7 +65,7 @@ def test_unknown_field_is_refused_with_the_nearest_names(path: str, nearest: str
         ({"seeds": 0}, "1 or more"),
         ({"solvers": []}, "each once"),
         ({"scenario": {"solver": {"name": "rnn"}}}, r"\[scenario.solver\]"),
-        ({"grid": {"control.damping": list(range(1, 4000)), "seed_": [1]}}, "unknown scenario field"),
+        ({"grid": {"control.regularization": list(range(1, 4000)), "seed_": [1]}}, "unknown scenario field"),
         ({"grid": {p: [i / 1e4 for i in range(4000)] for p in ("control.c0", "control.c1")}}, "several sweeps"),
     ],
 )  # fmt: skip
@@ -99,23 +100,23 @@ def test_a_sample_stays_in_its_range_and_only_grows(
     seed: int, samples: int, low: float, ratio: float
 ) -> None:
     fields: dict[str, Any] = {
-        "control.damping": {"low": low, "high": low * ratio, "scale": "log"},
+        "control.regularization": {"low": low, "high": low * ratio, "scale": "log"},
         "plant.friction": {"low": -low, "high": low * ratio},
         "plant.delay_ticks": {"low": 0, "high": 5, "scale": "integer"},
         "task.path": {"choice": ["circle", "spiral"]},
     }
     drawn = random_draws(fields, samples, seed)
-    assert all(low <= v <= low * ratio for v in drawn["control.damping"])
+    assert all(low <= v <= low * ratio for v in drawn["control.regularization"])
     assert all(-low <= v <= low * ratio for v in drawn["plant.friction"])
     assert set(drawn["plant.delay_ticks"]) <= set(range(6))
     assert all(isinstance(v, int) for v in drawn["plant.delay_ticks"])
-    longer = random_draws({"control": {"damping": fields["control.damping"]}}, samples + 3, seed)
-    assert longer["control.damping"][:samples] == drawn["control.damping"]
+    longer = random_draws({"control": {"regularization": fields["control.regularization"]}}, samples + 3, seed)
+    assert longer["control.regularization"][:samples] == drawn["control.regularization"]
 
 
 def test_a_logarithmic_sample_is_uniform_in_its_exponent() -> None:
-    fields = {"control.damping": {"low": 1e-6, "high": 1e-2, "scale": "log"}}
-    drawn = np.log10(random_draws(fields, 4000, 0)["control.damping"])
+    fields = {"control.regularization": {"low": 1e-6, "high": 1e-2, "scale": "log"}}
+    drawn = np.log10(random_draws(fields, 4000, 0)["control.regularization"])
     assert np.histogram(drawn, [-6, -5, -4, -3, -2])[0] == pytest.approx([1000] * 4, rel=0.1)
 
 
@@ -125,7 +126,7 @@ def test_the_plan_is_every_combination_in_a_fixed_order() -> None:
     assert [plan.point(i).solver for i in range(3)] == ["exact", "osqp", "exact"]
     assert [plan.point(i).seed for i in range(5)] == [0, 0, 1, 1, 0]
     last = plan.scenario(23)
-    assert (last.control.damping, last.plant.mass_error, last.seed, last.solver.name) == (
+    assert (last.control.regularization, last.plant.mass_error, last.seed, last.solver.name) == (
         1e-4,
         0.1,
         1,
@@ -140,7 +141,7 @@ def test_ids_belong_to_scenarios_not_to_places() -> None:
     plan, other = Plan(config()), Plan(config(grid={"plant.mass_error": [0.1]}, seeds=[1]))
     assert len({plan.run_id(i) for i in range(len(plan))}) == 12
     here = {plan.run_id(i): plan.scenario(i) for i in range(12)}
-    assert here[other.run_id(0)] == other.scenario(0)  # damping 1e-5 is the default
+    assert here[other.run_id(0)] == other.scenario(0)  # regularization 1e-5 is the default
     assert plan.digest == Plan(config()).digest != other.digest
     assert Plan(config(scenario={**TINY, "duration_s": 0.06})).run_id(0) not in here
 
@@ -170,7 +171,7 @@ def test_without_solvers_the_scenarios_own_is_taken() -> None:
 
 def test_quick_is_the_same_sweep_on_less() -> None:
     full = Config.load(default_config("sweep"))
-    small = Plan(quick(full))
+    small = Plan(full.quick())
     assert 0 < len(small) <= 8 < len(Plan(full))
     assert small.fields == Plan(full).fields
     assert small.config.scenario.duration_s == 0.2
@@ -179,21 +180,21 @@ def test_quick_is_the_same_sweep_on_less() -> None:
 def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path, capsys: Any) -> None:
     file = tmp_path / "sweep.toml"
     file.write_text(
-        'seeds = 1\nsolvers = ["dcac", "exact"]\n[grid]\ncontrol.damping = [1e-6, 1e-4]\n'
+        'seeds = 1\nsolvers = ["dcac", "exact"]\n[grid]\ncontrol.regularization = [1e-6, 1e-4]\n'
         "[scenario]\nduration_s = 0.05\njudge = false\nbound_samples = 0\n"
     )
     command = [str(file), "--out", str(tmp_path / "out"), "--workers", "1"]
     assert sweep.main(command) == 0
     shown = capsys.readouterr().out
-    assert "By solver and control.damping" in shown
+    assert "By solver and control.regularization" in shown
     assert "4 runs, 0 of them ended by an error" in shown
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["sweep"]["runs"] == {
         "all": 4, "failed": 0, "stopped": 0, "oscillated": 0, "lost": 0, "timed_alone": 4, "timed_shared": 0,
     }  # fmt: skip
     assert summary["latency"]["exact"]["tick_p50_us"]["count"] == 2
-    assert summary["by control.damping"]["exact, 0.0001"]["runs"] == 1
-    assert "Manipulability against control.damping" in (tmp_path / "out" / "report.html").read_text()
+    assert summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
+    assert "Manipulability against control.regularization" in (tmp_path / "out" / "report.html").read_text()
     assert (tmp_path / "out" / "environment.json").exists()
 
     whole = (tmp_path / "out" / "rows.parquet").read_bytes()

@@ -118,12 +118,12 @@ def test_third_level_adds_no_acceleration_of_tip_or_wrist(robot, regular_poses):
         assert np.linalg.norm(state.A @ np.linalg.solve(state.M, difference)) < 1e-9 * scale
 
 
-@pytest.mark.parametrize("projector", ["dynamic", "static", "printed"])
+@pytest.mark.parametrize("projector", ["dynamic", "static", "as_published"])
 def test_projector_is_a_setting(projector, robot):
     state = robot.state(robot.data.q_home)
     controller, _, tip_ref, trocar = started(robot, None, state, projector=projector, **QUIET)
     trocar = trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])
-    number = ("dynamic", "static", "printed").index(projector)
+    number = ("dynamic", "static", "as_published").index(projector)
     wanted = tick.tracking_torque(
         state.record, 7, tip_ref, trocar, np.array([3000.0, 80.0, 800.0, 60.0]), number, False
     )
@@ -370,15 +370,15 @@ class Picky(Reusing):
 
     def supports(self, qp):
         """Only the paper's own problem."""
-        return None if qp.damping == 0.0 else "it needs damping = 0"
+        return None if qp.regularization == 0.0 else "it needs regularization = 0"
 
 
 def test_a_solver_that_refuses(robot):
     with pytest.raises(
-        ControlError, match="solver 'picky' cannot run in this controller: it needs damping = 0"
+        ControlError, match="solver 'picky' cannot run in this controller: it needs regularization = 0"
     ):
         started(robot, Picky())
-    controller, state, tip_ref, trocar = started(robot, Picky(), damping=0.0)
+    controller, state, tip_ref, trocar = started(robot, Picky(), regularization=0.0)
     assert np.isfinite(controller.tick(state, tip_ref, trocar)).all()
 
 

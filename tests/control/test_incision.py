@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control.incision import SHORTEST_DEPTH_M, rcm_error, trocar_force
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.tasks import shaft_distance
 
@@ -49,7 +49,7 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
 
 
 def guard_of(robot, **changes):
-    mine = Guard(robot.data, GuardSettings(**changes), PERIOD, robot.gravity, robot.tool_pose)
+    mine = SafetyFilter(robot.data, SafetyFilterSettings(**changes), PERIOD, robot.gravity, robot.tool_pose)
     mine.start(robot.data.q_home, np.zeros(7))
     return mine
 
@@ -82,22 +82,22 @@ def weight(robot, q, force=0.0):
 def test_a_level_warns_and_a_limit_stops_after_a_while(robot, warning, limit, bring, says):
     """Just below the warning nothing, between both a warning, above the limit a stop; each can be switched off."""
     q = robot.data.q_home
-    levels = GuardSettings()
+    levels = SafetyFilterSettings()
     low, high = getattr(levels, warning), getattr(levels, limit)
 
     def hold(value, ticks=1000, **changes):
         mine = guard_of(robot, **changes)
         for k in range(ticks):
-            mine.feel(q, *bring(robot, q, value))
-            if mine.lost:
+            mine.check_incision(q, *bring(robot, q, value))
+            if mine.stopped:
                 return mine, k
         return mine, ticks
 
     calm, _ = hold(0.99 * low)
-    assert not calm.lost
+    assert not calm.stopped
     assert calm.warnings == []
     warned, _ = hold(0.5 * (low + high))
-    assert not warned.lost
+    assert not warned.stopped
     [found] = warned.warnings
     assert found["of"] == says
     assert found["largest"] == pytest.approx(found["level"] * 0.5 * (low + high) / low, rel=1e-3)
@@ -106,17 +106,17 @@ def test_a_level_warns_and_a_limit_stops_after_a_while(robot, warning, limit, br
     assert stopped.reason.startswith(f"{says} has been above")
     assert 0.2 < k * PERIOD < 0.6  # a mean over 0.1 s takes that long to come so near
     sudden, k = hold(5.0 * high)
-    assert sudden.lost
+    assert sudden.stopped
     assert k * PERIOD < 0.01
     for off in (None, math.inf):
         silent, _ = hold(5.0 * high, **{limit: off, warning: off})
-        assert not silent.lost
+        assert not silent.stopped
         assert silent.warnings == []
         heard, _ = hold(5.0 * high, **{limit: off})
-        assert not heard.lost
+        assert not heard.stopped
         assert len(heard.warnings) == 1
     stopped.start(q, np.zeros(7))
-    assert not stopped.lost
+    assert not stopped.stopped
     assert stopped.warnings == []
 
 
@@ -135,7 +135,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
     for levels in ((2.0, 5.5), (4.0, 3.0)):
         guard = guard_of(robot, rcm_warning_m=1e-3 * levels[0], trocar_force_warning_N=levels[1], **quiet)
         for k in range(400):
-            guard.feel(q, *seen)
+            guard.check_incision(q, *seen)
             due = [(np.flatnonzero(m > level)[0], m[k], level)
                    for m, level in zip(both.values(), levels, strict=True) if m[k] > level]  # fmt: skip
             assert len(guard.warnings) == len(due)
@@ -144,7 +144,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
                 assert found["largest"] == pytest.approx(largest, rel=1e-9)
                 assert found["level"] == pytest.approx(level)
         assert [w["unit"] for w in guard.warnings] == ["mm", "N"]
-        guard.feel(q, off_by(robot, q, 0.0), weight(robot, q))
+        guard.check_incision(q, off_by(robot, q, 0.0), weight(robot, q))
         again = [w["largest"] for w in guard.warnings]
         assert again == pytest.approx([5.0, 6.0], rel=1e-3)  # the largest stays, whatever comes
     for name, change, level in (("RCM", "rcm_error_m", 4e-3), ("force", "trocar_force_N", 4.0)):
@@ -152,18 +152,18 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
         guard = guard_of(robot, **{**quiet, **low, change: level})
         due = int(np.flatnonzero(both[name] > 4.0)[0])
         for _ in range(due + 1):
-            assert not guard.lost
-            guard.feel(q, *seen)
+            assert not guard.stopped
+            guard.check_incision(q, *seen)
         assert guard.reason.endswith(f"has been above 4 {'mm' if name == 'RCM' else 'N'}")
 
 
 def test_both_above_their_limits_are_both_noted(robot):
     guard, q = guard_of(robot, incision_s=PERIOD), robot.data.q_home
-    guard.feel(q, off_by(robot, q, 0.05), weight(robot, q, 50.0))
+    guard.check_incision(q, off_by(robot, q, 0.05), weight(robot, q, 50.0))
     assert guard.reason.startswith("the RCM error")
     assert guard.warnings[0]["largest"] == pytest.approx(50.0)
     guard = guard_of(robot, incision_s=PERIOD)
-    guard.feel(q, off_by(robot, q, 0.01), weight(robot, q, 50.0))
+    guard.check_incision(q, off_by(robot, q, 0.01), weight(robot, q, 50.0))
     assert guard.reason.startswith("the trocar's force")
     assert [w["of"] for w in guard.warnings] == ["the RCM error", "the trocar's force"]
 
@@ -171,10 +171,10 @@ def test_both_above_their_limits_are_both_noted(robot):
 def test_a_start_forgets_the_means(robot):
     guard, q = guard_of(robot), robot.data.q_home
     for _ in range(30):
-        guard.feel(q, off_by(robot, q, 0.011), weight(robot, q))
+        guard.check_incision(q, off_by(robot, q, 0.011), weight(robot, q))
     assert len(guard.warnings) == 1
     guard.start(q, np.zeros(7))
-    guard.feel(q, off_by(robot, q, 0.011), weight(robot, q))
+    guard.check_incision(q, off_by(robot, q, 0.011), weight(robot, q))
     assert guard.warnings == []
 
 
@@ -182,26 +182,26 @@ def test_a_loud_tick_between_readings_that_are_no_numbers_counts_as_heard(robot)
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard = guard_of(robot, incision_s=PERIOD, trocar_force_N=20.0, patience_ticks=1)
     for _ in range(5):
-        guard.feel(q, off_by(robot, q, 0.0), bad)
-        guard.feel(q, off_by(robot, q, 0.0), weight(robot, q, 10.0))
-    assert not guard.lost
-    guard.feel(q, off_by(robot, q, 0.0), bad)
-    assert not guard.lost
-    guard.feel(q, off_by(robot, q, 0.0), bad)
-    assert guard.lost
+        guard.check_incision(q, off_by(robot, q, 0.0), bad)
+        guard.check_incision(q, off_by(robot, q, 0.0), weight(robot, q, 10.0))
+    assert not guard.stopped
+    guard.check_incision(q, off_by(robot, q, 0.0), bad)
+    assert not guard.stopped
+    guard.check_incision(q, off_by(robot, q, 0.0), bad)
+    assert guard.stopped
 
 
 def test_a_deaf_sensor_leaves_the_rcm_error_watched(robot):
     guard, q = guard_of(robot, incision_s=PERIOD), robot.data.q_home
-    guard.feel(q, off_by(robot, q, 0.05), np.full(6, np.nan))
+    guard.check_incision(q, off_by(robot, q, 0.05), np.full(6, np.nan))
     assert guard.reason.startswith("the RCM error")
 
 
 def test_a_guard_without_a_tool_knows_no_incision(robot):
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(7))
-    guard.feel(robot.data.q_home, off_by(robot, robot.data.q_home, 1.0), np.full(6, np.nan))
-    assert not guard.lost
+    guard.check_incision(robot.data.q_home, off_by(robot, robot.data.q_home, 1.0), np.full(6, np.nan))
+    assert not guard.stopped
     assert guard.warnings == []
 
 
@@ -222,21 +222,21 @@ def test_levels_must_be_in_order_and_numbers():
     for wrong in ({"rcm_warning_m": 0.02}, {"trocar_force_warning_N": 16.0}, {"rcm_error_m": -1.0},
                   {"trocar_force_N": float("nan")}):  # fmt: skip
         with pytest.raises(ControlError, match=next(iter(wrong))):
-            GuardSettings(**wrong)
+            SafetyFilterSettings(**wrong)
 
 
 def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard, sound = guard_of(robot), (off_by(robot, q, 0.0), weight(robot, q))
     for _ in range(3):
-        guard.feel(q, sound[0], bad)
-    guard.feel(q, *sound)
+        guard.check_incision(q, sound[0], bad)
+    guard.check_incision(q, *sound)
     for _ in range(3):
-        guard.feel(q, sound[0], bad)
-    assert not guard.lost
-    guard.feel(q, sound[0], bad)
+        guard.check_incision(q, sound[0], bad)
+    assert not guard.stopped
+    guard.check_incision(q, sound[0], bad)
     assert "wrench sensor" in guard.reason
     off = guard_of(robot, trocar_force_N=None, trocar_force_warning_N=None)
     for _ in range(10):
-        off.feel(q, sound[0], bad)
-    assert not off.lost
+        off.check_incision(q, sound[0], bad)
+    assert not off.stopped

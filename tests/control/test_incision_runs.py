@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from moc_opt.control.incision import trocar_force
-from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.live import LiveRun
 from moc_opt.scenario import Scenario, run
 
@@ -52,7 +52,7 @@ def test_an_arm_at_its_wall_is_stopped(control):
     # the tissue's spring pushes the arm back, its brakes open, until they close at half of stop_yield_N
     force = np.linalg.norm(trace.trocar_force_N[stop], axis=1)
     assert force.max() < 11.0
-    assert force[-1] < 0.5 * GuardSettings().stop_yield_N + 0.5
+    assert force[-1] < 0.5 * SafetyFilterSettings().stop_yield_N + 0.5
     assert np.linalg.norm(trace.tip_m[stop] - trace.tip_m[stop][0], axis=1).max() < 0.03
     assert np.abs(trace.v_rad_per_s[stop]).max() < 0.3
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.03
@@ -92,10 +92,11 @@ def test_a_live_run_is_stopped_with_its_brakes():
     stopped = live.moment()
     assert "the RCM error has been above 12 mm" in stopped.stopped
     assert "reset" in live.messages[-1]
-    begun = live._halt_at - round(live.scenario.guard.stop_s / live.period_s)
-    assert stopped.t_s == pytest.approx(live._halt_at * live.period_s)
+    begun = live._loop._stopped_at
+    watched = round(live.scenario.guard.stop_s / live.period_s) + 1
+    assert stopped.t_s == pytest.approx((begun + watched) * live.period_s)
     assert begun > 0
-    assert np.abs(live._plant.v).max() < 0.03  # half a second of brakes, not a frozen picture of a moving arm
+    assert np.abs(live._setup.plant.v).max() < 0.03  # half a second of brakes, not a frozen picture of a moving arm
     live.advance(100)
     assert live.moment().t_s == stopped.t_s
     live.reset()

@@ -6,16 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.control import motion_kernels as kernels
-from moc_opt.control.motion import MotionSettings, MotionWatch
+from moc_opt.control.motion import MotionMonitor, MotionSettings
 from moc_opt.control.motion_kernels import FRESH, OLD, REPEAT
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 
 PERIOD, PATIENCE, N = 0.002, 3, 7
 
 
 def ages(stamps, patience=PATIENCE):
     """What becomes of packets numbered so, one a tick, of a run that began with number 0 at tick 0."""
-    watch = MotionWatch(MotionSettings(), PERIOD, patience, np.full(N, 100.0))
+    watch = MotionMonitor(MotionSettings(), PERIOD, patience, np.full(N, 100.0))
     watch.start(np.zeros(N), np.zeros(N), 0)
     return [watch.age(int(stamp)) for stamp in stamps]
 
@@ -74,13 +74,13 @@ def test_a_growing_lag_is_too_old_when_it_has_grown_by_the_patience():
 
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
     """The first thing that is wrong with readings (k, n), and at which of them."""
-    watch = MotionWatch(MotionSettings(**levels), PERIOD, PATIENCE, np.full(N, 100.0))
+    watch = MotionMonitor(MotionSettings(**levels), PERIOD, PATIENCE, np.full(N, 100.0))
     watch.start(q[0], v[0], 0)
     for k in range(len(q)):
         if reference is not None:
-            watch.reference(reference[k])
+            watch.set_reference(reference[k])
         given_tau = np.zeros(N) if tau is None else tau[k]
-        wrong = watch.look(q[k], v[k], given_tau, None if wrench is None else wrench[k])
+        wrong = watch.check_reading(q[k], v[k], given_tau, None if wrench is None else wrench[k])
         if wrong:
             return wrong, k
     return "", len(q)
@@ -157,28 +157,28 @@ def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
 def test_kernels_take_no_more_than_they_are_given(robot):
     """The memory has the rows that the kernels name, and a watch begun anew has none of the past."""
     assert kernels.EXCEEDED == kernels.ROWS - 1
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity, None, robot.state)
     q = np.array(robot.data.q_home)
     for _ in range(2):
         guard.start(q, np.zeros(N), 5)
         for k in range(5, 5 + PATIENCE + 2):
-            guard.believe(q, np.zeros(N), 5, np.zeros(N))
-            assert guard.lost == (k > 5 + PATIENCE)
+            guard.check_measurement(q, np.zeros(N), 5, np.zeros(N))
+            assert guard.stopped == (k > 5 + PATIENCE)
         assert "3 ticks late" in guard.reason
 
 
 def test_the_watch_can_be_switched_off(robot):
-    guard = Guard(robot.data, GuardSettings(motion=False), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(motion=False), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N), 0)
     for _ in range(50):
-        guard.believe(robot.data.q_home, np.zeros(N), 0, np.zeros(N))
-    assert not guard.lost
+        guard.check_measurement(robot.data.q_home, np.zeros(N), 0, np.zeros(N))
+    assert not guard.stopped
 
 
 @pytest.mark.parametrize("joint", range(4))
 def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
     """An arm whose reading stands, by a little noise, while a torque that no friction holds acts on a joint."""
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity, None, robot.state)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity, None, robot.state)
     q, v, rng = np.array(robot.data.q_home), np.zeros(N), np.random.default_rng(joint)
     for seen in ("noisy", "stuck"):
         guard.start(q, v, 0)
@@ -187,17 +187,17 @@ def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
             noise = 1e-5 * rng.normal(size=N)
             noise[joint] *= seen == "noisy"
             extra[joint] = 0.02 * robot.tau_max[joint] * (k > 100)
-            guard.believe(q + noise, v, k, robot.gravity(q) + extra)
-            guard.weigh(q + noise, v, None, robot.gravity(q) + extra)
-        assert not guard.lost  # as much as friction holds
+            guard.check_measurement(q + noise, v, k, robot.gravity(q) + extra)
+            guard.check_motion(q + noise, v, None, robot.gravity(q) + extra)
+        assert not guard.stopped  # as much as friction holds
         extra[joint] = 0.5 * robot.tau_max[joint]
         for more in range(200):
             noise = 1e-5 * rng.normal(size=N)
             noise[joint] *= seen == "noisy"
-            guard.believe(q + noise, v, 1000 + more, robot.gravity(q) + extra)
-            guard.weigh(q + noise, v, None, robot.gravity(q) + extra)
-            if guard.lost:
+            guard.check_measurement(q + noise, v, 1000 + more, robot.gravity(q) + extra)
+            guard.check_motion(q + noise, v, None, robot.gravity(q) + extra)
+            if guard.stopped:
                 break
-        assert guard.lost
+        assert guard.stopped
         assert more * PERIOD < 0.15
         assert ("repeats one reading" if seen == "stuck" else "torque") in guard.reason

@@ -61,7 +61,7 @@ def test_projectors_against_numpy(form, robot, regular_poses):
         wanted = {
             "dynamic": (np.eye(7) - J.T @ inverse.T) @ tau,
             "static": (np.eye(7) - J.T @ np.linalg.pinv(J).T) @ tau,
-            "printed": (np.eye(7) - J.T @ J) @ tau,
+            "as_published": (np.eye(7) - J.T @ J) @ tau,
         }
         assert set(wanted) == set(rcm.PROJECTORS)
         for name, value in wanted.items():
@@ -89,7 +89,7 @@ def test_level_two_moves_no_tip(robot, regular_poses):
             leak[name].append(np.linalg.norm(s.J_tip @ np.linalg.solve(s.M, tau)) / free)
     assert max(leak["dynamic"]) < 1e-10
     assert np.median(leak["static"]) > 1e-3
-    assert np.median(leak["printed"]) > 1e-3
+    assert np.median(leak["as_published"]) > 1e-3
 
 
 def test_static_projector_carries_no_tip_force(robot, regular_poses):
@@ -104,7 +104,7 @@ def test_static_projector_carries_no_tip_force(robot, regular_poses):
 @pytest.mark.parametrize("name", rcm.PROJECTORS)
 @BOTH
 def test_level_two_against_numpy(form, name, robot, regular_poses):
-    number = {"dynamic": tick.DYNAMIC, "static": tick.STATIC, "printed": tick.PRINTED}[name]
+    number = {"dynamic": tick.DYNAMIC, "static": tick.STATIC, "as_published": tick.AS_PUBLISHED}[name]
     assert rcm.PROJECTORS.index(name) == number
     rng = np.random.default_rng(3)
     for q in regular_poses(10):
@@ -122,7 +122,7 @@ def test_level_two_against_numpy(form, name, robot, regular_poses):
         inverse = Minv @ s.J_tip.T @ np.linalg.inv(s.J_tip @ Minv @ s.J_tip.T)
         if name == "static":
             inverse = np.linalg.pinv(s.J_tip)
-        elif name == "printed":
+        elif name == "as_published":
             inverse = s.J_tip.T
         wanted = (np.eye(7) - s.J_tip.T @ inverse.T) @ s.J_wrist.T @ force
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)

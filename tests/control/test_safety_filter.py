@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.control.safety_filter import Guard, GuardSettings, limit_torque
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, limit_torque
 from moc_opt.errors import ControlError
 
 PERIOD = 0.002
@@ -16,7 +16,7 @@ N = 7
 
 @pytest.fixture
 def guard(robot):
-    mine = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    mine = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     mine.start(robot.data.q_home, np.zeros(N))
     return mine
 
@@ -31,10 +31,10 @@ def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
     """Whatever is asked for, in any state, also beyond the joint limits."""
     q = robot.q_min + place * (robot.q_max - robot.q_min)
     before = before * robot.tau_max
-    mine = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
-    sent = mine.limit(tau, before, q, v)
+    mine = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
+    sent = mine.limit_torque(tau, before, q, v)
     assert (np.abs(sent) <= robot.tau_max).all()
-    step = GuardSettings().torque_rate_Nm_per_s * PERIOD
+    step = SafetyFilterSettings().torque_rate_Nm_per_s * PERIOD
     assert (np.abs(sent - before) <= step * (1 + 1e-12)).all()
     assert mine.limited == np.count_nonzero(sent != tau)
 
@@ -43,10 +43,10 @@ def test_torque_and_rate_stay_within_their_limits(robot, tau, before, place, v):
 @given(tau=numbers(-170.0, 170.0), place=numbers(0.0, 1.0), v=numbers(-6.0, 6.0))
 def test_too_fast_or_too_near_is_braked(robot, tau, place, v):
     """Without a rate limit: a joint that is too fast for where it is gets a torque below its weight's, against v."""
-    s = GuardSettings(torque_rate_Nm_per_s=1e9)
+    s = SafetyFilterSettings(torque_rate_Nm_per_s=1e9)
     q = robot.q_min + place * (robot.q_max - robot.q_min)
-    mine = Guard(robot.data, s, PERIOD)  # drives that carry the weight: hold = 0
-    sent = mine.limit(np.clip(tau, -robot.tau_max, robot.tau_max), np.zeros(N), q, v)
+    mine = SafetyFilter(robot.data, s, PERIOD)  # drives that carry the weight: hold = 0
+    sent = mine.limit_torque(np.clip(tau, -robot.tau_max, robot.tau_max), np.zeros(N), q, v)
     for i in range(N):
         inside = min(robot.q_max[i] - q[i], q[i] - robot.q_min[i]) < s.position_margin_rad
         if inside and abs(v[i]) > robot.v_max[i] and (q[i] > 0.0) != (v[i] > 0.0):
@@ -66,7 +66,7 @@ def test_too_fast_or_too_near_is_braked(robot, tau, place, v):
 
 def test_calm_torques_pass_untouched(guard, robot):
     tau = robot.gravity(robot.data.q_home)
-    sent = guard.limit(tau, tau, robot.data.q_home, 0.5 * robot.v_max)
+    sent = guard.limit_torque(tau, tau, robot.data.q_home, 0.5 * robot.v_max)
     np.testing.assert_array_equal(sent, tau)
     assert guard.limited == 0
 
@@ -85,24 +85,24 @@ def test_the_kernel_asks_for_the_weight_only_where_it_brakes(robot):
 
 def test_bad_measurements_are_bridged(guard, robot):
     q, v = robot.data.q_home, np.full(N, 0.1)
-    guard.believe(q, v)
+    guard.check_measurement(q, v)
     for k, bad in enumerate((np.full(N, np.nan), q + 1.0, np.full(N, np.inf)), start=1):
-        seen, speed = guard.believe(bad, v)
+        seen, speed = guard.check_measurement(bad, v)
         np.testing.assert_allclose(seen, q + k * PERIOD * v, rtol=0, atol=1e-12)
         np.testing.assert_array_equal(speed, v)
         assert guard.bad_ticks == k
-        assert not guard.lost
-    back, _ = guard.believe(q + 3 * PERIOD * v, v)
+        assert not guard.stopped
+    back, _ = guard.check_measurement(q + 3 * PERIOD * v, v)
     np.testing.assert_array_equal(back, q + 3 * PERIOD * v)
     assert guard.bad_ticks == 0
     for _ in range(4):
-        guard.believe(q, np.full(N, np.nan))
-    assert guard.lost
+        guard.check_measurement(q, np.full(N, np.nan))
+    assert guard.stopped
     assert "not believed" in guard.reason
 
 
 def test_a_speed_that_no_joint_has_is_not_believed(guard, robot):
-    guard.believe(robot.data.q_home, 6.0 * robot.v_max)
+    guard.check_measurement(robot.data.q_home, 6.0 * robot.v_max)
     assert guard.bad_ticks == 1
 
 
@@ -117,4 +117,4 @@ def test_the_first_measurement_must_be_one(guard, bad):
 )
 def test_wrong_settings_name_the_field(field):
     with pytest.raises(ControlError, match=next(iter(field))):
-        GuardSettings(**field)
+        SafetyFilterSettings(**field)

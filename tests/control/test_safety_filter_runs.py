@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import ControlError, PlantError
 from moc_opt.scenario import Scenario, Setup, run
-from moc_opt.scenario.driver import Driver
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.sim.loop import RunAway, Stop, simulate
 from moc_opt.trace.trace import Trace
@@ -30,7 +30,7 @@ class Saboteur:
     def start(self, *_):
         pass
 
-    def sent(self, tau):
+    def set_applied_torque(self, tau):
         pass
 
     def columns(self, ticks):
@@ -55,17 +55,17 @@ def test_a_saboteur_gets_no_joint_past_its_limit(robot, every, seed):
     place = 0.1 + 0.8 * np.random.default_rng(seed).uniform(size=N)
     plant.reset(robot.q_min + place * (robot.q_max - robot.q_min))
     ticks = 600
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     trace = simulate(
         plant, Saboteur(robot, every, seed), np.zeros((ticks, 3, 3)), np.zeros((ticks, 2, 3)),
-        np.zeros((ticks, 2, 3)), guard=guard,
+        np.zeros((ticks, 2, 3)), safety_filter=guard,
     )  # fmt: skip
     assert trace.limited.any()
     assert (trace.q_rad >= robot.q_min - 1e-3).all()
     assert (trace.q_rad <= robot.q_max + 1e-3).all()
     assert (np.abs(trace.tau_Nm) <= robot.tau_max).all()
     rate = np.abs(np.diff(trace.tau_Nm, axis=0)).max() / PERIOD
-    assert rate <= GuardSettings().torque_rate_Nm_per_s * (1 + 1e-9)
+    assert rate <= SafetyFilterSettings().torque_rate_Nm_per_s * (1 + 1e-9)
     # speeds are braked, not foreseen: full torque the wrong way exceeds them for some ticks
     speed = np.abs(trace.v_rad_per_s) / robot.v_max
     assert speed.max() < 5.0
@@ -131,19 +131,19 @@ def test_the_weight_is_carried_and_the_last_push_is_not(robot):
     Without the brakes' dry friction, which would hold the arm in either case.
     """
 
-    class Holding(Guard):
-        def rest(self, before):
+    class Holding(SafetyFilter):
+        def stop_torque(self, before):
             return before
 
     travels = []
-    for kind in (Guard, Holding):
+    for kind in (SafetyFilter, Holding):
         setup = Setup(Scenario(control={"preset": "tuned"}, **QUICK))
         ticks = 600
         t = PERIOD * np.arange(ticks)
         references = np.stack(setup.reference.at(t), axis=1)
         trocars = np.stack(setup.trocar.at(t), axis=1)
-        guard = kind(robot.data, GuardSettings(stop_holding=0.0), PERIOD, robot.gravity)
-        brain = Driver(setup.controller())
+        guard = kind(robot.data, SafetyFilterSettings(stop_holding=0.0), PERIOD, robot.gravity)
+        brain = ControllerAdapter(setup.controller())
         stop_at = 350
 
         def watch(k, guard=guard, plant=setup.plant, stop_at=stop_at):
@@ -151,20 +151,20 @@ def test_the_weight_is_carried_and_the_last_push_is_not(robot):
                 plant.push("link_4", [30.0, 0.0, 0.0])
             if k == stop_at:
                 plant.clear_pushes()
-                guard.give_up("for a test")
+                guard.request_stop("for a test")
 
         trace = simulate(
-            setup.plant, brain, references, trocars, np.stack(setup.registered.at(t), axis=1), guard=guard,
+            setup.plant, brain, references, trocars, np.stack(setup.registered.at(t), axis=1), safety_filter=guard,
             stop=Stop(40.0, 0.4), watch=watch,
         )  # fmt: skip
         assert trace.meta["ended"] == "stopped: for a test (t = 0.700 s)"
         travels.append(np.linalg.norm(trace.tip_m[stop_at:] - trace.tip_m[stop_at], axis=1).max())
-        if kind is Guard:
+        if kind is SafetyFilter:
             np.testing.assert_allclose(trace.tau_Nm[-1], robot.gravity(trace.q_rad[stop_at - 1]), atol=0.05)
     assert travels[0] < 0.7 * travels[1]
 
 
-class Breaking(Driver):
+class Breaking(ControllerAdapter):
     """A controller that breaks down at a tick, in one way or another."""
 
     def __init__(self, controller, how):
@@ -196,7 +196,7 @@ def test_a_controller_that_breaks_down_stops_the_arm(robot, how, says):
     trace = simulate(
         setup.plant, Breaking(setup.controller(), how), *(np.stack(r.at(t), axis=1) for r in
         (setup.reference, setup.trocar, setup.registered)),
-        guard=Guard(robot.data, GuardSettings(), PERIOD, robot.gravity), stop=Stop(40.0, 0.3),
+        safety_filter=SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity), stop=Stop(40.0, 0.3),
     )  # fmt: skip
     assert trace.meta["ended"].startswith("stopped: ")
     assert says in trace.meta["ended"]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.control.safety_kernels import believable, limit_torque, squared_error
 from moc_opt.errors import ControlError
 
@@ -55,11 +55,11 @@ def test_the_torque_follows_the_law(robot, seed, step, fast):
 @pytest.mark.parametrize("j", [0, 3, 6])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_one_torque_that_is_no_number_is_enough(robot, j, bad):
-    guard = Guard(robot.data, GuardSettings(), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N))
     tau, before = np.ones(N), np.full(N, 2.0)
     tau[j] = bad
-    assert guard.limit(tau, before, robot.data.q_home, np.zeros(N)) is before
+    assert guard.limit_torque(tau, before, robot.data.q_home, np.zeros(N)) is before
     assert guard.limited == 0
     assert guard.reason == "the controller's torque is not finite"
 
@@ -72,13 +72,13 @@ def test_a_brake_starts_from_the_arms_weight(robot):
         asked.append(q)
         return np.arange(7.0)
 
-    guard = Guard(robot.data, GuardSettings(torque_rate_Nm_per_s=1e9), PERIOD, gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(torque_rate_Nm_per_s=1e9), PERIOD, gravity)
     q, tau = robot.data.q_home, np.full(N, 30.0)
-    np.testing.assert_array_equal(guard.limit(tau, tau, q, np.zeros(N)), tau)
+    np.testing.assert_array_equal(guard.limit_torque(tau, tau, q, np.zeros(N)), tau)
     assert asked == []
     v = np.zeros(N)
     v[2] = 1.5 * robot.v_max[2]
-    sent = guard.limit(tau, tau, q, v)
+    sent = guard.limit_torque(tau, tau, q, v)
     assert len(asked) == 1
     assert sent[2] == pytest.approx(2.0 - 20.0 * 0.5 * robot.v_max[2])
     np.testing.assert_array_equal(np.delete(sent, 2), np.delete(tau, 2))
@@ -103,16 +103,16 @@ def test_a_step_is_believed_up_to_the_jump_and_what_v_max_explains(j, sign, tick
 
 def test_limits_of_belief_grow_with_the_gap(robot):
     """After b bad measurements the arm may be (1 + b) ticks of v_max farther, from where it was expected."""
-    s = GuardSettings(speed_factor=2.0)
+    s = SafetyFilterSettings(speed_factor=2.0)
     q, v = robot.data.q_home, np.full(N, 0.2)
     for bad in range(3):
         for share, sound in ((0.999, True), (1.001, False)):
-            guard = Guard(robot.data, s, PERIOD)
+            guard = SafetyFilter(robot.data, s, PERIOD)
             guard.start(q, v)
             for _ in range(bad):
-                guard.believe(np.full(N, np.nan), v)
+                guard.check_measurement(np.full(N, np.nan), v)
             step = s.jump_rad + (1 + bad) * PERIOD * robot.v_max
-            guard.believe(q + bad * PERIOD * v + share * step, 2.0 * share * robot.v_max)
+            guard.check_measurement(q + bad * PERIOD * v + share * step, 2.0 * share * robot.v_max)
             assert guard.bad_ticks == (0 if sound else bad + 1)
 
 
@@ -126,33 +126,33 @@ def test_squared_error_is_of_the_first_row():
 @pytest.mark.parametrize("time_s", [0.1, 0.002, 0.0005])
 @pytest.mark.parametrize("factor", [0.999, 1.1, 3.0])
 def test_a_tip_off_its_reference_is_noted_when_its_mean_says_so(robot, time_s, factor):
-    guard = Guard(robot.data, GuardSettings(tip_error_m=0.004, tip_error_s=time_s), PERIOD)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(tip_error_m=0.004, tip_error_s=time_s), PERIOD)
     share = min(1.0, PERIOD / time_s)
     for _ in range(2):  # the second time after a start, which forgets
         guard.start(robot.data.q_home, np.zeros(N))
-        assert not guard.lost
+        assert not guard.stopped
         for k in range(1, 400):
-            guard.follow(np.array([0.0, 0.004 * factor, 0.0]), np.zeros((3, 3)))
-            assert guard.lost == (factor**2 * (1.0 - (1.0 - share) ** k) > 1.0)
+            guard.check_tip(np.array([0.0, 0.004 * factor, 0.0]), np.zeros((3, 3)))
+            assert guard.stopped == (factor**2 * (1.0 - (1.0 - share) ** k) > 1.0)
         assert guard.reason in ("", "the tip has been 4 mm off its reference")
     guard.start(robot.data.q_home, np.zeros(N))
-    guard.follow(np.full(3, np.nan), np.zeros((3, 3)))
-    assert guard.lost
+    guard.check_tip(np.full(3, np.nan), np.zeros((3, 3)))
+    assert guard.stopped
 
 
 def test_a_start_forgets_everything(robot):
-    guard = Guard(robot.data, GuardSettings(patience_ticks=0), PERIOD, robot.gravity)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(patience_ticks=0), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N))
-    guard.limit(np.full(N, 1e3), np.zeros(N), robot.data.q_home, np.zeros(N))
+    guard.limit_torque(np.full(N, 1e3), np.zeros(N), robot.data.q_home, np.zeros(N))
     assert guard.limited == N
-    guard.believe(np.full(N, np.nan), np.zeros(N))
-    assert guard.lost
-    guard.give_up("too late")
+    guard.check_measurement(np.full(N, np.nan), np.zeros(N))
+    assert guard.stopped
+    guard.request_stop("too late")
     assert guard.reason == "measurements not believed"
     q, v = robot.data.q_home + 0.1, np.full(N, 0.3)
     guard.start(q, v)
-    assert (guard.lost, guard.bad_ticks, guard.limited, guard.reason, guard.warnings) == (False, 0, 0, "", [])
-    seen, speed = guard.believe(np.full(N, np.nan), v)
+    assert (guard.stopped, guard.bad_ticks, guard.limited, guard.reason, guard.warnings) == (False, 0, 0, "", [])
+    seen, speed = guard.check_measurement(np.full(N, np.nan), v)
     np.testing.assert_allclose(seen, q + PERIOD * v, rtol=1e-14)
     np.testing.assert_array_equal(speed, v)
     with pytest.raises(ControlError, match=r"v = .*not finite"):
@@ -162,35 +162,35 @@ def test_a_start_forgets_everything(robot):
 @pytest.mark.parametrize("rate", [20000.0, 1e9])
 def test_at_rest_the_weight_is_carried_within_the_limits(robot, rate):
     weight = np.array([1e3, -1e3, 5.0, -5.0, 0.0, 60.0, -60.0])
-    s = GuardSettings(torque_rate_Nm_per_s=rate)
+    s = SafetyFilterSettings(torque_rate_Nm_per_s=rate)
     before = np.array([-100.0, 100.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     wanted = np.clip(weight, -robot.tau_max, robot.tau_max)
     step = rate * PERIOD
-    guard = Guard(robot.data, s, PERIOD, lambda q: weight)
+    guard = SafetyFilter(robot.data, s, PERIOD, lambda q: weight)
     guard.start(robot.data.q_home, np.zeros(N))
     guard.limited = 3
-    np.testing.assert_allclose(guard.rest(before), np.clip(wanted, before - step, before + step), rtol=1e-12)
+    np.testing.assert_allclose(guard.stop_torque(before), np.clip(wanted, before - step, before + step), rtol=1e-12)
     assert guard.limited == 0
-    bare = Guard(robot.data, s, PERIOD)
-    np.testing.assert_allclose(bare.rest(before), np.clip(np.zeros(N), before - step, before + step))
-    dumb = Guard(robot.data, s, PERIOD, lambda q: np.full(N, np.nan))
-    np.testing.assert_array_equal(dumb.rest(before), np.zeros(N))
+    bare = SafetyFilter(robot.data, s, PERIOD)
+    np.testing.assert_allclose(bare.stop_torque(before), np.clip(np.zeros(N), before - step, before + step))
+    dumb = SafetyFilter(robot.data, s, PERIOD, lambda q: np.full(N, np.nan))
+    np.testing.assert_array_equal(dumb.stop_torque(before), np.zeros(N))
 
 
 def test_levels_may_be_equal_and_are_compared_where_both_are_given():
-    GuardSettings(rcm_warning_m=0.012, trocar_force_warning_N=15.0)
-    GuardSettings(rcm_warning_m=0.02, rcm_error_m=None, trocar_force_warning_N=None, trocar_force_N=1.0)
+    SafetyFilterSettings(rcm_warning_m=0.012, trocar_force_warning_N=15.0)
+    SafetyFilterSettings(rcm_warning_m=0.02, rcm_error_m=None, trocar_force_warning_N=None, trocar_force_N=1.0)
     for least in ({"torque_rate_Nm_per_s": 0.5}, {"wall_brake_rad_per_s2": 0.5}, {"jump_rad": 0.5},
                   {"tip_error_m": 0.5}, {"tip_error_s": 0.5}, {"rcm_error_m": 0.5}, {"incision_s": 0.5},
                   {"speed_factor": 1.5},
                   {"stop_damping_Nm_s_per_rad": 0.5}, {"stop_s": 0.5}, {"position_margin_rad": 0.0},
                   {"wall_stiffness_Nm_per_rad": 0.0}, {"wall_damping_Nm_s_per_rad": 0.0}, {"patience_ticks": 0},
                   {"trocar_force_N": 0.5, "trocar_force_warning_N": 0.5}):  # fmt: skip
-        GuardSettings(**least)
+        SafetyFilterSettings(**least)
         [field, *_] = least
         low = {"speed_factor": 1.0, "patience_ticks": -1}.get(field, -1e-9 if least[field] == 0.0 else 0.0)
         with pytest.raises(ControlError, match=field):
-            GuardSettings(**{field: low})
+            SafetyFilterSettings(**{field: low})
 
 
 @pytest.mark.parametrize("field", ["rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N"])
@@ -198,12 +198,12 @@ def test_levels_may_be_equal_and_are_compared_where_both_are_given():
 def test_a_level_is_above_zero(field, value):
     off = dict.fromkeys(("rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N"))
     with pytest.raises(ControlError, match=field):
-        GuardSettings(**{**off, field: value})
+        SafetyFilterSettings(**{**off, field: value})
 
 
 def test_defaults_are_those_of_the_documentation():
     """Each number bounds what an arm may do near a patient: a change of one is a decision, and is made here too."""
-    assert GuardSettings().model_dump() == {
+    assert SafetyFilterSettings().model_dump() == {
         "torque_rate_Nm_per_s": 20000.0, "position_margin_rad": 0.045, "wall_stiffness_Nm_per_rad": 2000.0,
         "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0, "jump_rad": 0.05, "speed_factor": 5.0,
         "patience_ticks": 3, "tip_error_m": 0.01, "tip_error_s": 0.1, "rcm_error_m": 0.012, "rcm_warning_m": 0.006,

@@ -90,7 +90,7 @@ def test_a_bad_number_in_the_robot_s_table(gain, value):
     ("field", "value"),
     [
         ("K_X", 0.0), ("K_X", -1.0), ("D_X", -1.0), ("K_N", 0.0), ("K_N2", -1.0), ("D_N2", -0.1), ("k0_per_s", 0.0),
-        ("c0", -0.01), ("c1", float("nan")), ("c2", -1e-3), ("damping", -1e-9), ("observer_gain_per_s", -1.0),
+        ("c0", -0.01), ("c1", float("nan")), ("c2", -1e-3), ("regularization", -1e-9), ("observer_gain_per_s", -1.0),
         ("dcac_damping", -1.0), ("K_N2", [1.0, -1.0]), ("D_N2", "soft"), ("dcac_damping", [float("nan")]),
         ("law", "both"), ("projector", "kinetic"), ("fallback", "stop"),
         ("limit_torque", "perhaps"), ("feedforward", 3),
@@ -103,6 +103,19 @@ def test_wrong_values(field, value):
         ControlSettings(**{field: value})
 
 
+def test_the_former_name_of_the_regularization():
+    """`damping` is taken wherever `regularization` is, with presets and changes too; never both at once."""
+    old = ControlSettings(damping=3e-4)
+    assert old == ControlSettings(regularization=3e-4)
+    assert old.damping == 3e-4
+    assert ControlSettings.preset("tuned", damping=3e-4) == ControlSettings.preset("tuned", regularization=3e-4)
+    assert old.replace({"damping": 1e-6}).regularization == 1e-6
+    with pytest.raises(ControlError, match=r"\[control\] regularization = 1e-05 is given beside damping = 0.001, its"):
+        ControlSettings(regularization=1e-5, damping=1e-3)
+    with pytest.raises(ControlError, match=r"\[control\] regularization = -1.0: input should be"):
+        ControlSettings(damping=-1.0)
+
+
 def test_unknown_field():
     with pytest.raises(UnknownNameError, match=r"\[control\] 'k0': did you mean .*c0"):
         ControlSettings(k0=2.0)
@@ -111,7 +124,7 @@ def test_unknown_field():
 def test_paper_preset():
     paper = ControlSettings.paper()
     assert (paper.c0, paper.c1, paper.c2, paper.k0_per_s) == (0.01, 0.01, 0.001, 0.1)
-    assert (paper.damping, paper.observer_gain_per_s, paper.feedforward) == (0.0, 0.0, False)
+    assert (paper.regularization, paper.observer_gain_per_s, paper.feedforward) == (0.0, 0.0, False)
     assert (paper.speed_fraction, paper.limit_margin_rad, paper.ramp_s) == (1.0, 0.0, 0.0)
     assert ControlSettings.paper(k0_per_s=1.0).k0_per_s == 1.0
 
@@ -129,9 +142,15 @@ def test_presets_by_name():
 def test_default_weights():
     """rho/c2 between 1e-3 and 1e-1 is useful."""
     default = ControlSettings()
-    assert 1e-3 <= default.damping / default.c2 <= 1e-1
+    assert 1e-3 <= default.regularization / default.c2 <= 1e-1
 
 
 def test_gains_given_as_a_table_are_sent_to_where_they_belong():
     with pytest.raises(ControlError, match=r"gains = .*single gains are keys of \[control\] itself"):
         ControlSettings(gains={"K_N2": 80.0})
+
+
+def test_the_old_name_of_the_published_projector_is_understood():
+    assert ControlSettings(projector="printed") == ControlSettings(projector="as_published")
+    with pytest.raises(ControlError, match="projector = 'prints'"):
+        ControlSettings(projector="prints")

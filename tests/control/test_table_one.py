@@ -93,7 +93,7 @@ def test_the_printed_network_starts_at_zero_and_has_the_printed_gain(robot, give
 
 
 def test_multipliers_are_zero_until_the_first_tick():
-    qp = random_problem(np.random.default_rng(0), damping=0.0)
+    qp = random_problem(np.random.default_rng(0), regularization=0.0)
     session = RNNPrinted().start(qp)
     at_rest = session.solve(qp)
     np.testing.assert_allclose(at_rest.x, np.clip(-K * qp.p, qp.lower, qp.upper), atol=1e-15)

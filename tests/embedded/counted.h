@@ -29,6 +29,6 @@ COMPARISON(<) COMPARISON(>) COMPARISON(<=) COMPARISON(>=) COMPARISON(==) COMPARI
 FUNCTION(sqrt) FUNCTION(fabs) FUNCTION(sin) FUNCTION(cos)
 #define FUNCTION_OF_TWO(name) \
     inline Counted name(Counted x, Counted y) { return ++operations, Counted(::name(x.value, y.value)); }
-FUNCTION_OF_TWO(fmin) FUNCTION_OF_TWO(fmax)
+FUNCTION_OF_TWO(fmin) FUNCTION_OF_TWO(fmax) FUNCTION_OF_TWO(fmod)
 
 #define double Counted

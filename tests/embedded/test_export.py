@@ -20,21 +20,21 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.safety_filter import GuardSettings
+from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.control.settings import PAPER
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
 from moc_opt.embedded.layout import layout
-from moc_opt.embedded.support import GUARDED, OBEYED, SUPERVISED, check_guard
+from moc_opt.embedded.support import GUARDED, OBEYED, SUPERVISED, check_safety_filter
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import judge
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.driver import Driver
-from moc_opt.sim.loop import Brain, simulate
+from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.sim.loop import LoggedController, simulate
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
 from moc_opt.solvers.exact.solver import Exact
@@ -56,7 +56,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "all-else": {
         "projector": "static", "feedforward": True, "fallback": "hold", "speed_fraction": 0.2, "ramp_s": 0.01,
         "limit_margin_rad": 0.4,
-        "damping": 1e-4, "c2": 0.002, "K_N2": [20.0, 30.0, 15.0, 8.0, 5.0, 4.0, 3.0],
+        "regularization": 1e-4, "c2": 0.002, "K_N2": [20.0, 30.0, 15.0, 8.0, 5.0, 4.0, 3.0],
     },
 }  # fmt: skip
 
@@ -219,16 +219,16 @@ def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) ->
 
 
 def test_every_setting_of_guard_and_supervisor_is_either_obeyed_or_refused() -> None:
-    for known, kind in ((GUARDED, GuardSettings), (SUPERVISED, SupervisorSettings)):
+    for known, kind in ((GUARDED, SafetyFilterSettings), (SUPERVISED, SupervisorSettings)):
         unknown = set(kind.model_fields) ^ known
         assert not unknown, f"teach moc_opt/embedded/c about {unknown}, or refuse it in support.py and say so here"
 
-    class Later(GuardSettings):
+    class Later(SafetyFilterSettings):
         softness: float = 0.0
 
-    check_guard(Later())
+    check_safety_filter(Later())
     with pytest.raises(ControlError, match=r"\[guard\] softness = 2.0 is not known.*leave it out"):
-        check_guard(Later(softness=2.0))
+        check_safety_filter(Later(softness=2.0))
 
 
 # ---- compiled ------------------------------------------------------------------------------------------
@@ -270,7 +270,7 @@ def test_c_equals_python_on_seeded_states(robot: RobotModel, regular_poses: Draw
     assert control.law == "dcac" or seen == {Status.SOLVED, Status.INFEASIBLE}
 
 
-def loop(setup: Setup, brain: Brain) -> Trace:
+def loop(setup: Setup, brain: LoggedController) -> Trace:
     t = setup.times()
     references = (setup.reference.at(t), setup.trocar.at(t), setup.registered.at(t))
     return simulate(setup.plant, brain, *(np.stack(parts, axis=1) for parts in references))
@@ -291,7 +291,7 @@ def loop(setup: Setup, brain: Brain) -> Trace:
 def test_a_whole_run_leaves_the_same_trace(plant: dict[str, Any], law: str) -> None:
     scenario = Scenario(plant=plant, control=LAWS[law], judge=False, bound_samples=0)
     setups = [Setup(scenario) for _ in range(2)]
-    python = loop(setups[0], Driver(setups[0].controller()))
+    python = loop(setups[0], ControllerAdapter(setups[0].controller()))
     control = scenario.control
     brain = NativeController(setups[1].robot, control, solver_of(control), scenario.plant.period_s)
     native = loop(setups[1], brain)
@@ -319,7 +319,7 @@ def test_the_trace_has_no_answer_where_there_was_none(robot: RobotModel, regular
     np.testing.assert_array_equal(columns["applied_x_rad_per_s"][none], 0.0)
     for name in ("x_rad_per_s", "dual"):
         np.testing.assert_array_equal(np.isnan(columns[name]).all(axis=1), none)
-    judged = judge(columns["subproblem"], columns["x_rad_per_s"], columns["dual"])
+    judged = compute_residuals(columns["subproblem"], columns["x_rad_per_s"], columns["dual"])
     np.testing.assert_array_equal(judged.verified(), ~none)
 
 

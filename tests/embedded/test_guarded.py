@@ -1,4 +1,4 @@
-"""The whole controller in C beside `Safe(Driver(Controller), Guard)`: the same torque to 1e-9 Nm at every tick."""
+"""The whole controller in C beside the Python one and its safety filter: the same torque to 1e-9 Nm at every tick."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import moc_opt.sim.loop
-from moc_opt.control.safety_filter import Guard
+import moc_opt.sim.closed_loop
+from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.embedded.guarded import FAULTS, GuardedController
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Scenario, Setup, make_guard
-from moc_opt.scenario.driver import Driver
-from moc_opt.sim.safe import Safe
+from moc_opt.scenario import Scenario, Setup, make_safety_filter
+from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
@@ -38,10 +38,10 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 class Twin:
-    """Python's `Safe`, and the C program on the same inputs; what differs is kept."""
+    """Python's `FilteredController`, and the C program on the same inputs; what differs is kept."""
 
-    def __init__(self, brain: Driver, guard: Guard, sent: Array, scenario: Scenario) -> None:
-        self.python, self.brain, self.guard, self._sent = Safe(brain, guard, sent), brain, guard, sent
+    def __init__(self, brain: ControllerAdapter, guard: SafetyFilter, sent: Array, scenario: Scenario) -> None:
+        self.python, self.brain, self.guard, self._sent = FilteredController(brain, guard, sent), brain, guard, sent
         controller = brain.controller
         self.c = GuardedController(
             controller.robot, controller.settings, controller.solver, scenario.plant.period_s, scenario.guard
@@ -61,14 +61,14 @@ class Twin:
         solve_us = 0.0 if np.isnan(solve_us) else solve_us
         found = self.c.tick(seen.q, seen.v, tip_ref, trocar, seen.force, seen.stamp, solve_us)
         self.differences.append(float(np.abs(found - tau).max()))
-        assert self.python.lost.startswith(self.c.reason), (self.python.lost, self.c.reason)
-        assert bool(self.python.lost) == bool(self.c.reason)
+        assert self.python.stop_reason.startswith(self.c.reason), (self.python.stop_reason, self.c.reason)
+        assert bool(self.python.stop_reason) == bool(self.c.reason)
         assert self.c.limited == self.python.limited
-        if not self.python.lost and self.brain.controller.solver is not None:
+        if not self.python.stop_reason and self.brain.controller.solver is not None:
             assert self.c.fault == self.brain.controller.fault.label
             self.faults[self.c.fault] += 1
         self.limited_ticks += self.c.limited > 0
-        if not self.python.lost:
+        if not self.python.stop_reason:
             np.testing.assert_allclose(self.c.remembered, self.remembered, rtol=1e-7, atol=1e-8)
         return tau
 
@@ -82,15 +82,15 @@ class Twin:
             guard._motion._tip, guard._motion._still[:3], guard._motion._still[9:],
         ])  # fmt: skip
 
-    def hold(self, seen: Measurement) -> Array | float:
-        friction, found = self.python.hold(seen), self.c.hold(seen.force)
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        friction, found = self.python.brake_friction(seen), self.c.hold(seen.force)
         self.differences.append(float(np.abs(found - friction).max()))
         self.opened += not friction.any()
         return friction
 
     @property
-    def lost(self) -> str:
-        return self.python.lost
+    def stop_reason(self) -> str:
+        return self.python.stop_reason
 
     @property
     def limited(self) -> int:
@@ -105,12 +105,12 @@ def run_twins(scenario: Scenario) -> tuple[Twin, Any]:
     """Run the scenario's closed loop with both; Python's torque goes to the plant."""
     twins: list[Twin] = []
 
-    def make(brain: Driver, guard: Guard, sent: Array) -> Twin:
+    def make(brain: ControllerAdapter, guard: SafetyFilter, sent: Array) -> Twin:
         twins.append(Twin(brain, guard, sent, scenario))
         return twins[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(moc_opt.sim.loop, "Safe", make)
+        patch.setattr(moc_opt.sim.closed_loop, "FilteredController", make)
         trace = Setup(scenario).trace()
     return twins[0], trace
 
@@ -149,6 +149,8 @@ RUNS: dict[str, dict[str, Any]] = {
     "lagging-forged": {"faults": {"lag_at_s": 0.8, "forged_stamps": True}},
     "replayed": {"faults": {"replay_at_s": 0.8}},
     "replayed-forged": {"faults": {"replay_at_s": 0.8, "forged_stamps": True}},
+    "replayed-at-rest": {"faults": {"replay_at_s": 1.8, "replay_ticks": 80, "forged_stamps": True},
+                         "control": {"law": "dcac"}, "task": {"wait_s": 2.5}},
     "drifting": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}},
     "frozen-whole-at-rest": {"faults": {"frozen_at_s": 0.4, "forged_stamps": True, "frozen_velocity": "zero"},
                              "task": {"wait_s": 2.0}, "guard": {"repeat_whole_torque": 1.0, "stuck_torque": 1.0}},
@@ -189,7 +191,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
         "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
-        "frozen-whole-at-rest": "all encoders repeat",
+        "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
         "frozen-joint-heavy": "an encoder repeats", "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip
     if name in stops:
@@ -254,8 +256,8 @@ def stream(robot: RobotModel, angles: Array, seed: int, moving: float) -> list[t
 def compare_on(scenario: Scenario, given: list[tuple[Measurement, Array, Array]]) -> Twin:
     """Both, open loop, on the same measurements."""
     setup = Setup(scenario)
-    guard = make_guard(setup.robot, scenario)
-    twin = Twin(Driver(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
+    guard = make_safety_filter(setup.robot, scenario)
+    twin = Twin(ControllerAdapter(setup.controller()), guard, setup.robot.gravity(given[0][0].q), scenario)
     twin.start(*given[0])
     for inputs in given:
         twin.tick(*inputs)
@@ -276,7 +278,7 @@ ELBOWS = {
     "control",
     [
         {}, {"fallback": "damping"}, {"fallback": "hold"}, {"fallback": "hold", "supervisor": {"hold_ticks": 2}},
-        {"damping": 0.0},
+        {"regularization": 0.0},
         {"preset": "paper"}, {"law": "dcac"}, {"law": "dcac", "dcac_damping": 3.0}, {"projector": "static"},
     ],
     ids=lambda control: "-".join(f"{value}" for value in control.values()) or "default",
@@ -288,7 +290,7 @@ def test_a_straight_elbow_has_the_same_torque(robot: RobotModel, elbow: str, con
         twin = compare_on(scenario, stream(robot, ELBOWS[elbow], seed, moving))
         assert max(twin.differences) <= SAME_NM
         assert np.isfinite(twin.differences).all()
-        assert not twin.lost
+        assert not twin.stop_reason
         solved += twin.faults["none"]
     if elbow == "straight" and scenario.control.law == "moc":
         assert len(twin.brain.controller.null_space) == 3  # rank four: the self-motion has a second freedom
@@ -308,6 +310,6 @@ def test_what_is_no_number_is_treated_alike(robot: RobotModel) -> None:
             given[k] = (Measurement(arrays[0], arrays[1], arrays[2], k), arrays[3], arrays[4])
         twin = compare_on(scenario, given)
         assert max(twin.differences) <= SAME_NM, (bad, field, ticks)
-        stopped[twin.lost.partition(" has been")[0]] += 1
-        assert bool(twin.lost) or (field < 3 and ticks == 1), (bad, field, ticks)
+        stopped[twin.stop_reason.partition(" has been")[0]] += 1
+        assert bool(twin.stop_reason) or (field < 3 and ticks == 1), (bad, field, ticks)
     assert len(stopped) >= 4, stopped

@@ -51,7 +51,7 @@ def drawn_problem(robot: RobotModel, seed: int, reach: float, straight: bool, da
     lower, upper = -rng.uniform(0.1, 1.0, robot.n), rng.uniform(0.1, 1.0, robot.n)
     b = state.A @ velocity
     return NullSpaceQP(
-        state.J_tip, state.J_wrist, b[:3], b[3:], state.grad_mu, lower, upper, damping=damping, q=q
+        state.J_tip, state.J_wrist, b[:3], b[3:], state.grad_mu, lower, upper, regularization=damping, q=q
     )  # fmt: skip
 
 

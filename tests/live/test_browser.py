@@ -98,7 +98,7 @@ def test_it_keeps_step_with_the_clock(live: LivePage) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "wrong"), [("damping", "-1"), ("damping", "a lot"), ("K_N", ""), ("K_X", "nan")]
+    ("field", "wrong"), [("regularization", "-1"), ("regularization", "a lot"), ("K_N", ""), ("K_X", "nan")]
 )
 def test_a_wrong_number_changes_nothing(live: LivePage, field: str, wrong: str) -> None:
     panel, before = live._panel, live.run.control

@@ -13,6 +13,7 @@ import pytest
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.live import LiveError, LiveRun
 from moc_opt.live.address import CONSENT, checked_address
+from moc_opt.live.exchange import Choice
 from moc_opt.live.history import QUANTITIES, History, thinned
 from moc_opt.live.motion import SLOWLY_M_PER_S, MovingTrocar, ToAndFro
 from moc_opt.live.orders import DCAC
@@ -86,7 +87,7 @@ def test_the_plots_react_to_the_solver(run: LiveRun) -> None:
 
 @pytest.mark.parametrize("change", [
     lambda run: run.choose(DCAC), lambda run: run.choose("rnn"), lambda run: run.tune(K_X=1500.0, K_N=300.0),
-    lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(damping=1e-3),
+    lambda run: run.tune(observer_gain_per_s=0.0), lambda run: run.tune(regularization=1e-3),
 ])  # fmt: skip
 def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
     """The torque goes on where it was; the arm, in the realistic plant, hardly notices."""
@@ -97,7 +98,7 @@ def test_exchanges_do_not_jerk(change: Callable[[LiveRun], None]) -> None:
         if k == 50:
             change(run)
         run.advance(1)
-        sent.append(run._sent)
+        sent.append(run._loop.tau)
     steps = np.abs(np.diff(sent, axis=0)).max(axis=1)
     assert steps[49] <= 1.5 * steps[:49].max()
     assert steps[50:].max() < 3.0 * steps[:49].max()
@@ -121,7 +122,7 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
     before = run.control
     orders: list[tuple[Callable[[], None], type[MocOptError], str]] = [
         (lambda: run.choose("exat"), UnknownNameError, "did you mean 'exact'"),
-        (lambda: run.tune(damping=-1.0), ControlError, "damping = -1"),
+        (lambda: run.tune(regularization=-1.0), ControlError, "regularization = -1"),
         (lambda: run.tune(K_X=float("nan")), ControlError, "K_X"),
         (lambda: run.tune(rho=1e-5), UnknownNameError, "rho"),
         (lambda: run.tune(law="dcac"), LiveError, "choose"),
@@ -154,7 +155,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
     controller = run._build(run.control, "exact")
     controller.solver = Refuses()  # type: ignore[assignment]
-    run._waiting = controller, ("refuses", run.control)
+    run._in_use.replace(Choice(controller, "refuses", run.control))
     run.advance(10)
     assert "not in the mood; exact goes on" in run.messages.popleft()
     assert run.moment().solver == run.solver == "exact"
@@ -163,7 +164,7 @@ def test_what_only_the_loop_can_tell_becomes_a_message(run: LiveRun) -> None:
 
 def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.advance(50)
-    run._plant.mj_data.qvel[:] = 1e6
+    run._setup.plant.mj_data.qvel[:] = 1e6
     run.advance(100)
     stopped = run.moment()
     assert "stopped at" in stopped.stopped
@@ -224,7 +225,7 @@ def test_orders_come_from_many_threads(run: LiveRun) -> None:
         try:
             while not done.is_set():
                 run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
-                run.tune(damping=float(10 ** rng.uniform(-6, -3)))
+                run.tune(regularization=float(10 ** rng.uniform(-6, -3)))
                 run.place_trocar(*rng.uniform(-0.005, 0.005, 2))
                 run.moment(), run.history(50)
                 done.wait(0.005)

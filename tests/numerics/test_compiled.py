@@ -7,7 +7,7 @@ import pytest
 from numba import float64, njit
 from numba.core.errors import TypingError
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
 
 
 def scaled_sums():
@@ -21,7 +21,7 @@ def scaled_sums():
 
 def test_the_code_is_the_kernel_and_is_compiled_when_asked_for():
     kernel = scaled_sums()
-    entry = Entry(kernel, MATRIX, float64, VECTOR)
+    entry = CompiledKernel(kernel, MATRIX, float64, VECTOR)
     assert not kernel.overloads
     A, ours, theirs = np.arange(12.0).reshape(3, 4), np.empty(3), np.empty(3)
     entry.code(A, 2.0, ours)
@@ -34,14 +34,14 @@ def test_the_code_is_the_kernel_and_is_compiled_when_asked_for():
 def test_read_only_memory_is_read():
     A, out = np.ones((2, 3)), np.empty(2)
     A.flags.writeable = False
-    Entry(scaled_sums(), MATRIX, float64, VECTOR).code(A, 1.0, out)
+    CompiledKernel(scaled_sums(), MATRIX, float64, VECTOR).code(A, 1.0, out)
     np.testing.assert_array_equal(out, 3.0)
 
 
 @pytest.mark.parametrize("wrong", [np.ones((2, 3), dtype=np.float32), [[1.0, 2.0]], None])
 def test_another_kind_is_refused(wrong):
     with pytest.raises(TypeError):
-        Entry(scaled_sums(), MATRIX, float64, VECTOR).code(wrong, 1.0, np.empty(2))
+        CompiledKernel(scaled_sums(), MATRIX, float64, VECTOR).code(wrong, 1.0, np.empty(2))
 
 
 def test_what_is_borrowed_is_the_array_and_is_not_counted():

@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from numba import njit
 from numba.core.errors import TypingError
 
-from moc_opt.numerics import simd as lanes
+from moc_opt.numerics import simd
 
 NUMBERS = st.floats(-1e6, 1e6) | st.sampled_from([0.0, np.inf, -np.inf, np.nan])
 EIGHT = arrays(float, 8, elements=NUMBERS)
@@ -17,15 +17,15 @@ FINITE = arrays(float, 8, elements=st.floats(-1e6, 1e6))
 
 @njit(cache=True, error_model="numpy")
 def arithmetic(M, number, out):
-    a, b = lanes.load(M, 0, 0), lanes.load(M, 1, 0)
-    lanes.store(out, 0, 0, a + b)
-    lanes.store(out, 1, 0, a - number)
-    lanes.store(out, 2, 0, 3 * a)
-    lanes.store(out, 3, 0, a / b)
-    lanes.store(out, 4, 0, number / b)
-    lanes.store(out, 5, 0, lanes.magnitude(a))
-    lanes.store(out, 6, 0, lanes.above(a, b, number, lanes.magnitude(b)))
-    lanes.store(out, 7, 0, lanes.above(b, 1.0, a, -1.0))
+    a, b = simd.load(M, 0, 0), simd.load(M, 1, 0)
+    simd.store(out, 0, 0, a + b)
+    simd.store(out, 1, 0, a - number)
+    simd.store(out, 2, 0, 3 * a)
+    simd.store(out, 3, 0, a / b)
+    simd.store(out, 4, 0, number / b)
+    simd.store(out, 5, 0, simd.magnitude(a))
+    simd.store(out, 6, 0, simd.above(a, b, number, simd.magnitude(b)))
+    simd.store(out, 7, 0, simd.above(b, 1.0, a, -1.0))
 
 
 @settings(max_examples=100)
@@ -43,10 +43,10 @@ def test_entry_by_entry(a, b, number):
 
 @njit(cache=True)
 def compared(M, out):
-    a, b = lanes.load(M, 0, 0), lanes.load(M, 1, 0)
-    lanes.store(out, 0, 0, lanes.larger(a, b))
-    lanes.store(out, 1, 0, lanes.lesser(a, b))
-    return lanes.largest(a), lanes.least(a), lanes.total(a), lanes.first(a, lanes.largest(a))
+    a, b = simd.load(M, 0, 0), simd.load(M, 1, 0)
+    simd.store(out, 0, 0, simd.larger(a, b))
+    simd.store(out, 1, 0, simd.lesser(a, b))
+    return simd.largest(a), simd.least(a), simd.total(a), simd.first(a, simd.largest(a))
 
 
 @settings(max_examples=100)
@@ -67,7 +67,7 @@ def test_of_what_is_no_number_the_second_is_taken():
 
 @njit(cache=True)
 def found(M, value):
-    return lanes.first(lanes.load(M, 0, 0), value)
+    return simd.first(simd.load(M, 0, 0), value)
 
 
 def test_the_first_of_several_and_eight_for_none():
@@ -77,8 +77,8 @@ def test_the_first_of_several_and_eight_for_none():
 
 @njit(cache=True)
 def copied(vector, to, at, count, out):
-    lanes.keep(to, at, count, lanes.part(vector, at, count))
-    lanes.store(out, 0, 0, lanes.part(vector, at, count))
+    simd.keep(to, at, count, simd.part(vector, at, count))
+    simd.store(out, 0, 0, simd.part(vector, at, count))
 
 
 @pytest.mark.parametrize("count", [-3, 0, 1, 5, 8, 11])
@@ -95,8 +95,8 @@ def test_parts_end_where_they_are_told_to(count):
 @njit(cache=True)
 def units(out):
     for k in range(-1, 9):
-        lanes.store(out, k + 1, 0, lanes.unit(k))
-    lanes.store(out, 10, 0, lanes.zeros())
+        simd.store(out, k + 1, 0, simd.unit(k))
+    simd.store(out, 10, 0, simd.zeros())
 
 
 def test_units_and_zeros():
@@ -109,7 +109,7 @@ def test_units_and_zeros():
 @njit(cache=True)
 def shifted(M, i, c):
     out = np.empty((1, 8))
-    lanes.store(out, 0, 0, lanes.load(M, i, c))
+    simd.store(out, 0, 0, simd.load(M, i, c))
     return out[0]
 
 
@@ -121,7 +121,7 @@ def test_pieces_lie_where_a_matrix_has_them():
 
 @njit(cache=True)
 def in_frame(rows, columns):
-    M, N, indices = lanes.stack(rows, columns), lanes.stack(rows, columns), lanes.stack_indices(columns)
+    M, N, indices = simd.stack(rows, columns), simd.stack(rows, columns), simd.stack_indices(columns)
     for i in range(rows):
         for j in range(columns):
             M[i, j], N[i, j] = i + j, 1.0
@@ -145,18 +145,18 @@ def test_memory_of_the_frame_is_apart_aligned_and_given_back():
 
 @pytest.mark.parametrize(("n", "wide"), [(1, 8), (7, 8), (8, 8), (9, 16), (17, 24)])
 def test_width(n, wide):
-    assert lanes.width(n) == wide
+    assert simd.width(n) == wide
 
 
 def test_from_python_they_are_refused():
     with pytest.raises(NotImplementedError):
-        lanes.unit(0)
+        simd.unit(0)
 
 
 def test_lanes_and_what_is_no_number_are_refused():
     @njit
     def wrong(M):
-        return lanes.total(lanes.load(M, 0, 0) + "1")
+        return simd.total(simd.load(M, 0, 0) + "1")
 
     with pytest.raises(TypingError):
         wrong(np.zeros((1, 8)))

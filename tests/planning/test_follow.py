@@ -84,11 +84,11 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
 
 @pytest.mark.parametrize(
     ("control", "message"),
-    [({"damping": 0.0}, "rho = 0"), ({"c2": 0.0}, "c2 = 0"), ({"backend": "c"}, "backend = 'c'")],
+    [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0"), ({"backend": "c"}, "third_level")],
 )
 def test_what_cannot_follow_is_refused(control: dict[str, object], message: str) -> None:
     with pytest.raises((ControlError, MocOptError), match=message):
-        Setup(FOLLOWED.change(control=control)).brain()
+        Setup(FOLLOWED.change(control=control)).adapter()
 
 
 def test_a_path_without_a_course_is_refused_before_the_run() -> None:

@@ -50,9 +50,9 @@ def test_linear_costs_agree_with_highs(seed, shape, size):
 def test_damped_optimum_is_certified_and_the_worst_is_a_corner(seed, shape, weight):
     """Weak duality certifies the optimum; no random feasible point is better than it, or worse than the worst."""
     Z, low, high, slope = cut_box(seed, shape)
-    damping = float(np.linalg.norm(slope) * 10.0**weight)
-    found = extremes(Z, low, high, slope, damping)
-    cost = lambda w: slope @ w + 0.5 * damping * (w * w).sum(0)  # noqa: E731
+    regularization = float(np.linalg.norm(slope) * 10.0**weight)
+    found = extremes(Z, low, high, slope, regularization)
+    cost = lambda w: slope @ w + 0.5 * regularization * (w * w).sum(0)  # noqa: E731
     spread = found.most - found.least
     assert cost(found.w) == pytest.approx(found.least, abs=1e-8 * spread)
     assert np.maximum(low - Z @ found.w, Z @ found.w - high).max() < 1e-10
@@ -93,11 +93,11 @@ def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape,
     exact = []
     for seed in range(30):
         Z, low, high, slope = cut_box(seed, shape)
-        damping = float(np.linalg.norm(slope))
-        whole = extremes(Z, low, high, slope, damping)
+        regularization = float(np.linalg.norm(slope))
+        whole = extremes(Z, low, high, slope, regularization)
         with monkeypatch.context() as patch:
             patch.setattr(module, "MOST_CORNERS", 0)
-            bound = extremes(Z, low, high, slope, damping)
+            bound = extremes(Z, low, high, slope, regularization)
         assert bound.least == pytest.approx(whole.least, rel=1e-9)
         assert whole.least < bound.most <= whole.most * (1.0 + 1e-9)
         exact.append(bound.most > whole.most * (1.0 - 1e-6))
@@ -115,8 +115,8 @@ def test_nothing_allowed_is_none():
     Z = np.array([[1.0], [1.0]]) / np.sqrt(2.0)
     apart = np.array([0.0, 1.0]), np.array([0.5, 2.0])
     assert nearest(Z, *apart, np.zeros(1)) is None
-    for damping in (0.0, 1.0):
-        assert extremes(Z, *apart, np.ones(1), damping) is None
+    for regularization in (0.0, 1.0):
+        assert extremes(Z, *apart, np.ones(1), regularization) is None
     touching = np.array([0.0, 0.5]), np.array([0.5, 2.0])
     assert nearest(Z, *touching, np.zeros(1))[0] == pytest.approx([0.5 * np.sqrt(2.0)])
 
@@ -153,12 +153,12 @@ def test_joints_that_move_alike_make_no_corner():
     """Two equal rows of Z meet in no point: the corners are those of the others."""
     Z = np.linalg.qr(np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, -0.7]]))[0]
     Z[1] = Z[0]  # to the last bit
-    low, high, slope, damping = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
-    found = extremes(Z, low, high, slope, damping)
+    low, high, slope, regularization = -np.ones(4), np.ones(4), np.array([0.3, -0.2]), 0.5
+    found = extremes(Z, low, high, slope, regularization)
     ring = np.linspace(0.0, 2.0 * np.pi, 20001)
     rays = np.stack([np.cos(ring), np.sin(ring)])
     edge = rays / np.abs(Z @ rays).max(0)  # the set's border, seen from its middle
-    worst = (slope @ edge + 0.5 * damping * (edge**2).sum(0)).max()
+    worst = (slope @ edge + 0.5 * regularization * (edge**2).sum(0)).max()
     assert found.most == pytest.approx(worst, rel=1e-3)
 
 

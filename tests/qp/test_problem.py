@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from moc_opt.errors import SubproblemError
-from moc_opt.qp.problem import NullSpaceQP, fields, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from tests.problems import random_problem
 
 
@@ -27,7 +27,7 @@ def arguments():
         "c0": 0.02,
         "c1": 0.03,
         "c2": 0.004,
-        "damping": 1e-4,
+        "regularization": 1e-4,
     }
 
 
@@ -83,7 +83,7 @@ def test_everything_is_read_only(arguments):
         ("upper", np.full(7, np.inf), "upper"),
         ("c0", -1.0, "negative"),
         ("c2", np.nan, "c2"),
-        ("damping", -1e-9, "damping"),
+        ("regularization", -1e-9, "regularization"),
         ("q", np.ones(3), "q:"),
         ("c1", [1.0, 2.0], "c1"),
     ],
@@ -92,6 +92,18 @@ def test_bad_input_names_the_field(arguments, field, value, says):
     arguments[field] = value
     with pytest.raises(SubproblemError, match=says):
         NullSpaceQP(**arguments)
+
+
+def test_the_former_name_of_the_regularization(arguments):
+    rho = arguments.pop("regularization")
+    assert NullSpaceQP(**arguments).regularization == 1e-5
+    old, new = NullSpaceQP(**arguments, damping=rho), NullSpaceQP(**arguments, regularization=rho)
+    assert old == new
+    assert (old.damping, new.damping) == (rho, rho)
+    with pytest.raises(SubproblemError, match=r"regularization: 1e-05 stands beside damping = 1e-05.*keep one"):
+        NullSpaceQP(**arguments, regularization=1e-5, damping=1e-5)
+    with pytest.raises(SubproblemError, match=r"regularization: -1\.0 is negative"):
+        NullSpaceQP(**arguments, damping=-1.0)
 
 
 def test_record_round_trip(arguments):
@@ -136,7 +148,7 @@ def test_batch_judges_like_one_by_one():
     rng = np.random.default_rng(4)
     problems = [random_problem(rng, structured=bool(i % 2)) for i in range(8)]
     X, Y = rng.normal(size=(8, 7)), rng.normal(size=(8, 6))
-    together = judge(np.array([qp.row for qp in problems]), X, Y)
+    together = compute_residuals(np.array([qp.row for qp in problems]), X, Y)
     for i, qp in enumerate(problems):
         np.testing.assert_allclose([f[i] for f in together], qp.residuals(X[i], Y[i]), atol=1e-9)
 

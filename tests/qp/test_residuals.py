@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from moc_opt.qp import residuals as optimality
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.qp.residuals import Residuals
 from moc_opt.solvers.exact.solver import Exact
 from tests.hard_problems import rounded
@@ -20,12 +20,12 @@ def optimum(qp):
     return solution.x, solution.y
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize(("n", "structured"), CASES)
-def test_optimum_passes_and_its_neighbours_fail(n, structured, damping):
+def test_optimum_passes_and_its_neighbours_fail(n, structured, regularization):
     rng = np.random.default_rng(5)
     for _ in range(15):
-        qp = random_problem(rng, n, structured=structured, damping=damping)
+        qp = random_problem(rng, n, structured=structured, regularization=regularization)
         x, y = optimum(qp)
         found = qp.residuals(x, y)
         assert found.verified()
@@ -37,10 +37,10 @@ def test_optimum_passes_and_its_neighbours_fail(n, structured, damping):
         assert slid.primal < 1e-2 or not slid.verified()
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
-def test_bad_duals_are_told_from_a_bad_answer(damping):
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
+def test_bad_duals_are_told_from_a_bad_answer(regularization):
     rng = np.random.default_rng(6)
-    qp = random_problem(rng, damping=damping)
+    qp = random_problem(rng, regularization=regularization)
     x, y = optimum(qp)
     found = qp.residuals(x, y + 1.0)
     assert found.natural > 1e-2
@@ -87,11 +87,11 @@ def ends_of_the_swivel(qp):
     return x, ends[np.argmax(cost(qp, ends))]
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5, 1e-3])
-def test_loss_is_the_share_of_the_cost_s_range(damping):
+@pytest.mark.parametrize("regularization", [0.0, 1e-5, 1e-3])
+def test_loss_is_the_share_of_the_cost_s_range(regularization):
     rng = np.random.default_rng(8)
     for _ in range(10):
-        qp = random_problem(rng, damping=damping)
+        qp = random_problem(rng, regularization=regularization)
         x, worst = ends_of_the_swivel(qp)
         assert qp.residuals(x).loss == pytest.approx(0.0, abs=1e-9)
         assert qp.residuals(worst).loss == pytest.approx(1.0, abs=1e-9)
@@ -103,15 +103,15 @@ def test_loss_is_the_share_of_the_cost_s_range(damping):
             assert found.distance == pytest.approx(share * np.abs(worst - x).max(), rel=1e-6)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("regularization", [0.0, 0.3])
 @pytest.mark.parametrize("tilt", [1.0, 1e-3])
 @pytest.mark.parametrize("size", [1.0, 3e-4])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_no_wrong_corner_is_verified(n, size, tilt, damping):
+def test_no_wrong_corner_is_verified(n, size, tilt, regularization):
     """Corners of the feasible set: A x = b and the box hold, whatever freedom there is left is used the wrong way."""
-    wrong = wrong_corners(n, n, 4, tilt=tilt, size=size, damping=damping)
+    wrong = wrong_corners(n, n, 4, tilt=tilt, size=size, regularization=regularization)
     assert len(wrong) > 10
-    found = judge(np.array([w.qp.row for w in wrong]), np.array([w.x for w in wrong]))
+    found = compute_residuals(np.array([w.qp.row for w in wrong]), np.array([w.x for w in wrong]))
     assert found.primal.max() < 1e-12
     assert not found.verified().any()
     np.testing.assert_allclose(found.loss, [w.share for w in wrong], atol=1e-6)
@@ -150,7 +150,7 @@ def test_limits_of_the_rule_are_arguments():
 
 def test_what_only_relative_sees():
     """Half a percent short of the end of a wide box: little of the range, far from the optimum."""
-    qp = random_problem(np.random.default_rng(8), damping=0.0)
+    qp = random_problem(np.random.default_rng(8), regularization=0.0)
     x, worst = ends_of_the_swivel(qp)
     found = qp.residuals(x + 0.005 * (worst - x))
     assert found.loss == pytest.approx(0.005, rel=1e-6)
@@ -169,9 +169,9 @@ def test_what_only_loss_sees():
         assert not found.verified()
 
 
-def sliver(width, damping=0.0):
+def sliver(width, regularization=0.0):
     """An arm whose swivel has ``width`` [rad/s] of room, the optimum, and the opposite end."""
-    qp = random_problem(np.random.default_rng(21), damping=damping)
+    qp = random_problem(np.random.default_rng(21), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (x - worst) / np.abs(x - worst).max()
     j = int(np.argmax(np.abs(z)))
@@ -179,14 +179,14 @@ def sliver(width, damping=0.0):
     lower, upper = np.array(qp.lower), np.array(qp.upper)
     lower[j], upper[j] = middle[j], middle[j] + width
     thin = NullSpaceQP(
-        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, lower, upper, damping=damping
+        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, qp.grad_mu, lower, upper, regularization=regularization
     )
     return thin, optimum(thin)[0], z
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
-def test_within_the_primal_tolerance_of_an_optimum_is_right(damping):
-    qp, x, z = sliver(1e-5, damping)
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
+def test_within_the_primal_tolerance_of_an_optimum_is_right(regularization):
+    qp, x, z = sliver(1e-5, regularization)
     for off, right in ((0.0, True), (9e-7, True), (1.5e-6, False), (1e-5, False)):
         found = qp.residuals(x - off * z)
         assert found.distance == pytest.approx(off, abs=1e-9)
@@ -203,22 +203,22 @@ def test_an_interval_of_rounding_has_no_ends():
 
 def with_changes(qp, **changes):
     parts = {key: getattr(qp, key) for key in (
-        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "damping"
+        "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization"
     )}  # fmt: skip
     return NullSpaceQP(**{**parts, **changes})
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("pull", [-2.0, 0.0, 3.0])
-def test_an_idle_joint_is_judged_by_its_own_interval(pull, damping):
+def test_an_idle_joint_is_judged_by_its_own_interval(pull, regularization):
     """Joint 7 moves nothing, so its optimum is where its own cost is least; the others' loss is not diluted by it."""
-    qp = random_problem(np.random.default_rng(14), damping=damping)
+    qp = random_problem(np.random.default_rng(14), regularization=regularization)
     grad_mu = np.array(qp.grad_mu)
     grad_mu[6] = pull
     qp = with_changes(qp, grad_mu=grad_mu)
     x, worst = ends_of_the_swivel(qp)
     free = np.linspace(qp.lower[6], qp.upper[6], 2001)
-    costs = 0.5 * damping * free**2 - qp.c2 * pull * free
+    costs = 0.5 * regularization * free**2 - qp.c2 * pull * free
     for k in (0, 700, 2000):
         here = np.array(x)
         here[6] = free[k]
@@ -228,8 +228,8 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, damping):
         assert found.loss == pytest.approx(expected, abs=2e-3)
         best = x[6] if spread > 0.0 else here[6]
         assert found.distance == pytest.approx(abs(here[6] - best), abs=1e-9)
-        slope = damping * here[6] - qp.c2 * pull
-        size = max(qp.c2 * abs(pull), damping) or 1.0
+        slope = regularization * here[6] - qp.c2 * pull
+        size = max(qp.c2 * abs(pull), regularization) or 1.0
         for figure, s in ((found.natural_best, slope), (found.relative, slope / size)):
             assert figure == pytest.approx(abs(here[6] - np.clip(here[6] - s, qp.lower[6], qp.upper[6])), abs=1e-12)
     there = np.array(worst)
@@ -239,7 +239,7 @@ def test_an_idle_joint_is_judged_by_its_own_interval(pull, damping):
 
 def test_the_worst_idle_joint_counts():
     """Two joints that move nothing: each can be the wrong one."""
-    qp = random_problem(np.random.default_rng(14), damping=1e-5)
+    qp = random_problem(np.random.default_rng(14), regularization=1e-5)
     A = np.array(qp.A)
     A[:, 3] = 0.0
     grad_mu = np.array(qp.grad_mu)
@@ -259,7 +259,7 @@ def test_the_worst_idle_joint_counts():
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_a_gradient_that_is_rounding_on_the_kernel_asks_for_nothing(n):
-    qp = random_problem(np.random.default_rng(30), n, structured=False, damping=0.0)
+    qp = random_problem(np.random.default_rng(30), n, structured=False, regularization=0.0)
     Z = kernel(qp)
     x = optimum(qp)[0]
     across = qp.grad_mu - Z @ (Z.T @ qp.grad_mu)
@@ -279,13 +279,13 @@ def test_relative_is_scaled_by_what_is_left_of_the_gradient():
     rooms = []
     for w in wrong_corners(5, 6, 8, tilt=1e-3):
         z = kernel(w.qp)[:, 0]
-        for damping in (0.0, 1.0):  # with 1.0 the damping is the larger of the two scales
-            slope = z @ (damping * w.x - w.qp.c2 * w.qp.grad_mu)
-            scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), damping)
+        for regularization in (0.0, 1.0):  # with 1.0 the regularization is the larger of the two scales
+            slope = z @ (regularization * w.x - w.qp.c2 * w.qp.grad_mu)
+            scale = max(w.qp.c2 * abs(z @ w.qp.grad_mu) * np.abs(z).max(), regularization)
             room = np.where(z * slope > 0.0, w.x - w.qp.lower, w.qp.upper - w.x)[np.abs(z) > 1e-9].min()
             rooms.append(max(room, 0.0) > abs(slope) / scale / np.abs(z).sum())
             expected = min(abs(slope) / scale / np.abs(z).sum(), max(room, 0.0))
-            found = with_changes(w.qp, damping=damping).residuals(w.x)
+            found = with_changes(w.qp, regularization=regularization).residuals(w.x)
             assert found.relative == pytest.approx(expected, rel=1e-6, abs=1e-12)
     assert any(rooms)
 
@@ -304,7 +304,7 @@ def test_where_a_and_b_leave_no_freedom_the_references_decide():
 
 @pytest.mark.parametrize("n", [7, 8])
 def test_a_box_that_leaves_nothing(n):
-    qp = random_problem(np.random.default_rng(17), n, damping=1e-5)
+    qp = random_problem(np.random.default_rng(17), n, regularization=1e-5)
     x, _ = optimum(qp)
     z = kernel(qp)[: n - 1 if n == 7 else n, 0]
     z = np.append(z, np.zeros(n - len(z)))
@@ -321,13 +321,13 @@ def test_a_box_that_leaves_nothing(n):
 
 def test_a_batch_may_mix_ranks_and_idle_joints():
     rng = np.random.default_rng(40)
-    problems = [random_problem(rng, 7, structured=k % 2 == 0, damping=1e-5 * (k % 3)) for k in range(9)]
+    problems = [random_problem(rng, 7, structured=k % 2 == 0, regularization=1e-5 * (k % 3)) for k in range(9)]
     J = rng.normal(size=(6, 7))
     problems.append(
         NullSpaceQP(J[:3], J[3:], np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7))
     )
     X = np.array([np.clip(optimum(qp)[0] + 0.1 * (k % 2), qp.lower, qp.upper) for k, qp in enumerate(problems)])
-    together = judge(np.array([qp.row for qp in problems]).reshape(2, 5, -1), X.reshape(2, 5, 7))
+    together = compute_residuals(np.array([qp.row for qp in problems]).reshape(2, 5, -1), X.reshape(2, 5, 7))
     for k, qp in enumerate(problems):
         np.testing.assert_allclose([f.ravel()[k] for f in together], qp.residuals(X[k]), rtol=1e-9, atol=1e-12)
 
@@ -336,7 +336,7 @@ def test_a_batch_may_mix_ranks_and_idle_joints():
 def test_rounded_jacobians_keep_their_freedoms(decimals):
     rng = np.random.default_rng(decimals)
     for k in range(6):
-        qp = rounded(random_problem(rng, 7 + k % 2, structured=k % 2 == 0, damping=0.0), decimals)
+        qp = rounded(random_problem(rng, 7 + k % 2, structured=k % 2 == 0, regularization=0.0), decimals)
         assert len(qp.reduced().b) == 5
         x, _ = optimum(qp)
         five = qp.reduced()
@@ -351,12 +351,13 @@ def test_rounded_jacobians_keep_their_freedoms(decimals):
         assert qp.residuals(worst.x).loss == pytest.approx(1.0, abs=1e-5)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.2])
-def test_natural_is_the_residual_of_the_whole_cost(damping):
+@pytest.mark.parametrize("regularization", [0.0, 0.2])
+def test_natural_is_the_residual_of_the_whole_cost(regularization):
     """By its definition with the P and p of the problem, anywhere, feasible or not."""
     rng = np.random.default_rng(50)
     for n in (7, 8):
-        qp = with_changes(random_problem(rng, n, structured=False), c0=0.3, c1=2.5, c2=0.7, damping=damping)
+        qp = random_problem(rng, n, structured=False)
+        qp = with_changes(qp, c0=0.3, c1=2.5, c2=0.7, regularization=regularization)
         for _ in range(10):
             x, y = rng.uniform(1.3 * qp.lower, 1.3 * qp.upper), rng.normal(size=6)
             slope = qp.P @ x + qp.p + qp.A.T @ y
@@ -388,7 +389,7 @@ def test_which_joints_are_idle_does_not_depend_on_the_unit_of_length(scale):
 @pytest.mark.parametrize("n", [7, 8])
 def test_a_box_that_touches_in_a_point_has_its_optimum_there(n):
     """Judged from elsewhere on A x = b, the distance is that to the point, and what is there is right."""
-    qp = random_problem(np.random.default_rng(17), n, structured=False, damping=1e-5)
+    qp = random_problem(np.random.default_rng(17), n, structured=False, regularization=1e-5)
     x, z = optimum(qp)[0], kernel(qp)[:, 0]
     lower, upper = np.array(x), np.array(x)
     lower[0] = upper[0] = x[0] + 1e-8
@@ -402,10 +403,10 @@ def test_a_box_that_touches_in_a_point_has_its_optimum_there(n):
 
 
 @pytest.mark.parametrize("n", [7, 8])
-@pytest.mark.parametrize("damping", [0.0, 1e-3])
-def test_beyond_the_worst_point_the_loss_is_one(n, damping):
+@pytest.mark.parametrize("regularization", [0.0, 1e-3])
+def test_beyond_the_worst_point_the_loss_is_one(n, regularization):
     """And beyond the optimum it is no gain."""
-    qp = random_problem(np.random.default_rng(8), n, damping=damping)
+    qp = random_problem(np.random.default_rng(8), n, regularization=regularization)
     x = optimum(qp)[0]
     worst = ends_of_the_swivel(qp)[1] if n == 7 else max(corners(qp, x), key=lambda c: float(cost(qp, c)))
     for beyond in (0.1, 2.0):
@@ -416,7 +417,7 @@ def test_beyond_the_worst_point_the_loss_is_one(n, damping):
 @pytest.mark.parametrize("n", [7, 8])
 def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
     """A damped cost without gradient is least at rest; with rest outside the box, it is least at the box."""
-    qp = random_problem(np.random.default_rng(60), n, structured=False, damping=1.0)
+    qp = random_problem(np.random.default_rng(60), n, structured=False, regularization=1.0)
     z = kernel(qp)[:, 0]
     j = int(np.argmax(np.abs(z)))
     lower = -np.ones(n)
@@ -428,9 +429,9 @@ def test_rest_is_no_optimum_where_the_box_leaves_it_out(n):
     assert still.residuals(optimum(still)[0]).verified()
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
-def test_a_swivel_that_is_shut_in_a_point_has_its_optimum_there(damping):
-    qp = random_problem(np.random.default_rng(17), damping=damping)
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
+def test_a_swivel_that_is_shut_in_a_point_has_its_optimum_there(regularization):
+    qp = random_problem(np.random.default_rng(17), regularization=regularization)
     x, worst = ends_of_the_swivel(qp)
     z = (worst - x) / np.linalg.norm(worst - x)
     lower, upper = np.array(qp.lower), np.array(qp.upper)
@@ -457,21 +458,21 @@ def test_nan_is_infinitely_wrong():
 def test_relative_measures_against_the_gradient():
     """Half the gradient left over is half the gradient, whatever its size."""
     rng = np.random.default_rng(10)
-    qp = random_problem(rng, damping=0.0)
-    middle = optimum(with_changes(qp, c2=0.001, damping=1.0))[0]
-    big, small = (with_changes(qp, c2=c, damping=0.0).residuals(middle).relative for c in (1.0, 1e-6))
+    qp = random_problem(rng, regularization=0.0)
+    middle = optimum(with_changes(qp, c2=0.001, regularization=1.0))[0]
+    big, small = (with_changes(qp, c2=c, regularization=0.0).residuals(middle).relative for c in (1.0, 1e-6))
     assert big == pytest.approx(small, rel=1e-9)
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-5])
+@pytest.mark.parametrize("regularization", [0.0, 1e-5])
 @pytest.mark.parametrize("n", [12, 16, 48])
-def test_arms_of_many_freedoms_are_judged_too(n, damping):
-    qp = random_problem(np.random.default_rng(9), n, damping=damping)
+def test_arms_of_many_freedoms_are_judged_too(n, regularization):
+    qp = random_problem(np.random.default_rng(9), n, regularization=regularization)
     x, y = optimum(qp)
     found = qp.residuals(x, y)
     assert found.verified()
     assert max(found.natural_best, found.relative, found.loss) < 1e-9
-    opposite, _ = optimum(with_changes(qp, grad_mu=-qp.grad_mu, damping=0.0))
+    opposite, _ = optimum(with_changes(qp, grad_mu=-qp.grad_mu, regularization=0.0))
     wrong = qp.residuals(opposite)
     assert wrong.loss > 0.5
     assert wrong.relative > 1e-2

@@ -85,29 +85,29 @@ def test_the_elbow_angle_turns_with_the_elbow(robot: RobotModel) -> None:
     assert abs(first) > 0.1
 
 
-def test_courses_lie_on_the_map(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
-    for name, course in found.courses.items():
-        assert course.gap_rad < 0.15, "half a row, as joints move"
+def test_trajectories_lie_on_the_map(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
+    for name, trajectory in found.trajectories.items():
+        assert trajectory.gap_rad < 0.15, "half a row, as joints move"
         np.testing.assert_array_equal(
-            course.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, course.t_s)]
+            trajectory.mu, robot.mu_along(runs[name].q_rad)[np.searchsorted(runs[name].t_s, trajectory.t_s)]
         )
         for k, t in enumerate(found.t_s):
-            i = int(np.argmin(np.abs(course.t_s - t)))
-            on_map = np.interp(course.swivel_rad[i], found.swivel_rad, found.mu[k])
-            assert course.mu[i] == pytest.approx(on_map, abs=2e-3)
+            i = int(np.argmin(np.abs(trajectory.t_s - t)))
+            on_map = np.interp(trajectory.swivel_rad[i], found.swivel_rad, found.mu[k])
+            assert trajectory.mu[i] == pytest.approx(on_map, abs=2e-3)
 
 
-def test_the_best_course_is_the_best(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
+def test_the_best_trajectory_is_the_best(robot: RobotModel, runs: dict[str, Trace], found: SwivelMap) -> None:
     feasible = np.where(found.limit == FEASIBLE, found.mu, -np.inf)
     assert np.all(found.best_mu >= feasible.max(axis=1))
-    for course in found.courses.values():
-        at_columns = np.abs(course.t_s[None] - found.t_s[:, None]).argmin(axis=1)
-        assert np.all(course.mu[at_columns] <= found.best_mu + 1e-3)
+    for trajectory in found.trajectories.values():
+        at_columns = np.abs(trajectory.t_s[None] - found.t_s[:, None]).argmin(axis=1)
+        assert np.all(trajectory.mu[at_columns] <= found.best_mu + 1e-3)
     guide = max(runs.values(), key=len)
     for k in (0, 6, 12):
         q = guide.q_rad[np.searchsorted(guide.t_s, found.t_s[k])]
         assert found.best_mu[k] == pytest.approx(self_motion(robot, q).mu_best, abs=1e-3)
-    moc, dcac = found.courses["MOC"], found.courses["DCAC"]
+    moc, dcac = found.trajectories["MOC"], found.trajectories["DCAC"]
     assert found.best_mu[-1] - moc.mu[-1] < 5e-3, "MOC arrives"
     assert found.best_mu[-1] - dcac.mu[-1] > 0.03, "DCAC stays where it is"
 
@@ -121,8 +121,8 @@ def test_a_run_that_is_folded_another_way_is_told_apart(robot: RobotModel, runs:
         robot.state(flip[0]).wrist, robot.state(runs["MOC"].q_rad[0]).wrist, atol=1e-12
     )
     both = manipulability_map(robot, {"MOC": runs["MOC"], "flipped": flipped}, times=3, swivels=24)
-    assert both.courses["MOC"].gap_rad < 0.3
-    assert both.courses["flipped"].gap_rad > 1.0
+    assert both.trajectories["MOC"].gap_rad < 0.3
+    assert both.trajectories["flipped"].gap_rad > 1.0
     lines = {
         line.name: line.line.dash
         for line in map_figure(both).data
@@ -178,5 +178,5 @@ def test_the_figure_shows_it_all(found: SwivelMap) -> None:
     with pytest.raises(ReportError, match="within the joint limits"):
         map_figure(SwivelMap(
             found.t_s, found.swivel_rad, found.mu, found.q_rad, np.ones_like(found.limit), found.best_swivel_rad,
-            found.best_mu, found.courses,
+            found.best_mu, found.trajectories,
         ))  # fmt: skip

@@ -1,4 +1,4 @@
-"""What courses amount to, on maps whose ridges, limits and courses are put there by hand."""
+"""What trajectories amount to, on maps whose optima, limits and trajectories are put there by hand."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, Course, SwivelMap
-from moc_opt.redundancy.map_analysis import CLOSE_RAD, NEAR, End, Reading, alike, read_course
+from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, SwivelMap, Trajectory
+from moc_opt.redundancy.map_analysis import CLOSE_RAD, NEAR, End, Reading, alike, read_trajectory
 
 T = np.linspace(0.0, 10.0, 21)
 ROWS = np.arange(-180.0, 180.0, 3.0)
@@ -22,15 +22,18 @@ def hill(top: float, height: float, width: float = 60.0) -> Callable[[Any], Any]
 
 
 def made(
-    mu: Callable[[Any], Any], courses: dict[str, Any], forbidden: tuple[float, float, int] | None = None, **more: Any
+    mu: Callable[[Any], Any],
+    trajectories: dict[str, Any],
+    forbidden: tuple[float, float, int] | None = None,
+    **more: Any,
 ) -> SwivelMap:  # fmt: skip
     """A map that is the same at all times.
 
     Args:
         mu: of the swivel [deg].
-        courses: name -> swivel over time [deg]: a number, or one at each of 101 times.
+        trajectories: name -> swivel over time [deg]: a number, or one at each of 101 times.
         forbidden: from, to [deg], and what stands in `limit` there.
-        more: of every course.
+        more: of every trajectory.
     """
     limit = np.full((len(T), len(ROWS)), FEASIBLE)
     if forbidden:
@@ -42,9 +45,9 @@ def made(
     grid[limit == UNREACHABLE] = np.nan
     t = np.linspace(0.0, 10.0, 101)
     lines = {}
-    for name, swivel in courses.items():
+    for name, swivel in trajectories.items():
         degrees = np.broadcast_to(np.asarray(swivel, dtype=float), t.shape)
-        lines[name] = Course(t, np.radians(degrees), mu(degrees), **{"gap_rad": 0.01, **more})
+        lines[name] = Trajectory(t, np.radians(degrees), mu(degrees), **{"gap_rad": 0.01, **more})
     return SwivelMap(
         T, np.radians(ROWS), grid, np.zeros((len(T), len(ROWS), 7)), limit,
         np.radians(ROWS[np.argmax(feasible, axis=1)]), best, MappingProxyType(lines),
@@ -52,7 +55,7 @@ def made(
 
 
 def read(*given: Any, **more: Any) -> Reading:
-    return read_course(made(*given, **more), "run")
+    return read_trajectory(made(*given, **more), "run")
 
 
 def ramp(start: float, end: float, until: float = 10.0) -> Any:
@@ -60,10 +63,10 @@ def ramp(start: float, end: float, until: float = 10.0) -> Any:
     return start + (end - start) * np.minimum(np.linspace(0.0, 10.0, 101) / until, 1.0)
 
 
-def test_a_course_that_climbs_to_the_ridge() -> None:
+def test_a_trajectory_that_climbs_to_the_optimum() -> None:
     top = hill(60.0, 0.3)
     found = read(top, {"run": ramp(-30.0, 60.0, until=5.0)})
-    assert found.end is End.RIDGE
+    assert found.end is End.OPTIMUM
     on_from = 60.0 - 60.0 * np.sqrt(-np.log(1.0 - NEAR))  # where mu is 2 % below the top
     arrives = 5.0 * (on_from + 30.0) / 90.0
     assert found.from_s == pytest.approx(arrives, abs=0.11)
@@ -97,17 +100,17 @@ def test_time_at_the_grey_is_counted_with_its_joint() -> None:
     assert (away.at_grey, away.limits) == (0.0, ())
 
 
-def test_the_reach_holds_a_course_too() -> None:
+def test_the_reach_holds_a_trajectory_too() -> None:
     found = read(hill(60.0, 0.3), {"run": -4.0}, (0.0, 20.0, UNREACHABLE))
     # mu is not known where there is no pose, so that nobody can say that the way up leads there.
     assert found.joint == 0
     assert found.end in (End.GREY, End.LOWER, End.STILL)
 
 
-def test_a_ridge_at_a_limit_is_a_ridge() -> None:
+def test_a_optimum_at_a_limit_is_a_optimum() -> None:
     """The best pose of all that are allowed lies at the limit; a run stops a little before it."""
     assert read(hill(60.0, 0.3), {"run": -5.0}, (0.0, 140.0, 2)).end is End.GREY
-    assert read(hill(60.0, 0.3, 200.0), {"run": -4.0}, (0.0, 140.0, 2)).end is End.RIDGE
+    assert read(hill(60.0, 0.3, 200.0), {"run": -4.0}, (0.0, 140.0, 2)).end is End.OPTIMUM
 
 
 @pytest.mark.parametrize(
@@ -135,7 +138,7 @@ def test_what_cannot_be_judged_is_said() -> None:
     assert nowhere.end is End.UNKNOWN
 
 
-def test_courses_that_look_the_same_are_one_kind() -> None:
+def test_trajectories_that_look_the_same_are_one_kind() -> None:
     found = made(
         hill(60.0, 0.3), {"a": 0.0, "b": 10.0, "c": 2.0, "d": ramp(0.0, 30.0), "e": 11.0, "f": 360.0}
     )
@@ -145,13 +148,13 @@ def test_courses_that_look_the_same_are_one_kind() -> None:
 
 def test_a_run_that_ends_early_or_folds_otherwise_is_a_kind_of_its_own() -> None:
     found = made(hill(60.0, 0.3), {"a": 0.0})
-    whole = found.courses["a"]
-    short = Course(whole.t_s[:50], whole.swivel_rad[:50], whole.mu[:50], whole.gap_rad)
-    folded = Course(whole.t_s, whole.swivel_rad, whole.mu, 2.0)
+    whole = found.trajectories["a"]
+    short = Trajectory(whole.t_s[:50], whole.swivel_rad[:50], whole.mu[:50], whole.gap_rad)
+    folded = Trajectory(whole.t_s, whole.swivel_rad, whole.mu, 2.0)
     for other in (short, folded):
-        courses = MappingProxyType({"a": whole, "other": other})
+        trajectories = MappingProxyType({"a": whole, "other": other})
         both = SwivelMap(
             found.t_s, found.swivel_rad, found.mu, found.q_rad, found.limit, found.best_swivel_rad, found.best_mu,
-            courses,
+            trajectories,
         )  # fmt: skip
         assert alike(both) == {"a": [], "other": []}

@@ -5,7 +5,7 @@ import pytest
 
 from moc_opt.errors import RobotError
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.redundancy.transient import distance_to_go, travelling, uphill
+from moc_opt.redundancy.transient import distance_to_go, in_transient, uphill
 
 
 @pytest.fixture(scope="module")
@@ -46,50 +46,50 @@ def test_an_idle_joint_does_not_count(robot, curve):
     q = np.tile(place(curve, float(curve.s[0]) + 0.5), (100, 1))
     q[:, 6] += np.linspace(0.0, 1.0, 100)
     t = 0.01 * np.arange(100)
-    assert not travelling(robot, t, q).any()
+    assert not in_transient(robot, t, q).any()
 
 
 def test_an_elbow_at_speed_travels_until_it_is_there(robot, curve):
     top = float(curve.s[np.argmax(curve.mu)])
     t = np.arange(0.0, 4.0, 0.01)
     s = top - np.maximum(1.0 - 0.5 * t, 0.0)  # 0.5 rad/s, there at t = 2
-    flags = travelling(robot, t, np.array([place(curve, each) for each in s]))
+    flags = in_transient(robot, t, np.array([place(curve, each) for each in s]))
     assert flags[t < 1.7].all()
     assert not flags[t > 1.9].any()
 
 
 def test_an_elbow_at_rest_far_away_does_not_travel(robot, curve):
     q = np.tile(place(curve, float(curve.s[0]) + 0.5), (50, 1))
-    assert not travelling(robot, 0.02 * np.arange(50), q).any()
+    assert not in_transient(robot, 0.02 * np.arange(50), q).any()
 
 
 def test_an_elbow_that_follows_its_moving_optimum_does_not_travel(robot, curve):
     """Turning the base carries arm and optimum along, at any speed."""
     q = np.tile(curve.best, (100, 1))
     q[:, 0] += np.linspace(0.0, 1.0, 100)
-    assert not travelling(robot, 0.01 * np.arange(100), q).any()
+    assert not in_transient(robot, 0.01 * np.arange(100), q).any()
 
 
 def test_settings_move_the_border(robot, curve):
     top = float(curve.s[np.argmax(curve.mu)])
     t = np.arange(0.0, 1.0, 0.01)
     q = np.array([place(curve, top - 0.5 + 0.1 * each) for each in t])  # 0.1 rad/s
-    assert travelling(robot, t, q).all()
-    assert not travelling(robot, t, q, still_rad_per_s=0.2).any()
-    assert not travelling(robot, t, q, near_rad=0.6).any()
+    assert in_transient(robot, t, q).all()
+    assert not in_transient(robot, t, q, still_rad_per_s=0.2).any()
+    assert not in_transient(robot, t, q, near_rad=0.6).any()
 
 
 def test_bad_input_is_named(robot):
     with pytest.raises(RobotError, match="N > 0"):
-        travelling(robot, [], np.empty((0, 7)))
+        in_transient(robot, [], np.empty((0, 7)))
     with pytest.raises(RobotError, match="q_rad shape"):
-        travelling(robot, [0.0, 0.1], np.zeros((2, 3)))
+        in_transient(robot, [0.0, 0.1], np.zeros((2, 3)))
     with pytest.raises(RobotError, match="near_rad = 0"):
-        travelling(robot, [0.0, 0.1], np.zeros((2, 7)), near_rad=0.0)
+        in_transient(robot, [0.0, 0.1], np.zeros((2, 7)), near_rad=0.0)
 
 
 def test_one_tick_is_no_journey(robot):
-    assert not travelling(robot, [0.0], [robot.data.q_home]).any()
+    assert not in_transient(robot, [0.0], [robot.data.q_home]).any()
 
 
 def test_singular_poses_are_left_out(robot, curve):

@@ -1,4 +1,4 @@
-"""The map on a page: words that follow from the readings, one line for courses that look the same, and the command."""
+"""The map on a page: words that follow from the readings, one line for trajectories alike, and the command."""
 
 from __future__ import annotations
 
@@ -11,8 +11,17 @@ import pytest
 from moc_opt import __main__ as command
 from moc_opt.errors import ReportError
 from moc_opt.redundancy.map_analysis import End, Reading
-from moc_opt.report.map_page import MOST_LINES, add_map, course_table, end_in_words, in_words, lines, load_map
+from moc_opt.report.map_page import (
+    MOST_LINES,
+    add_map,
+    end_in_words,
+    in_words,
+    lines,
+    load_map,
+    trajectory_table,
+)
 from moc_opt.report.page import Page
+from moc_opt.report.table_html import draw
 from moc_opt.trace.trace import Trace
 from tests.redundancy.test_map_analysis import hill, made, ramp
 
@@ -26,16 +35,16 @@ def reading(name: str, near: float, end: End, *, joint: int = 0, from_s: float =
 def test_words_follow_from_the_readings() -> None:
     given = [
         reading("dcac", 0.0, End.STILL),
-        reading("exact", 0.71, End.RIDGE, from_s=2.3),
+        reading("exact", 0.71, End.OPTIMUM, from_s=2.3),
         reading("rnn", 0.2, End.GREY, joint=4),
     ]
     words = in_words(given, {"exact": "exact and 3 more"})
     assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %." in words
     assert "dcac never gets there: it stays put in the end, though the map shows a way up (joint" in words
     assert "rnn ends before the grey: the way up leads beyond the limit of joint 4." in words
-    two = in_words([reading("a", 1.0, End.RIDGE, from_s=0.0), reading("b", 1.0, End.RIDGE, from_s=0.0)])
+    two = in_words([reading("a", 1.0, End.OPTIMUM, from_s=0.0), reading("b", 1.0, End.OPTIMUM, from_s=0.0)])
     assert "a for 100 %; b for 100 %." in two
-    assert two.endswith("a and b end on the ridge.")
+    assert two.endswith("a and b end at the optimum.")
     assert (
         in_words([reading("a", NAN, End.ELSEWHERE)])
         == "a folds the arm another way: the map does not hold there."
@@ -58,7 +67,7 @@ def test_every_end_has_words_for_one_and_for_several(end: End) -> None:
     assert in_words([one, reading("b", 0.5, end)]).count("a and b ") == 1
 
 
-def test_a_few_courses_are_all_drawn_and_spoken_of() -> None:
+def test_a_few_trajectories_are_all_drawn_and_spoken_of() -> None:
     found = made(hill(60.0, 0.3), {"a": 0.0, "b": 1.0, "c": ramp(0.0, 60.0), "d": 2.0})
     assert lines(found) == {name: name for name in "abcd"}
     page = Page("Map")
@@ -73,9 +82,9 @@ def test_a_few_courses_are_all_drawn_and_spoken_of() -> None:
     assert "21 by 120 poses" in html
 
 
-def test_of_many_courses_one_of_each_kind_is_drawn() -> None:
-    courses = {"s0": 0.0, "c": ramp(0.0, 60.0), **{f"s{k}": 0.1 * k for k in range(1, 9)}}
-    found = made(hill(60.0, 0.3), courses)
+def test_of_many_trajectories_one_of_each_kind_is_drawn() -> None:
+    trajectories = {"s0": 0.0, "c": ramp(0.0, 60.0), **{f"s{k}": 0.1 * k for k in range(1, 9)}}
+    found = made(hill(60.0, 0.3), trajectories)
     assert lines(found) == {"s0": "s0 and 8 more", "c": "c"}
     page = Page("Map")
     assert len(add_map(page, found)) == 10
@@ -93,13 +102,13 @@ def test_of_many_courses_one_of_each_kind_is_drawn() -> None:
 
 
 def test_the_table_says_what_is_missing_and_why() -> None:
-    given = {"a": reading("a", 0.7, End.RIDGE, from_s=1.0), "b": reading("b", 0.1, End.GREY, joint=2)}
-    table = course_table(given, {"a": [], "b": []})
+    given = {"a": reading("a", 0.7, End.OPTIMUM, from_s=1.0), "b": reading("b", 0.1, End.GREY, joint=2)}
+    table = trajectory_table(given, {"a": [], "b": []})
     keys = [column.key for column in table.columns]
     assert table.caption == ""
     assert all(set(row) >= set(keys) for row in table.rows)
-    assert [row["end"] for row in table.rows] == ["on the ridge", "before a forbidden pose, joint 2"]
-    assert "not there in the end" in table.to_html(1)
+    assert [row["end"] for row in table.rows] == ["at the optimum", "before a forbidden pose, joint 2"]
+    assert "not there in the end" in str(draw(table, 1))
 
 
 @pytest.fixture(scope="module")

@@ -103,7 +103,7 @@ def test_texts_stay_texts(full: Page) -> None:
 
 
 def test_no_data_end_their_element() -> None:
-    found = Resources(document.script_data("inside", json.dumps(NASTY)))
+    found = Resources(str(document.macros("parts.html").json_data("inside", json.dumps(NASTY))))
     assert found.tags == ["script"]
     assert json.loads(found.data["inside"]) == NASTY
 

@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from moc_opt.errors import MocOptError, ReportError
-from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit, typeset
+from moc_opt.report.document import macros
+from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit
+from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Column, Table
 
 NASTY = "<script>alert(1)</script>\"'&[bold]\x1b[31m\u202e"
@@ -37,6 +39,10 @@ class Cells(HTMLParser):
 
     def of(self, tag: str) -> list[dict[str, str | None]]:
         return [attrs for name, attrs in self.opened if name == tag]
+
+
+def html(made: Table, number: int | None = None) -> str:
+    return str(draw(made, number))
 
 
 def table(rows: list[dict[str, object]], **options: object) -> Table:
@@ -107,18 +113,18 @@ def test_html_escapes_every_text() -> None:
         [{"k": NASTY, "v": Missing(NASTY)}],
         NASTY,
     )
-    parsed = Cells(made.to_html(1))
+    parsed = Cells(html(made, 1))
     assert "script" not in {tag for tag, _ in parsed.opened}
     assert parsed.text.count("<script>alert(1)</script>") >= 5
     assert not {name for _, attrs in parsed.opened for name in attrs if name.startswith("on")}
     for character in ("\x1b", "\u202e"):
-        assert character not in made.to_html() + made.to_text()
+        assert character not in html(made) + made.to_text()
     assert "[bold]" in made.to_text()
 
 
 def test_html_says_how_to_sort() -> None:
     made = table([{"name": "a", "value": 2.5}, {"name": "b", "value": None}], better="high")
-    parsed = Cells(made.to_html())
+    parsed = Cells(html(made))
     headings = [attrs for attrs in parsed.of("th") if attrs["scope"] == "col"]
     assert [attrs["aria-sort"] for attrs in headings] == ["none", "none"]
     assert [attrs["data-first"] for attrs in headings] == ["ascending", "descending"]
@@ -133,7 +139,7 @@ def test_html_says_how_to_sort() -> None:
 
 def test_html_numbers_align_on_their_points() -> None:
     made = table([{"name": "a", "value": 1.25}, {"name": "b", "value": 1250.4}, {"name": "c", "value": 12.5}])
-    source = made.to_html()
+    source = html(made)
     assert ">1250\u2008\u2007\u2007</td>" in source
     assert ">12.5\u2007</td>" in source
     assert ">1.25</td>" in source
@@ -143,7 +149,7 @@ def test_reasons_become_footnotes_once() -> None:
     rows: list[dict[str, object]] = [
         {"name": n, "value": Missing(w)} for n, w in zip("abc", "xyx", strict=True)
     ]
-    source = table([*rows, {"name": "d", "value": None}]).to_html()
+    source = html(table([*rows, {"name": "d", "value": None}]))
     notes = source.partition('<p class="notes">')[2]
     assert notes.count("<sup>") == 2
     assert source.count('aria-label="missing: x"') == 2
@@ -176,7 +182,7 @@ def test_bad_settings_name_the_field(make: object, word: str) -> None:
 
 
 def test_typesetting() -> None:
-    assert typeset("-5.4e-16") == "−5.4×10<sup>−16</sup>"
+    assert macros("table.html").typeset("-5.4e-16") == "−5.4×10<sup>−16</sup>"
     assert fraction_length("1.25") == 3
     assert fraction_length("1.2e5") == 0
     assert pretty_unit("us") == "µs"
@@ -197,7 +203,7 @@ def test_only_rows_with_the_flag_compete_for_the_emphasis():
 
 @pytest.mark.parametrize(("title", "ends"), [("Times", "Times.</b>"), ("Do they hold?", "Do they hold?</b>")])
 def test_a_title_ends_with_one_mark(title: str, ends: str) -> None:
-    source = Table(title, [Column("name", "name")], [{"name": "a"}]).to_html(1)
+    source = html(Table(title, [Column("name", "name")], [{"name": "a"}]), 1)
     assert ends in source
 
 

@@ -44,20 +44,6 @@ def test_lwr4_holds_the_published_numbers() -> None:
     assert masses == [2.0, 2.7, 2.7, 2.7, 2.7, 1.7, 1.1, 0.25, 0.3]
 
 
-def test_iiwa14_holds_the_published_numbers() -> None:
-    data = load_data("iiwa14")
-    np.testing.assert_allclose(np.degrees(data.q_max), [170, 120, 170, 120, 170, 120, 175])
-    np.testing.assert_array_equal(data.q_min, -data.q_max)
-    np.testing.assert_allclose(np.degrees(data.v_max), [85, 85, 100, 75, 130, 135, 135])
-    np.testing.assert_array_equal(data.tau_max, [320, 320, 176, 176, 110, 40, 40])
-    root = ET.fromstring(data.urdf)
-    masses = [float(m.get("value", "")) for m in root.iterfind("link/inertial/mass")]
-    assert masses == [5.0, 5.76, 6.35, 3.5, 3.5, 3.5, 1.8, 1.2, 0.3]
-    limits = [joint.find("limit") for joint in root.iterfind("joint")]
-    written = [float(limit.get("velocity", "")) for limit in limits if limit is not None]
-    np.testing.assert_allclose(written[:7], data.v_max, rtol=1e-12)
-
-
 def test_gains_are_those_of_table_one() -> None:
     gains = load_data().gains
     assert gains["dcac"] == {"K_X": 2000.0, "D_X": 20.0, "K_N": 600.0, "D_N": 10.0}

@@ -223,6 +223,17 @@ def test_control_preset_in_a_file(tmp_path):
     assert Scenario().change(control={"preset": "paper"}).control == ControlSettings.paper()
 
 
+def test_the_former_name_of_the_regularization_in_a_file(tmp_path):
+    file = tmp_path / "scenario.toml"
+    file.write_text('[control]\npreset = "tuned"\ndamping = 1e-4\n')
+    found = Scenario.load(file)
+    assert found.control == ControlSettings.tuned(regularization=1e-4)
+    assert found.change(control={"damping": 1e-3}).control.regularization == 1e-3
+    file.write_text("[control]\ndamping = 1e-4\nregularization = 1e-4\n")
+    with pytest.raises(ScenarioError, match=r"scenario.toml: .control. regularization = 0.0001 is given beside"):
+        Scenario.load(file)
+
+
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(ScenarioError, match=r"gone.toml': no such file"):
         Scenario.load(tmp_path / "gone.toml")
@@ -319,7 +330,7 @@ def test_the_shaft_starts_in_the_trocar():
 
 def test_registration_error_is_the_plant_s():
     setup = Setup(Scenario(plant={"trocar_registration_error_m": 0.002}))
-    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0] - setup.touched.trocar
+    offset = setup.trocar.at(0.0)[0] - setup.registered.at(0.0)[0] - setup.offset.trocar
     assert np.linalg.norm(offset) == pytest.approx(0.002)
     np.testing.assert_allclose(offset, setup.plant.mismatch.registration_error, atol=1e-15)
 
@@ -374,7 +385,7 @@ def test_without_its_new_errors_the_plant_runs_as_it_did():
 def test_reference_starts_at_the_tip_and_waits():
     setup = Setup(Scenario(task={"wait_s": 0.3, "path": "line", "sizes": {"length": 0.02}}))
     x, dx, _ = setup.reference.at(np.array([0.0, 0.29, 0.5, 99.0]))
-    np.testing.assert_allclose(x[0] + setup.touched.tip, setup.plant.tip, atol=1e-12)
+    np.testing.assert_allclose(x[0] + setup.offset.tip, setup.plant.tip, atol=1e-12)
     np.testing.assert_array_equal(x[0], x[1])
     assert np.abs(dx[2]).max() > 0.0
     assert np.linalg.norm(x[3] - x[0]) == pytest.approx(0.02)

@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from moc_opt.control.safety_filter import Guard, GuardSettings
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.errors import PlantError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import Scenario, run
@@ -92,7 +92,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 
 def test_brakes_are_open_only_while_the_trocar_presses(robot):
     """And never where the drives cannot carry the weight, or the sensor says nothing."""
-    guard = Guard(robot.data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
@@ -105,19 +105,19 @@ def test_brakes_are_open_only_while_the_trocar_presses(robot):
         """The sensor's reading with that force of the trocar across the shaft."""
         return free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
 
-    guard.feel(q, trocar, free)
+    guard.check_incision(q, trocar, free)
     for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
         for _ in range(100):
-            friction = guard.hold(pressed(force))
+            friction = guard.brake_friction(pressed(force))
         assert friction.any() == closed, force
         if closed:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
     data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
-    weak = Guard(data, GuardSettings(), 0.002, robot.gravity, robot.tool_pose)
+    weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
     weak.start(q, np.zeros(7))
-    weak.feel(q, trocar, free)
+    weak.check_incision(q, trocar, free)
     for _ in range(100):
-        friction = weak.hold(pressed(20.0))
+        friction = weak.brake_friction(pressed(20.0))
     missing = np.abs(robot.gravity(q)) - data.tau_max
     assert missing.max() > 0.0
     np.testing.assert_allclose(friction, 0.25 * data.tau_max + 1.5 * np.maximum(missing, 0.0))

@@ -162,7 +162,7 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
     scenario = Scenario(control=TUNED, solver={"name": solver}, faults=wrong, seed=3, **SHORT)
     trace, again = run(scenario), run(scenario)
     setup = Setup(scenario)
-    np.testing.assert_array_equal(trace.injected, setup.spoilt())
+    np.testing.assert_array_equal(trace.injected, setup.fault_mask())
     assert 10 < trace.injected.sum() < 50
     label = {"fail": "failed", "nan": "not_finite", "lie": "lied", "raise": "raised", "hang": "late", "rig": "outside"}
     assert set(trace.fault[trace.injected]) == {label.get(kind, kind)}
@@ -189,7 +189,7 @@ def test_dcac_has_no_solver_to_spoil():
 def test_compiled_ticks_say_that_they_cannot_be_spoilt(kind):
     setup = Setup(Scenario(control={"backend": "c"}, faults={"solver": kind}, **SHORT))
     with pytest.raises(ScenarioError, match=r"\[faults\] solver"):
-        setup.brain()
+        setup.adapter()
 
 
 def test_hanging_keeps_a_budget_that_was_given():

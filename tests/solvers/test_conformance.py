@@ -41,10 +41,10 @@ class Expect:
     loss: float = 1e-4  # of the self-motion interval
     natural: float = 1e-5  # with the solver's own y [rad/s]
     x: float = 2e-4  # distance to the exact answer and between warm and cold answers [rad/s]
-    gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where damping = 0 [rad/s]
+    gap: float = 1e-6  # (f(x) - f(exact)) / (c2 |grad_mu|_inf) where regularization = 0 [rad/s]
     solved: float = 1.0  # least share of the feasible problems
     certified: float = 1.0  # least share of the infeasible problems that are called infeasible
-    undamped: float | None = 1.0  # the same as ``solved`` for damping = 0; None: not supported
+    undamped: float | None = 1.0  # the same as ``solved`` for regularization = 0; None: not supported
     recovers: bool = True  # from an infeasible tick
     arm: bool = False  # needs problems of ARM, whose kinematics it is given
 
@@ -57,7 +57,7 @@ NLP = Expect(
 EXPECT = {
     "exact": Expect(primal=1e-12, relative=1e-8, loss=1e-9, natural=1e-12, x=1e-9, gap=1e-9),
     # Small k: some of these arms are larger than a real one. It cannot prove anything infeasible, and with
-    # damping = 0 nothing damps the last oscillation of some problems. An infeasible tick winds its
+    # regularization = 0 nothing damps the last oscillation of some problems. An infeasible tick winds its
     # multipliers up, and it needs as long again to unwind them.
     "rnn": Expect(
         {"steps": 300_000, "k": 0.2}, primal=1e-6, relative=1e-3, loss=5e-3, x=5e-3, gap=1e-4, certified=0.0,
@@ -69,7 +69,7 @@ EXPECT = {
     "qpsolvers:osqp": Expect(solved=0.95, undamped=0.95),
     "piqp": Expect(certified=0.85),  # the others end as MAX_ITER
     "quadprog": Expect(undamped=None),  # needs P > 0
-    "casadi:qrqp": Expect(certified=0.0, undamped=None),  # gives no reason; cycles without damping
+    "casadi:qrqp": Expect(certified=0.0, undamped=None),  # gives no reason; cycles without regularization
     "nlp-sqp": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
     "nlp-ipopt": NLP,
     "nlp-fatrop": dataclasses.replace(NLP, certified=0.0),  # it stops without saying why
@@ -98,10 +98,10 @@ def solver(name: str) -> Solver:
 
 
 @cache
-def problems(arm: bool, damping: float = 1e-5, feasible: bool = True) -> list[NullSpaceQP]:
+def problems(arm: bool, regularization: float = 1e-5, feasible: bool = True) -> list[NullSpaceQP]:
     rng = np.random.default_rng(11)
     make = random_problem if feasible else infeasible_problem
-    return [make(rng, arm=ARM if arm else None, damping=damping) for _ in range(COUNT)]
+    return [make(rng, arm=ARM if arm else None, regularization=regularization) for _ in range(COUNT)]
 
 
 def of(name: str, **options: Any) -> list[NullSpaceQP]:
@@ -150,8 +150,8 @@ def test_duals_follow_the_sign_convention(name):
 
 @every_solver
 def test_undamped_objectives_are_optimal(name):
-    """damping = 0: the optimum is a face, so objectives are compared, never x."""
-    limits, qps = expect(name), of(name, damping=0.0)
+    """regularization = 0: the optimum is a face, so objectives are compared, never x."""
+    limits, qps = expect(name), of(name, regularization=0.0)
     if limits.undamped is None:
         assert all(solver(name).supports(qp) for qp in qps)
         return
@@ -314,7 +314,7 @@ def test_a_session_survives_any_problem(name):
     """Whatever follows in a stream, unsupported problems included, is answered with a status."""
     qps = of(name)
     session = solver(name).start(qps[0])
-    for qp in [*odd_problems(), random_problem(np.random.default_rng(1), damping=0.0)]:
+    for qp in [*odd_problems(), random_problem(np.random.default_rng(1), regularization=0.0)]:
         solution = session.solve(qp)
         assert solution.x.shape == (qp.n,)
         assert solution.status is not Status.SOLVED or np.isfinite(solution.x).all()

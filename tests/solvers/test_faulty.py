@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.errors import SolverError
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers import create
 from moc_opt.solvers.base import Status
@@ -42,7 +42,7 @@ def is_wrong(kind, qp, answer):
         return (answer.x == 50.0).all() and qp.residuals(answer.x).primal < 1e-9  # by its own copy of the problem
     if kind == "malformed":
         return answer.y.dtype == complex
-    found = judge(qp.row[None], answer.x[None])  # a lie
+    found = compute_residuals(qp.row[None], answer.x[None])  # a lie
     return answer.status is Status.SOLVED and found.primal[0] < 1e-9 and not found.verified()[0]
 
 
@@ -50,7 +50,7 @@ def is_wrong(kind, qp, answer):
 def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind, problems):
     solver = Faulty(Exact(), kind, rate=0.3, seed=4)
     session = solver.start(problems[0])
-    spoilt = solver.spoilt(len(problems))
+    spoilt = solver.fault_mask(len(problems))
     assert 0.2 < spoilt.mean() < 0.4
     right = answers(Exact().start(problems[0]), problems)
     shown = [qp.copy() for qp in problems]
@@ -86,7 +86,7 @@ def test_the_solver_inside_keeps_its_memory_to_itself(problems):
         create("rnn").start(problems[0]),
         Faulty(create("rnn"), "lie", rate=0.5).start(problems[0]),
     )
-    hit = Faulty(create("rnn"), "lie", rate=0.5).spoilt(len(problems))
+    hit = Faulty(create("rnn"), "lie", rate=0.5).fault_mask(len(problems))
     for qp, bad in zip(problems, hit, strict=True):
         mine = spoilt.solve(qp)
         if not bad:

@@ -101,7 +101,7 @@ def test_what_cannot_be_judged_says_why():
     [
         ({"plant": {"delay_ticks": 2}, "control": STIFF}, "joint_5"),
         ({"plant": {"friction": 0.0}, "control": STIFF}, "joint_7"),
-        ({"control": {**STIFF, "damping": 0.0}}, "joint_5"),
+        ({"control": {**STIFF, "regularization": 0.0}}, "joint_5"),
     ],
     ids=["delay", "no friction", "rho = 0"],
 )

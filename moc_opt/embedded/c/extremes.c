@@ -147,15 +147,27 @@ static int safe(const inputs *in, moc_safe_state *state)
     return fine;
 }
 
+/* A place in the state; the readings that are remembered, its largest part, get one in eight. */
+static size_t place(const moc_safe_state *state)
+{
+    const moc_replay_state *past = &state->guard.motion.replay;
+    size_t begin = (size_t)((const unsigned char *)past - (const unsigned char *)state);
+    size_t at = (size_t)bits() % (sizeof *state - sizeof *past);
+    if (chance(8))
+        return begin + (size_t)bits() % sizeof *past;
+    return at < begin ? at : at + sizeof *past;
+}
+
 /* Memory that somebody else has written to. */
 static void damage(moc_safe_state *state)
 {
     unsigned char *bytes = (unsigned char *)state;
     double any = extreme();
+    size_t at = place(state);
     if (chance(2))
-        bytes[bits() % sizeof *state] ^= (unsigned char)(1u << (bits() % 8));
+        bytes[at] ^= (unsigned char)(1u << (bits() % 8));
     else
-        memcpy(bytes + 8 * (bits() % (sizeof *state / 8)), &any, sizeof any);
+        memcpy(bytes + at - at % 8, &any, sizeof any);
 }
 
 /* A course from a drawn start, until some ticks after the stop: measurements drift, and extremes happen. */

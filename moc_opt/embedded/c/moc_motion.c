@@ -2,6 +2,7 @@
 
 #include <limits.h>
 #include <math.h>
+#include <string.h>
 
 #include "moc_dense.h"
 #include "moc_safe.h"
@@ -11,8 +12,10 @@
 
 void moc_motion_start(const double *q, const double *v, int64_t stamp, moc_motion_state *state)
 {
-    moc_motion_state empty = {.now = stamp - 1, .newest = stamp - 1, .delay = -2};
-    *state = empty;
+    memset(state, 0, sizeof *state);
+    state->now = state->newest = stamp - 1;
+    state->delay = -2;
+    moc_replay_start(&state->replay);
     for (int i = 0; i < MOC_N; i++) {
         state->shown[i] = q[i];
         state->peak[i] = fabs(v[i]);
@@ -92,13 +95,19 @@ static int compare_joint(int i, double q, double v, double elapsed, moc_motion_s
     return fabs(state->gap[i]) > MOC_MOTION_RAD + MOC_MOTION_LAG_S * state->peak[i];
 }
 
-int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state)
+/* Whether the wrench sensor never repeated itself in the first readings; 0 until they are in. */
+static int has_noise(const moc_motion_state *state)
+{
+    return state->looked >= FIRST_TICKS && !state->wrench_is_still;
+}
+
+/* Compare a new reading with its own velocity and with the last one. */
+static int compare_readings(const double *q, const double *v, const double *tau, const double *wrench,
+                            moc_motion_state *state)
 {
     double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18;
     int ran_away = 0;
 
-    if (!MOC_MOTION)
-        return 0;
     state->ticks = 0;
     compare_wrench(wrench, state);
     for (int i = 0; i < MOC_N; i++) {
@@ -112,10 +121,19 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
             state->still[i] = state->told[i];
         return ran_away ? MOC_STOP_RAN_AWAY : 0;
     }
-    int noisy = state->looked >= FIRST_TICKS && !state->wrench_is_still;
-    if ((noisy && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS) || moved(tau, state))
+    if ((has_noise(state) && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS) || moved(tau, state))
         return MOC_STOP_REPEATED;
     return ran_away ? MOC_STOP_RAN_AWAY : 0;
+}
+
+int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state)
+{
+    if (!MOC_MOTION)
+        return 0;
+    int found = compare_readings(q, v, tau, wrench, state);
+    if (moc_replay_count(q, v, wrench, &state->replay) > MOC_REPEAT_WHOLE_TICKS && has_noise(state))
+        return MOC_STOP_REPLAYED;
+    return found;
 }
 
 /* A step of the momentum observer: r = K_o (p - integral of (tau + C^T v - g + r)). */

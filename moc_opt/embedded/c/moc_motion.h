@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "moc_constants.h"
+#include "moc_replay.h"
 #include "moc_tick.h"
 
 typedef struct {
@@ -31,6 +32,7 @@ typedef struct {
     int looked;              /* the first readings, counted */
     int wrench_is_still;     /* whether the wrench ever repeated itself in them: where not, its sensor has noise */
     int weighed;             /* ticks that were weighed; it stays where it cannot count any further */
+    moc_replay_state replay; /* the readings so far */
 } moc_motion_state;
 
 enum { MOC_FRESH = 0, MOC_REPEAT, MOC_OLD };
@@ -42,7 +44,7 @@ void moc_motion_start(const double *q, const double *v, int64_t stamp, moc_motio
 int moc_motion_age(int64_t stamp, moc_motion_state *state);
 
 /* Take in a new reading q, v (n,), wrench (6,), after the torque tau (n,) went out.
- * Returns MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, or 0. */
+ * Returns MOC_STOP_REPLAYED, MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, or 0. */
 int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state);
 
 /* Take in what the model makes of a measurement with velocity v (n,), tau (n,) having acted before it.

@@ -183,6 +183,7 @@ const char *moc_safe_reason(int reason)
         "the encoders' positions do not follow their velocities",
         "an encoder repeats one reading while torque acts on its joint",
         "the torque went into a motion that the encoders do not show",
+        "the measurements are a recording: they came before, to the last bit",
     };
     return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }

@@ -34,6 +34,7 @@ enum {
     MOC_STOP_RAN_AWAY,    /* the encoders' positions do not follow their velocities */
     MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
     MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
+    MOC_STOP_REPLAYED,    /* the measurements are a recording: they came before, to the last bit */
     MOC_REASONS
 };
 

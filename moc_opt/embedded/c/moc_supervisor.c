@@ -29,7 +29,7 @@ static int fault_of(int status, const double *record, const double *Z, int rows,
         return MOC_FAULT_OUTSIDE;
     if (MOC_CHECK && (found.natural > MOC_RELATIVE_LIMIT ||
                       (found.off > MOC_OPPOSITE_LIMIT && found.opposite < found.off)))
-        return MOC_FAULT_LIED;
+        return MOC_FAULT_FALSE_OPTIMUM;
     return solve_us > MOC_BUDGET_US ? MOC_FAULT_LATE : MOC_FAULT_NONE;
 }
 

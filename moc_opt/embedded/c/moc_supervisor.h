@@ -11,7 +11,7 @@ enum {
     MOC_FAULT_FAILED,     /* the rows of tip and wrist have lost rank, and there is no answer */
     MOC_FAULT_NOT_FINITE, /* the answer holds NaN or infinity */
     MOC_FAULT_OUTSIDE,    /* it leaves the box or misses the references by more than the check allows */
-    MOC_FAULT_LIED,       /* it is not the optimum */
+    MOC_FAULT_FALSE_OPTIMUM,       /* it is not the optimum */
     MOC_FAULT_LATE,       /* it took longer than its budget */
     MOC_FAULTS
 };

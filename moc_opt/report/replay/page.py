@@ -6,7 +6,6 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from string import Template
 from types import MappingProxyType
 from typing import Any, Self
 
@@ -16,19 +15,17 @@ from numpy.typing import NDArray
 from moc_opt.errors import ReportError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.showable import check
-from moc_opt.report.document import asset, document, save_document, script_data
+from moc_opt.report.document import render, save_document
 from moc_opt.report.figures.series import PANELS
 from moc_opt.report.figures.style import DARK, Styles
 from moc_opt.report.replay.arm import arm_parts
 from moc_opt.report.replay.tracks import Block, frame_times, run_track
 from moc_opt.report.runs import load_runs
-from moc_opt.report.table_html import escape
 from moc_opt.trace.trace import Trace
 
 Array = NDArray[np.float64]
 
 MOST_RUNS = 4
-SCRIPTS = ("replay_gl.js", "replay_scene.js", "replay_plots.js", "replay.js")
 
 
 class Replay:
@@ -91,12 +88,10 @@ class Replay:
         """The whole file as text."""
         value, packed = self.data()
         robot = self.robot.data
-        subtitle = f"{robot.name}, tool of {robot.tool_length:.2f} m"
-        body = Template(asset("replay.html")).substitute(
-            title=escape(self.title), subtitle=escape(subtitle), numbers=packed, scripts="\n".join(map(asset, SCRIPTS)),
-            value=script_data("replay-value", json.dumps(value, allow_nan=False, separators=(",", ":"))),
+        return render(
+            "replay.html", title=self.title, subtitle=f"{robot.name}, tool of {robot.tool_length:.2f} m",
+            value=json.dumps(value, allow_nan=False, separators=(",", ":")), numbers=packed,
         )  # fmt: skip
-        return document(self.title, "replay.css", body)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the file, all or nothing: an older one of that name stays until the new one is there.

@@ -7,11 +7,12 @@ call costs a microsecond; the same steps in numpy, one by one, cost as much as t
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sparse
 from numba import float64, int64, njit, typeof
 from numpy.typing import NDArray
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, Entry
-from moc_opt.qp.equalities import assemble, equalities
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
+from moc_opt.qp.equalities import assemble, assembled, offsets
 from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
@@ -36,14 +37,14 @@ def load_record(
     """Fill the buffers of a `Loader` from one flat record; False where it has no five rows."""
     if not assemble(row, n, P, p, A, low, lift):
         return False
-    box = 6 * n + 6 + n
+    at = offsets(n)
     k = 0
     for i in range(n):
         for j in range(n):
             P[i, j] *= scale
         p[i] *= scale * signs[0]
-        lower[i] = signs[1] * row[box + i]
-        upper[i] = signs[2] * row[box + n + i]
+        lower[i] = signs[1] * row[at.lower + i]
+        upper[i] = signs[2] * row[at.upper + i]
     for i in range(5):
         high[i] = low[i]
     if packed.shape[0] > 0:
@@ -64,7 +65,13 @@ def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
         six[j] = factor * total
 
 
-_LIFT_DUALS = Entry(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+_LIFT_DUALS = CompiledKernel(lift_duals, MATRIX, VECTOR, float64, VECTOR)
+
+
+def upper_triangle(values: Array, n: int) -> sparse.csc_matrix:
+    """Wrap (n (n + 1) / 2,) values, column by column, as the upper triangle of an (n, n) matrix; zeros stay."""
+    rows = np.concatenate([np.arange(j + 1) for j in range(n)])
+    return sparse.csc_matrix((values, rows, np.cumsum(np.arange(n + 1))), shape=(n, n))
 
 
 class Loader:
@@ -106,7 +113,7 @@ class Loader:
         self._five = rows == 5 and self._m == 5
         targets = (self._signs, P, self._packed, p, A, low, high, lower, upper, self._lift)
         # Each library has its own order of memory: the kernel is compiled for that of these very arrays.
-        self._kernel = Entry(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
+        self._kernel = CompiledKernel(load_record, VECTOR, int64, float64, *map(typeof, targets)).code
         self._targets = (self._n, scale, *targets)
         self._lift_duals = _LIFT_DUALS.code
 
@@ -114,12 +121,12 @@ class Loader:
         """Load ``qp``; False where it has another shape, and the buffers hold nothing of use."""
         if self._five:
             return qp.n == self._n and self._kernel(qp.row, *self._targets)
-        A, b, lift = equalities(qp, self._rows)
+        P, p, A, b, lift = assembled(qp, self._rows)
         if A.shape != (self._m, self._n):
             return False
         self._A[:], self._low[:], self._high[:], self._lift[:] = A, b, b, lift
-        np.multiply(qp.P, self._scale, out=self._P)
-        np.multiply(qp.p, self._scale * self._signs[0], out=self._p)
+        np.multiply(P, self._scale, out=self._P)
+        np.multiply(p, self._scale * self._signs[0], out=self._p)
         np.multiply(qp.lower, self._signs[1], out=self._lower)
         np.multiply(qp.upper, self._signs[2], out=self._upper)
         if self._packed.size:

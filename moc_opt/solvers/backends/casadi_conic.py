@@ -9,20 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError, UnknownNameError
-from moc_opt.qp.equalities import ROWS, equalities
-from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers import checks
-from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.backends.session import Adapter, LibrarySession, Outcome
+from moc_opt.solvers.base import Status
 from moc_opt.solvers.options import checked
 
-Array = NDArray[np.float64]
 PREFIX = "casadi:"
 
 # Only what is CasADi's own. Its other plug-ins bring a second copy of a library that has an adapter of its
@@ -32,7 +28,7 @@ PREFIX = "casadi:"
 PLUGINS: dict[str, dict[str, Any]] = {
     "qrqp": {"print_iter": False, "print_header": False, "print_info": False, "max_iter": 100},
 }
-NEEDS_DAMPING = {"qrqp"}  # cycles on a singular cost
+NEEDS_DEFINITE = {"qrqp"}  # cycles on a singular cost
 
 
 def reasons() -> dict[str, str | None]:
@@ -58,8 +54,53 @@ def factory(name: str) -> Callable[..., CasadiConic]:
     return partial(CasadiConic, name)
 
 
+class CasadiSession(LibrarySession):
+    """One conic function and the arrays it reads and writes."""
+
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        sizes = {
+            "h": n * n, "g": n, "a": m * n, "lba": m, "uba": m, "lbx": n, "ubx": n, "x0": n, "lam_x0": n, "lam_a0": m,
+        }  # fmt: skip
+        self._in = given = {key: np.zeros(size) for key, size in sizes.items()}
+        self._out = {"x": np.zeros(n), "cost": np.zeros(1), "lam_a": np.zeros(m), "lam_x": np.zeros(n)}
+        # matrices by columns, as CasADi stores them
+        return {
+            "P": given["h"].reshape((n, n)), "p": given["g"], "A": given["a"].reshape((m, n), order="F"),
+            "low": given["lba"], "high": given["uba"], "lower": given["lbx"], "upper": given["ubx"],
+        }  # fmt: skip
+
+    def _set_up(self, m: int, n: int) -> None:
+        settings = self._settings
+        form = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
+        options = {"error_on_fail": True, **PLUGINS[settings.plugin], **settings.options}
+        try:
+            self._function = ca.conic("subproblem", settings.plugin, form, options)
+        except RuntimeError as error:
+            raise SolverError(f"{settings.name}: options = {options} are refused: {error}") from error
+        # CasADi keeps the addresses of these arrays, so they are only ever written into
+        self._buffer, self._evaluate = self._function.buffer()
+        for name, array in self._in.items():
+            self._buffer.set_arg(self._function.index_in(name), array.data)  # type: ignore[call-arg]
+        for name, array in self._out.items():
+            self._buffer.set_res(self._function.index_out(name), array.data)  # type: ignore[call-arg]
+
+    def _hand_over(self) -> None:
+        """Nothing: the function reads the buffers when it runs."""
+
+    def _run(self) -> Outcome:
+        status = Status.SOLVED
+        try:
+            self._evaluate()
+        except RuntimeError:  # how CasADi reports a failure; asking for statistics every time costs 15 us
+            status = _verdict(self._buffer.stats())
+        last = status is Status.SOLVED and self._settings.warm
+        for start, end in (("x0", "x"), ("lam_x0", "lam_x"), ("lam_a0", "lam_a")):
+            self._in[start][:] = self._out[end] if last else 0.0
+        return status, 0, self._out["x"].copy(), self._out["lam_a"]
+
+
 @dataclass(frozen=True)
-class CasadiConic:
+class CasadiConic(Adapter):
     """One conic plug-in.
 
     Args:
@@ -79,98 +120,24 @@ class CasadiConic:
     cost_scale: float = 1e3
     options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     warm: bool = False
+    session: ClassVar[type[LibrarySession]] = CasadiSession
 
     def __post_init__(self) -> None:
-        checks.like_defaults(self, rows=ROWS)
+        super().__post_init__()
         object.__setattr__(self, "options", checked(self.name, self.options))
 
     def __reduce__(self) -> tuple[Any, ...]:  # a mapping proxy cannot be pickled
         return CasadiConic, (self.plugin, self.rows, self.cost_scale, dict(self.options), self.warm)
 
     @property
-    def name(self) -> str:
+    def name(self) -> str:  # type: ignore[override]
         """Name in the registry."""
         return PREFIX + self.plugin
 
-    def supports(self, qp: NullSpaceQP) -> str | None:
-        """qrqp needs a positive definite cost; every other plug-in takes all."""
-        if self.plugin in NEEDS_DAMPING and qp.damping <= 1e-10 * (qp.c0 + qp.c1):
-            return f"casadi's {self.plugin} cycles without damping, and damping is {qp.damping:g}: set damping > 0"
-        return None
-
-    def start(self, qp: NullSpaceQP) -> CasadiSession:
-        """Build the function for the shape of ``qp``."""
-        return CasadiSession(self, qp)
-
-
-class CasadiSession:
-    """One conic function and the arrays it reads and writes."""
-
-    def __init__(self, settings: CasadiConic, qp: NullSpaceQP) -> None:
-        self._settings = settings
-        self._build(qp)
-
-    def _build(self, qp: NullSpaceQP) -> None:
-        A = equalities(qp, self._settings.rows).A
-        self._shape = m, n = A.shape
-        form = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
-        options = {"error_on_fail": True, **PLUGINS[self._settings.plugin], **self._settings.options}
-        try:
-            self._function = ca.conic("subproblem", self._settings.plugin, form, options)
-        except RuntimeError as error:
-            raise SolverError(f"{self._settings.name}: options = {options} are refused: {error}") from error
-        sizes = {
-            "h": n * n,
-            "g": n,
-            "a": m * n,
-            "lba": m,
-            "uba": m,
-            "lbx": n,
-            "ubx": n,
-            "x0": n,
-            "lam_x0": n,
-            "lam_a0": m,
-        }
-        self._in = {key: np.zeros(size) for key, size in sizes.items()}
-        # matrices by columns, as CasADi stores them
-        self._H, self._A = self._in["h"].reshape((n, n), order="F"), self._in["a"].reshape((m, n), order="F")
-        self._x, self._cost, self._lam_a, self._lam_x = np.zeros(n), np.zeros(1), np.zeros(m), np.zeros(n)
-        # CasADi keeps the addresses of these arrays, so they are only ever written into
-        self._buffer, self._evaluate = self._function.buffer()
-        for name, array in self._in.items():
-            self._buffer.set_arg(self._function.index_in(name), array.data)  # type: ignore[call-arg]
-        for name, array in zip(
-            ("x", "cost", "lam_a", "lam_x"), (self._x, self._cost, self._lam_a, self._lam_x), strict=True
-        ):
-            self._buffer.set_res(self._function.index_out(name), array.data)  # type: ignore[call-arg]
-        self._back = 1.0 / self._settings.cost_scale
-
-    def update(self, qp: NullSpaceQP) -> None:
-        """Write the subproblem into the function's buffers; another shape than the last one's builds a new function."""
-        A, b, self._lift = equalities(qp, self._settings.rows)
-        if A.shape != self._shape:
-            self._build(qp)
-        given, part, scale = self._in, qp.fields, self._settings.cost_scale
-        np.multiply(qp.P, scale, out=self._H)
-        np.multiply(qp.p, scale, out=given["g"])
-        self._A[:] = A
-        given["lba"][:] = given["uba"][:] = b
-        given["lbx"][:], given["ubx"][:] = part.lower, part.upper
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
-        self.update(qp)
-        try:
-            self._evaluate()
-        except RuntimeError:  # how CasADi reports a failure; asking for statistics every time costs 15 us
-            self._start_from(False)
-            return no_answer(qp.n, _verdict(self._buffer.stats()))
-        self._start_from(self._settings.warm)
-        return Solution(self._x.copy(), np.dot(self._lam_a, self._lift) * self._back, Status.SOLVED)
-
-    def _start_from(self, last: bool) -> None:
-        for key, value in (("x0", self._x), ("lam_x0", self._lam_x), ("lam_a0", self._lam_a)):
-            self._in[key][:] = value if last else 0.0
+    @property
+    def needs(self) -> str:  # type: ignore[override]
+        """What the plug-in needs of a cost; empty where it copes with every one."""
+        return f"casadi's {self.plugin} cycles without regularization" if self.plugin in NEEDS_DEFINITE else ""
 
 
 def _verdict(stats: Mapping[str, Any]) -> Status:

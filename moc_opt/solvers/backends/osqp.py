@@ -11,16 +11,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 from osqp import ext_builtin
 
-from moc_opt.qp.equalities import ROWS, equalities
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers import checks
-from moc_opt.solvers.backends.buffers import Loader
-from moc_opt.solvers.base import Solution, Status, no_answer
-
-Array = NDArray[np.float64]
+from moc_opt.solvers.backends.buffers import upper_triangle
+from moc_opt.solvers.backends.session import Adapter, LibrarySession, Outcome, TruncatedSession
+from moc_opt.solvers.base import Solution, Status
 
 _CODE = ext_builtin.osqp_status_type
 # "Inaccurate" means that a ten times looser tolerance was met when the iterations ran out: not solved.
@@ -32,11 +28,66 @@ _STATUS = {
     int(_CODE.OSQP_MAX_ITER_REACHED): Status.MAX_ITER,
     int(_CODE.OSQP_TIME_LIMIT_REACHED): Status.TIME_LIMIT,
 }
-_HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
+
+
+class OSQPSession(TruncatedSession):
+    """One OSQP workspace: dense sparsity patterns, so that every tick only replaces values."""
+
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        self._P = np.empty(n * (n + 1) // 2)
+        self._A = np.ones((n, m + 1))  # the columns of [A; I]: explicit zeros stay
+        self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
+        self._zeros = self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
+        return {
+            "P": np.empty((n, n)), "packed": self._P, "p": self._q, "A": self._A[:, :m].T,
+            "low": self._l[:m], "high": self._u[:m], "lower": self._l[m:], "upper": self._u[m:],
+        }  # fmt: skip
+
+    def _set_up(self, m: int, n: int) -> None:
+        below = np.concatenate([np.append(np.arange(m), m + j) for j in range(n)])
+        A = sparse.csc_matrix((self._A.ravel(), below, (m + 1) * np.arange(n + 1)), shape=(m + n, n))
+        core, settings = ext_builtin, self._settings
+        options = core.OSQPSettings()
+        core.osqp_set_default_settings(options)
+        options.verbose = 0
+        options.eps_abs, options.eps_rel = settings.eps, settings.eps_rel
+        options.max_iter, options.check_termination = settings.max_iter, settings.check_termination
+        options.polishing = int(settings.polishing)
+        self._options, self._rho = options, options.rho
+        P = upper_triangle(self._P, n)
+        self._core: Any = core.OSQPSolver(
+            core.CSC(P), self._q, core.CSC(A), self._l, self._u, m + n, n, options
+        )
+
+    def _hand_over(self) -> None:
+        self._core.update_data_vec(q=self._q, l=self._l, u=self._u)
+        self._core.update_data_mat(P_x=self._P, P_i=None, A_x=self._A.reshape(-1), A_i=None)
+
+    def _run(self) -> Outcome:
+        core = self._core
+        self._before = self._last
+        if not self._settings.warm:
+            core.update_rho(self._rho)
+            core.warm_start(*self._zeros)
+        core.solve()
+        status = _STATUS.get(core.info.status_val, Status.NUMERICAL)
+        x, y = core.solution.x, core.solution.y
+        if status in (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT):
+            self._last = x, y
+        return status, core.info.iter, x, y[: self._m]
+
+    def _limit(self, iterations: int) -> None:
+        self._options.max_iter = iterations
+        self._core.update_settings(self._options)
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """Answer with the iterate after so many iterations, from where the last solve began; the next goes on there."""
+        self._core.warm_start(*self._before)
+        return super().truncated(qp, iterations)
 
 
 @dataclass(frozen=True)
-class OSQP:
+class OSQP(Adapter):
     """OSQP through its native interface.
 
     The library's own tolerance of 1e-3 is ten times the whole gradient of this problem
@@ -67,90 +118,4 @@ class OSQP:
     polishing: bool = False
     warm: bool = True
     name: ClassVar[str] = "osqp"
-
-    def __post_init__(self) -> None:
-        checks.like_defaults(self, rows=ROWS)
-
-    def supports(self, qp: NullSpaceQP) -> str | None:
-        """Every subproblem is supported."""
-        return None
-
-    def start(self, qp: NullSpaceQP) -> OSQPSession:
-        """Set the workspace up with the shape and the scaling of ``qp``."""
-        return OSQPSession(self, qp)
-
-
-class OSQPSession:
-    """One OSQP workspace: dense sparsity patterns, so that every tick only replaces values."""
-
-    def __init__(self, settings: OSQP, qp: NullSpaceQP) -> None:
-        self._settings = settings
-        self._build(qp)
-
-    def _build(self, qp: NullSpaceQP) -> None:
-        self._shape = m, n = equalities(qp, self._settings.rows).A.shape
-        # The upper triangle of P and the columns of [A; I], column by column: explicit zeros stay.
-        upper = np.concatenate([np.arange(j + 1) * n + j for j in range(n)])
-        self._P = np.empty(len(upper))
-        self._A = np.ones((n, m + 1))
-        self._q, self._l, self._u = np.empty(n), np.empty(m + n), np.empty(m + n)
-        self._back = 1.0 / self._settings.cost_scale
-        self._zeros = self._last = self._before = np.zeros(n), np.zeros(m + n)  # x and all multipliers
-        self._load = Loader(
-            self._settings.rows, self._settings.cost_scale, P=np.empty((n, n)), packed=self._P, p=self._q,
-            A=self._A[:, :m].T, low=self._l[:m], high=self._u[:m], lower=self._l[m:], upper=self._u[m:],
-        )  # fmt: skip
-        self._load(qp)
-        ends = np.cumsum(np.arange(n + 1))
-        P_csc = sparse.csc_matrix((self._P, upper // n, ends), shape=(n, n))
-        below = np.concatenate([np.append(np.arange(m), m + j) for j in range(n)])
-        A_csc = sparse.csc_matrix((self._A.ravel(), below, (m + 1) * np.arange(n + 1)), shape=(m + n, n))
-        core = ext_builtin
-        options = core.OSQPSettings()
-        core.osqp_set_default_settings(options)
-        options.verbose = 0
-        options.eps_abs, options.eps_rel = self._settings.eps, self._settings.eps_rel
-        options.max_iter = self._settings.max_iter
-        options.check_termination = self._settings.check_termination
-        options.polishing = int(self._settings.polishing)
-        self._options, self._rho = options, options.rho
-        self._core: Any = core.OSQPSolver(
-            core.CSC(P_csc), self._q, core.CSC(A_csc), self._l, self._u, m + n, n, options
-        )
-
-    def update(self, qp: NullSpaceQP) -> None:
-        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
-        if not self._load(qp):
-            self._build(qp)
-        core = self._core
-        core.update_data_vec(q=self._q, l=self._l, u=self._u)
-        core.update_data_mat(P_x=self._P, P_i=None, A_x=self._A.reshape(-1), A_i=None)
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
-        self.update(qp)
-        core, (m, n) = self._core, self._shape
-        self._before = self._last
-        if not self._settings.warm:
-            core.update_rho(self._rho)
-            core.warm_start(*self._zeros)
-        core.solve()
-        info = core.info
-        status = _STATUS.get(info.status_val, Status.NUMERICAL)
-        if status not in _HAS_X:
-            return no_answer(n, status, info.iter)
-        found = core.solution
-        self._last = x, y = found.x, found.y
-        return Solution(x, self._load.lifted(y[:m], self._back), status, info.iter)
-
-    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """The iterate after so many iterations, from where the last solve began; the next one goes on from here."""
-        core, options = self._core, self._options
-        core.warm_start(*self._before)
-        options.max_iter = iterations
-        core.update_settings(options)
-        try:
-            return self.solve(qp)
-        finally:
-            options.max_iter = self._settings.max_iter
-            self._core.update_settings(options)
+    session: ClassVar[type[LibrarySession]] = OSQPSession

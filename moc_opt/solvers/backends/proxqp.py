@@ -5,20 +5,15 @@ Bambade et al. 2022, "PROX-QP: yet another quadratic programming solver for robo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from proxsuite import proxqp
 
-from moc_opt.qp.equalities import ROWS, equalities
-from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers import checks
-from moc_opt.solvers.backends.buffers import Loader
-from moc_opt.solvers.base import Solution, Status, no_answer
-
-Array = NDArray[np.float64]
+from moc_opt.solvers.backends.session import Adapter, LibrarySession, Outcome
+from moc_opt.solvers.base import Status
 
 _CODE = proxqp.QPSolverOutput
 _STATUS = {
@@ -26,8 +21,6 @@ _STATUS = {
     _CODE.PROXQP_PRIMAL_INFEASIBLE: Status.INFEASIBLE,
     _CODE.PROXQP_MAX_ITER_REACHED: Status.MAX_ITER,
 }
-_NO_X = (Status.INFEASIBLE, Status.NUMERICAL)
-_SOLVED, _TROUBLE = Status.SOLVED, Status.NUMERICAL
 _GUESS = proxqp.InitialGuess
 _COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
 # The last answer with fresh step sizes. WARM_START_WITH_PREVIOUS_RESULT also keeps the last active set
@@ -35,12 +28,57 @@ _COLD = _GUESS.EQUALITY_CONSTRAINED_INITIAL_GUESS
 _WARM = _GUESS.COLD_START_WITH_PREVIOUS_RESULT
 
 
+class ProxQPSession(LibrarySession):
+    """One dense ProxQP workspace."""
+
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
+        box = (None, None, None) if self._settings.box == "bounds" else (np.eye(n),)
+        self._data = (P, p, A, b, *box, lower, upper)
+        return {"P": P, "p": p, "A": A, "low": b, "high": b, "lower": lower, "upper": upper}
+
+    def _set_up(self, m: int, n: int) -> None:
+        settings, bounds = self._settings, self._settings.box == "bounds"
+        self._core, self._warm = proxqp.dense.QP(n, m, 0 if bounds else n, bounds), False
+        options = self._core.settings
+        options.eps_abs, options.eps_rel = settings.eps, 0.0
+        options.eps_primal_inf = settings.eps_primal_inf
+        options.max_iter, options.max_iter_in = settings.max_iter, settings.max_iter_in
+        options.initial_guess = _COLD
+        self._core.init(*self._data)
+
+    def _hand_over(self) -> None:
+        self._core.update(*self._data)
+
+    def _run(self) -> Outcome:
+        core = self._core
+        core.solve()
+        result = core.results
+        info = result.info
+        status, iterations = _STATUS.get(info.status, Status.NUMERICAL), info.iter
+        if status is not Status.SOLVED and self._warm:
+            # A stale start must not decide that a problem has no answer: ask again from scratch. The
+            # data go in again because a failed run leaves the box scaled.
+            self._guess(False)
+            self._hand_over()
+            core.solve()
+            status = _STATUS.get(info.status, Status.NUMERICAL)
+            iterations += info.iter
+        if self._settings.warm and self._warm is not (status is Status.SOLVED):
+            self._guess(status is Status.SOLVED)
+        return status, iterations, result.x.copy(), result.y
+
+    def _guess(self, warm: bool) -> None:
+        self._core.settings.initial_guess = _WARM if warm else _COLD
+        self._warm = warm
+
+
 @dataclass(frozen=True)
-class ProxQP:
+class ProxQP(Adapter):
     """ProxQP's dense back-end.
 
     With the library's eps_primal_inf = 1e-4 a third of these feasible problems are called infeasible
-    (three quarters where damping = 0: their cost is smaller than that); with 1e-12 many infeasible ones run
+    (three quarters where regularization = 0: their cost is smaller than that); with 1e-12 many infeasible ones run
     into max_iter. With costs times 10 everything from 1e-10 to 1e-7 told 4800 feasible from 4800
     infeasible ones without an error; with costs times 1e3 a rare feasible one is called infeasible.
 
@@ -67,76 +105,5 @@ class ProxQP:
     max_iter_in: int = 50
     warm: bool = True
     name: ClassVar[str] = "proxqp"
-
-    def __post_init__(self) -> None:
-        checks.like_defaults(self, rows=ROWS, box=("bounds", "rows"))
-
-    def supports(self, qp: NullSpaceQP) -> str | None:
-        """Every subproblem is supported."""
-        return None
-
-    def start(self, qp: NullSpaceQP) -> ProxQPSession:
-        """Set the workspace up with the shape and the preconditioner of ``qp``."""
-        return ProxQPSession(self, qp)
-
-
-class ProxQPSession:
-    """One dense ProxQP workspace."""
-
-    def __init__(self, settings: ProxQP, qp: NullSpaceQP) -> None:
-        self._settings = settings
-        self._build(qp)
-
-    def _build(self, qp: NullSpaceQP) -> None:
-        settings = self._settings
-        m, n = equalities(qp, settings.rows).A.shape
-        P, p, A, b, lower, upper = (np.empty(shape) for shape in ((n, n), n, (m, n), m, n, n))
-        self._load = Loader(
-            settings.rows, settings.cost_scale, P=P, p=p, A=A, low=b, high=b, lower=lower, upper=upper
-        )
-        self._load(qp)
-        bounds = settings.box == "bounds"
-        box = (None, None, None) if bounds else (np.eye(n),)
-        self._data = (P, p, A, b, *box, lower, upper)
-        self._back = 1.0 / settings.cost_scale
-        core = proxqp.dense.QP(n, m, 0 if bounds else n, bounds)
-        options = core.settings
-        options.eps_abs, options.eps_rel = settings.eps, 0.0
-        options.eps_primal_inf = settings.eps_primal_inf
-        options.max_iter, options.max_iter_in = settings.max_iter, settings.max_iter_in
-        options.initial_guess = _COLD
-        self._core, self._warm = core, False
-        core.init(*self._data)
-
-    def update(self, qp: NullSpaceQP) -> None:
-        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
-        if not self._load(qp):
-            self._build(qp)
-        self._core.update(*self._data)
-
-    def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
-        self.update(qp)
-        core = self._core
-        core.solve()
-        result = core.results
-        info = result.info
-        status = _STATUS.get(info.status, _TROUBLE)
-        iterations = info.iter
-        if status is not _SOLVED and self._warm:
-            # A stale start must not decide that a problem has no answer: ask again from scratch. The
-            # data go in again because a failed run leaves the box scaled.
-            self._guess(False)
-            core.update(*self._data)
-            core.solve()
-            status = _STATUS.get(info.status, _TROUBLE)
-            iterations += info.iter
-        if self._settings.warm and self._warm is not (status is _SOLVED):
-            self._guess(status is _SOLVED)
-        if status in _NO_X:
-            return no_answer(qp.n, status, iterations)
-        return Solution(result.x.copy(), self._load.lifted(result.y, self._back), status, iterations)
-
-    def _guess(self, warm: bool) -> None:
-        self._core.settings.initial_guess = _WARM if warm else _COLD
-        self._warm = warm
+    session: ClassVar[type[LibrarySession]] = ProxQPSession
+    choices: ClassVar[Mapping[str, tuple[object, ...]]] = {"box": ("bounds", "rows")}

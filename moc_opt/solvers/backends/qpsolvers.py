@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, UnknownNameError, describe
-from moc_opt.qp.equalities import ROWS, equalities
+from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
+from moc_opt.solvers.backends.session import refuse_semidefinite
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.options import checked
 
@@ -39,14 +40,14 @@ class Advice(NamedTuple):
 # The gradient of this problem is about 1e-4, the size of a usual tolerance: costs times 1e3 lift it out.
 ADVICE: dict[str, Advice] = {
     "clarabel": Advice(1e3, {}),  # else about 1 % of its answers have a relative residual above 1e-3
-    "daqp": Advice(1e3, {}),  # else 5 % at the wrong end of the self-motion when damping = 0
+    "daqp": Advice(1e3, {}),  # else 5 % at the wrong end of the self-motion when regularization = 0
     "highs": Advice(1e3, {"time_limit": 0.1}),  # unscaled its QP solver cycles for ever
     "osqp": Advice(1e2, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-3 nine answers in ten are wrong
     "piqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
     # Its eps_primal_inf = 1e-4 cannot be set through qpsolvers: 4 % of feasible problems are called
-    # infeasible (16 % when damping = 0). The native adapter "proxqp" has the cure.
+    # infeasible (16 % when regularization = 0). The native adapter "proxqp" has the cure.
     "proxqp": Advice(1e3, {"eps_abs": 1e-9, "eps_rel": 0.0}),
-    "quadprog": Advice(1.0, {}),  # exact, but it needs damping > 0
+    "quadprog": Advice(1.0, {}),  # exact, but it needs regularization > 0
     "scs": Advice(1e3, {"eps_abs": 1e-8, "eps_rel": 0.0}),  # with 1e-4 half of the answers are wrong
 }
 NO_ADVICE = Advice(1.0, {})
@@ -137,13 +138,10 @@ class QPSolver:
         return Advice(scale, {**base.options, **self.options})
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """quadprog factorises P, which is singular without damping; every other library takes all."""
-        if self.library == "quadprog" and qp.damping <= 1e-10 * (qp.c0 + qp.c1):
-            return (
-                f"quadprog needs a positive definite cost and damping is {qp.damping:g}: it refuses, or "
-                "answers wrongly; set damping > 0"
-            )
-        return None
+        """Say no for quadprog without regularization: it factorises P, and refuses or answers wrongly."""
+        if self.library != "quadprog":
+            return None
+        return refuse_semidefinite(qp, "quadprog needs a positive definite cost")
 
     def start(self, qp: NullSpaceQP) -> QPSolverSession:
         """A session; where there are options of the caller's, one solve shows whether they exist."""
@@ -183,11 +181,11 @@ class QPSolverSession:
 
     def attempt(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; raises what the library raises."""
-        A, b, lift = equalities(qp, self._settings.rows)
+        P, p, A, b, lift = assembled(qp, self._settings.rows)
         part, scale, library = qp.fields, self._scale, self._settings.library
         # Copies: daqp refuses read-only arrays.
         problem = qpsolvers.Problem(
-            qp.P * scale, qp.p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
+            P * scale, p * scale, None, None, A.copy(), b.copy(), part.lower.copy(), part.upper.copy()
         )
         last = self._last if self._last is not None and len(self._last) == qp.n else None
         if library in _NOISY:

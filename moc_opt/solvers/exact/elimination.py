@@ -30,6 +30,8 @@ from moc_opt.numerics.simd import (
     unit,
     zeros,
 )
+from moc_opt.qp.equalities import offsets
+from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.residuals import RANK_TOLERANCE, TIED
 
 Array = NDArray[np.float64]
@@ -91,11 +93,11 @@ def eliminate(plane: Plane, row: Array) -> int:
     pivots may disagree.
     Afterwards row pivots[k] of W reads x[order[k]] + sum_free W[., j] x[j] = b, for k < rank.
     """
-    W, n, m = plane.W, plane.n, plane.m
+    W, n, m, at = plane.W, plane.n, plane.m, offsets(plane.n)
     for i in range(6):
         for c in range(0, m, 8):
             store(W, i, c, part(row, i * n + c, n - c))
-        store(W, i, m, unit(i) + unit(B) * row[6 * n + i])
+        store(W, i, m, unit(i) + unit(B) * row[at.b + i])
     store(W, OPEN, 0, 1.0)
     start = 0.0
     for k in range(6):
@@ -132,10 +134,10 @@ def eliminate(plane: Plane, row: Array) -> int:
 @njit(cache=True, nogil=True, error_model="numpy")
 def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) -> bool:
     """Whether no x in the box brings the dropped row i of W to what it asks for."""
-    lo, up = 7 * n + 6, 8 * n + 6
+    at = offsets(n)
     reach = tolerance
     for j in range(n):
-        reach += abs(W[i, j]) * max(abs(row[lo + j]), abs(row[up + j]))
+        reach += abs(W[i, j]) * max(abs(row[at.lower + j]), abs(row[at.upper + j]))
     return bool(abs(W[i, m + B]) > reach)
 
 
@@ -170,14 +172,14 @@ def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
         V: rows X (a point of the plane, moved to the optimum), Z and FORCE (the active bound's is written).
         row: flat record (10 n + 10,).
     """
-    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
-    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    at = offsets(n)
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     low, high, low_joint, high_joint = -np.inf, np.inf, 0, 0
     zz, zx, zg = 0.0, 0.0, 0.0
     for c in range(0, m, 8):
         x, z = load(V, X, c), load(V, Z, c)
-        zz, zx, zg = zz + total(z * z), zx + total(z * x), zg + total(z * part(row, g + c, n - c))
-        at_lower, at_upper = (part(row, lo + c, n - c) - x) / z, (part(row, up + c, n - c) - x) / z
+        zz, zx, zg = zz + total(z * z), zx + total(z * x), zg + total(z * part(row, at.grad_mu + c, n - c))
+        at_lower, at_upper = (part(row, at.lower + c, n - c) - x) / z, (part(row, at.upper + c, n - c) - x) / z
         starts = above(magnitude(z), IDLE_COLUMN, lesser(at_lower, at_upper), -np.inf)
         ends = above(magnitude(z), IDLE_COLUMN, larger(at_lower, at_upper), np.inf)
         start, end = largest(starts), least(ends)
@@ -202,7 +204,7 @@ def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
         z = load(V, Z, c)
         x = load(V, X, c) + best * z
         store(V, X, c, x)
-        slope += total(z * (rho * x - c2 * part(row, g + c, n - c)))
+        slope += total(z * (rho * x - c2 * part(row, at.grad_mu + c, n - c)))
     if joint >= 0:
         V[FORCE, joint] = slope / V[Z, joint]
     return OK
@@ -215,15 +217,15 @@ def answer(plane: Plane, rank: int, V: Array, row: Array, x: Array, y: Array) ->
     A^T y = w - (rho x - c2 grad_mu), and the row operations turn A^T into the identity on the pivots.
     """
     n, m = plane.n, plane.m
-    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
-    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    at = offsets(n)
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     beyond = 0.0
     for c in range(0, m, 8):
-        lower, upper, point = part(row, lo + c, n - c), part(row, up + c, n - c), load(V, X, c)
+        lower, upper, point = part(row, at.lower + c, n - c), part(row, at.upper + c, n - c), load(V, X, c)
         beyond = max(beyond, largest(larger(lower - point, point - upper)))
         point = lesser(larger(point, lower), upper)
         keep(x, c, n - c, point)
-        store(V, FORCE, c, load(V, FORCE, c) - rho * point + c2 * part(row, g + c, n - c))
+        store(V, FORCE, c, load(V, FORCE, c) - rho * point + c2 * part(row, at.grad_mu + c, n - c))
     multipliers = zeros()
     for k in range(rank):
         multipliers = multipliers + load(plane.W, plane.pivots[k], m) * V[FORCE, plane.order[k]]

@@ -1,11 +1,11 @@
 """Several freedoms: the best point of a box cut by the plane A x = b, as a projection.
 
 Pi is the orthogonal projector on ker A, x_p the shortest point of the plane, s = x - x_p. Over the box,
-damping/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / damping. The dual active-set method of
+rho/2 |x|^2 - c2 g^T x is smallest at the point nearest to s = c2 Pi g / rho. The dual active-set method of
 Goldfarb and Idnani (Math. Programming 27, 1983, algorithm 1) goes there from that unconstrained optimum, adding
 violated bounds one by one; it needs no feasible start and proves infeasibility. All it has to know is Pi swept on
 the active joints (Goodnight, The American Statistician 33, 1979): row p then says how the other joints yield when
-joint p is pushed, and how the active bounds' multipliers change. For damping = 0 the proximal point iteration
+joint p is pushed, and how the active bounds' multipliers change. For rho = 0 the proximal point iteration
 (finite for linear programs: Ferris 1991) repeats the projection.
 
 Pi and all else lie in one matrix M, see ``moc_opt.solvers.exact.projector``. Kernels are compiled into their caller,
@@ -31,6 +31,8 @@ from moc_opt.numerics.simd import (
     store,
     unit,
 )
+from moc_opt.qp.equalities import offsets
+from moc_opt.qp.layout import C2, RHO
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK, Plane, X, direction
 from moc_opt.solvers.exact.elimination import FORCE as TOTAL
 from moc_opt.solvers.exact.projector import (
@@ -209,8 +211,8 @@ def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tol
         tolerance: violation of the box that still counts as feasible [rad/s].
     """
     n, m = plane.n, plane.m
-    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
-    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    at = offsets(n)
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     M = stack(PI + n + r, m) if m <= ON_STACK else np.empty((PI + n + r, m))
     for k in range(r):
         direction(plane, rank, plane.order[rank + k], M, PI + n + k)
@@ -218,7 +220,7 @@ def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tol
     projector(M, n, m, r)
     for c in range(0, m, 8):
         store(M, S, c, load(V, X, c))
-        store(M, STEP, c, part(row, g + c, n - c))
+        store(M, STEP, c, part(row, at.grad_mu + c, n - c))
         store(M, SIZE, c, 0.0)
     onto_basis(M, n, m, r, S, BEFORE, 1.0)
     onto_basis(M, n, m, r, STEP, PULL, c2)
@@ -227,7 +229,7 @@ def maximise_over_box(plane: Plane, rank: int, r: int, V: Array, row: Array, tol
     pull, room = np.sqrt(along(M, m, PULL, PULL)), 0.0
     for c in range(0, m, 8):
         x, size = load(V, X, c) - load(M, BEFORE, c), load(M, SIZE, c)
-        lower, upper = part(row, lo + c, n - c), part(row, up + c, n - c)
+        lower, upper = part(row, at.lower + c, n - c), part(row, at.upper + c, n - c)
         store(V, X, c, x)
         store(M, LOW, c, above(size, UNMOVED, lower - x, -np.inf))
         store(M, HIGH, c, above(size, UNMOVED, upper - x, np.inf))

@@ -1,6 +1,6 @@
 """The exact answer by null-space elimination: the yardstick of every other solver.
 
-On A x = b the c0, c1 terms vanish, and what remains is damping/2 |x|^2 - c2 grad_mu^T x over the
+On A x = b the c0, c1 terms vanish, and what remains is regularization/2 |x|^2 - c2 grad_mu^T x over the
 box. Elimination with complete pivoting writes x = particular + (free columns) w; joints whose
 column is zero (joint 7 under a tool on its axis) move nothing and are solved on their own. One
 remaining freedom (the elbow swivel) is a ratio test in closed form; several are a projection
@@ -20,9 +20,11 @@ from numba import float64, int64, njit
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
-from moc_opt.numerics.compiled import VECTOR, Entry, borrowed
+from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.simd import larger, load, magnitude, stack, stack_indices, store, width, zeros
-from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.qp.equalities import offsets
+from moc_opt.qp.layout import C2, RHO
+from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.exact import elimination
 from moc_opt.solvers.exact.elimination import (
@@ -51,17 +53,17 @@ ANOTHER_SIZE = 3
 @njit(cache=True, nogil=True, error_model="numpy")
 def rest(V: Array, row: Array, n: int) -> None:
     """Joints that move neither tip nor wrist go where the cost alone takes them."""
-    g, lo, up = 6 * n + 6, 7 * n + 6, 8 * n + 6
-    c2, rho = row[9 * n + 8], row[9 * n + 9]
+    at = offsets(n)
+    c2, rho = row[at.weights + C2], row[at.weights + RHO]
     largest_grad = 0.0
     for j in range(n):
-        largest_grad = max(largest_grad, abs(row[g + j]))
+        largest_grad = max(largest_grad, abs(row[at.grad_mu + j]))
     for j in range(n):
         if 0.0 <= V[REACH, j] <= elimination.IDLE_COLUMN:
             # a gradient at rounding level must not throw an idle joint to its bound
-            pull = c2 * row[g + j] if abs(row[g + j]) > ROUNDING * largest_grad else 0.0
+            pull = c2 * row[at.grad_mu + j] if abs(row[at.grad_mu + j]) > ROUNDING * largest_grad else 0.0
             wish = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
-            V[X, j] = min(max(wish, row[lo + j]), row[up + j])
+            V[X, j] = min(max(wish, row[at.lower + j]), row[at.upper + j])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -114,7 +116,7 @@ def solve_row(row: Array, tolerance: float, x: Array, y: Array) -> int:
     A record of another length than x asks for is left alone: ANOTHER_SIZE.
     """
     n = x.shape[0]
-    if row.shape[0] != 10 * n + 10:
+    if row.shape[0] != offsets(n).end:
         return ANOTHER_SIZE
     row, x, y = borrowed(row), borrowed(x), borrowed(y)
     # int64(8) is a constant to LLVM alone; numba would compile everything once more for 8.
@@ -132,7 +134,7 @@ def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArra
         status[i] = solve_row(rows[i], tolerance, X[i], Y[i])
 
 
-_SOLVE = Entry(solve_row, VECTOR, float64, VECTOR, VECTOR)
+_SOLVE = CompiledKernel(solve_row, VECTOR, float64, VECTOR, VECTOR)
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
@@ -179,7 +181,7 @@ class Exact:
         if threads is not None and threads < 1:
             raise SolverError(f"exact: threads = {threads}: give 1 or more, or None for one a core")
         rows = np.ascontiguousarray(rows, dtype=float)
-        n = (rows.shape[1] - 10) // 10
+        n = fields(rows).q.shape[-1]
         X, Y, codes = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows), dtype=np.int64)
         parts = np.array_split(
             np.arange(len(rows)), threads or os.cpu_count() or 1

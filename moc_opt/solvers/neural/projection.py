@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.qp.equalities import offsets
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -50,10 +51,10 @@ def integrate(
         state is not finite any more.
     """
     n = x.shape[0]
-    o = 6 * n
-    b, grad_mu = row[o : o + 6], row[o + 6 : o + 6 + n]
-    lower, upper = row[o + 6 + n : o + 6 + 2 * n], row[o + 6 + 2 * n : o + 6 + 3 * n]
-    w = scale * row[o + 6 + 3 * n : o + 10 + 3 * n]  # c0, c1, c2, damping
+    at = offsets(n)
+    b, grad_mu = row[at.b : at.grad_mu], row[at.grad_mu : at.lower]
+    lower, upper = row[at.lower : at.upper], row[at.upper : at.weights]
+    w = scale * row[at.weights : at.q]
     slack, old = np.empty(6), np.empty(n)
     speed, made = np.inf, 0
     while made < steps and speed > eps:
@@ -120,14 +121,14 @@ class RNN:
     """The network with a state of its own: at most ``steps`` inner steps a tick, warm from tick to tick.
 
     The paper's weights c0 = 0.01 and k = 0.1 need about 3e7 steps to 1e-3, because the explicit step must
-    keep h k < c0. Multiplying all of c0, c1, c2 and damping by ``scale`` leaves the solution as it is
+    keep h k < c0. Multiplying all of c0, c1, c2 and regularization by ``scale`` leaves the solution as it is
     and lets the step grow with it: scale = 100, k = 0.5, h = 1 need about 1.4e3.
 
     Args:
         steps: inner steps a tick; it ends earlier where the state has come to rest.
         h: step size dt/eps, in (0, 1]: x then never leaves the box.
         k: the paper's gain.
-        scale: multiplies c0, c1, c2 and damping; the multipliers are scaled back.
+        scale: multiplies c0, c1, c2 and regularization; the multipliers are scaled back.
         method: "explicit" Euler, or "semi-implicit": the multipliers see the new x.
         eps: SOLVED is claimed where the right-hand side of the network is at most this [rad/s, m/s].
         warm: False forgets the state before each tick.
@@ -191,7 +192,7 @@ class RNNPrinted:
 
     The paper's qdd_d = -v + P(v - k dL/dqd) goes to the controller as it is: the answer is x = P(v - k dL/dqd),
     of which the third level takes x - v. The multipliers, 0 at first, integrate dlambda/dt = k (J v - v_ref) / eps
-    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, damping 0) its
+    over the tick. With the subproblem's own weights (the paper's are c0 = c1 = 0.01, c2 = 0.001, regularization 0) its
     modes are slower than 50 s, so in a controller it acts as damping. ``session.observe(v)`` hands the measured
     joint velocity over before a tick; without it the network goes on from its own last x.
 

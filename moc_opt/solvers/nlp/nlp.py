@@ -1,6 +1,6 @@
 """One control period as a nonlinear program, by CasADi: manipulability itself instead of its gradient.
 
-    max_x  c2 mu(q + x T)/T - damping/2 |x|^2
+    max_x  c2 mu(q + x T)/T - regularization/2 |x|^2
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
 E (2, 3) spans the plane across the tool: the wrist's third row repeats the tip's, and with six rows
@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
-from moc_opt.qp.equalities import equalities
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
@@ -60,11 +60,11 @@ class Kinematics(Protocol):
 def program(settings: NLP) -> tuple[Any, Any]:
     """The NLP solver, and the function q -> (tip, wrist, mu) that gives its parameters.
 
-    The parameters of the solver are q (n,), tip, wrist and mu at q, the columns of E, c2 and damping.
+    The parameters of the solver are q (n,), tip, wrist and mu at q, the columns of E, c2 and regularization.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
-    c2, damping = ca.SX.sym("c2"), ca.SX.sym("damping")
+    c2, regularization = ca.SX.sym("c2"), ca.SX.sym("regularization")
 
     def places(q: Any) -> Any:
         return ca.vertcat(kinematics.tip(q), kinematics.wrist(q), kinematics.mu(q))
@@ -72,8 +72,8 @@ def program(settings: NLP) -> tuple[Any, Any]:
     moved = (places(q + period * x) - base) / period
     nlp = {
         "x": x,
-        "p": ca.vertcat(q, base, ca.vec(E), c2, damping),
-        "f": settings.cost_scale * (0.5 * damping * ca.dot(x, x) - c2 * moved[6]),
+        "p": ca.vertcat(q, base, ca.vec(E), c2, regularization),
+        "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * moved[6]),
         "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
     }
     solver = ca.nlpsol("solver", settings.plugin, nlp, settings.options())
@@ -121,7 +121,7 @@ class NLP(ABC):
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
             return f"the kinematics have {self.kinematics.n} joints, the subproblem has {qp.n}"
-        if len(equalities(qp, 5).b) != 5:
+        if len(assembled(qp).b) != 5:
             return "tip and wrist are not rigidly tied: the five rows of this program do not apply"
         return None
 
@@ -141,9 +141,9 @@ class NLP(ABC):
 class SQP(NLP):
     """CasADi's sqpmethod on its active-set QP solver qrqp; iterations are major ones.
 
-    BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default damping of
-    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where damping = 0: then three problems in ten
-    stay without an answer.
+    BFGS starts from the identity, which at cost_scale = 1e5 is the true Hessian of the default regularization of
+    1e-5: half the iterations of 1e3. The exact Hessian is indefinite where regularization = 0: then three problems in
+    ten stay without an answer.
     """
 
     cost_scale: float = 1e5
@@ -174,7 +174,7 @@ class SQP(NLP):
 class Ipopt(NLP):
     """The interior-point method IPOPT (Waechter & Biegler 2006).
 
-    It convexifies the exact Hessian by itself; with BFGS and damping = 0 it runs out of iterations.
+    It convexifies the exact Hessian by itself; with BFGS and regularization = 0 it runs out of iterations.
     """
 
     name: ClassVar[str] = "nlp-ipopt"
@@ -274,7 +274,7 @@ class NLPSession:
         """Answer one subproblem."""
         if self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
-        n, part, lift = self._n, qp.fields, equalities(qp, 5).lift
+        n, part, lift = self._n, qp.fields, assembled(qp).lift
         self._q[:] = part.q
         self._places.run()
         self._p[:n] = part.q

@@ -123,7 +123,7 @@ def test_an_answer_without_form_costs_one_answer(broken):
 
 def test_a_solver_that_refuses_is_not_asked(worker):
     found = cell(worker, Entry("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
-    assert "damping" in found.refused
+    assert "regularization" in found.refused
     assert found.counts()["not_asked"] == 8
     assert cell(worker, Entry("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
         "UnknownName"

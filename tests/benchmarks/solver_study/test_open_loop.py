@@ -43,9 +43,9 @@ def test_the_study_s_sequence_is_thinned_for_cold_sessions(tmp_path):
     assert warm["verified_solved"] == 40
     assert {"solve_p99_9_us", "timed_solves"} <= set(warm)
     assert "setup_p50_us" in cold
-    # without damping one of them cannot take the problems, and says so
-    bare = config.model_copy(update={"scenario": config.scenario.change(control={"damping": 0.0})})
+    # without regularization one of them cannot take the problems, and says so
+    bare = config.model_copy(update={"scenario": config.scenario.change(control={"regularization": 0.0})})
     study = Study(bare, ["exact", "quadprog"], tmp_path, lambda _: None)
     study.run()
-    assert "damping" in study.summary["not_run"]["quadprog"]["reason"]
+    assert "regularization" in study.summary["not_run"]["quadprog"]["reason"]
     assert set(study.summary["open_loop_warm"]) == {"exact"}

@@ -69,7 +69,8 @@ def test_one_flag_moves_the_sweep_to_a_cluster_where_a_worker_is_killed(
 
     file = tmp_path / "sweep.toml"
     file.write_text(
-        'seeds = 2\nsolvers = ["exact"]\n[grid]\ncontrol.damping = [1e-6, 1e-5, 1e-4]\nplant.mass_error = [0.0, 0.1]\n'
+        'seeds = 2\nsolvers = ["exact"]\n[grid]\ncontrol.regularization = [1e-6, 1e-5, 1e-4]\n'
+        'plant.mass_error = [0.0, 0.1]\n'
         "[scenario]\nduration_s = 2.0\njudge = false\nbound_samples = 0\n"
     )
     killer = threading.Thread(target=kill, daemon=True)

@@ -20,7 +20,7 @@ SWEEP = """
 seeds = 4
 solvers = ["dcac", "exact"]
 [grid]
-control.damping = [1e-6, 1e-4]
+control.regularization = [1e-6, 1e-4]
 [random]
 samples = 2
 [random.fields]

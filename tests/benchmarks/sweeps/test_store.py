@@ -41,7 +41,7 @@ def test_the_tables_hold_the_plan_and_the_figures(whole: bytes, tmp_path: Path) 
     rows = pq.read_table(tmp_path / "rows.parquet")
     assert rows["index"].to_pylist() == list(range(12))
     assert rows["run"].to_pylist() == [plan.run_id(i) for i in range(12)]
-    assert rows["control.damping"].to_pylist()[::4] == GRID["control.damping"]
+    assert rows["control.regularization"].to_pylist()[::4] == GRID["control.regularization"]
     assert rows["mu_mean"].to_pylist()[:3] == [1e-6, 1.0 + 1e-6, 0.1 + 1e-6]
     assert rows["error"].to_pylist()[3] == "SolverError: made up"
     assert rows["mu_mean"].to_pylist()[3] is None
@@ -163,9 +163,9 @@ def test_damaged_files_are_named_and_their_runs_done_again(whole: bytes, tmp_pat
 
 def test_a_folder_of_another_sweep_is_refused_and_left_alone(whole: bytes, tmp_path: Path) -> None:
     do(Plan(config()), tmp_path)
-    other = Plan(config(grid={**GRID, "control.damping": [1e-3]}, seeds=1))
+    other = Plan(config(grid={**GRID, "control.regularization": [1e-3]}, seeds=1))
     with pytest.raises(
-        StoreError, match=r"another sweep: grid.control.damping is \[0.001\] here and \[1e-06"
+        StoreError, match=r"another sweep: grid.control.regularization is \[0.001\] here and \[1e-06"
     ):
         Store(tmp_path, other).__enter__()
     assert (tmp_path / "rows.parquet").read_bytes() == whole

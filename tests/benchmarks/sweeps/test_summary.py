@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.sweep_memory import write_synthetic
+from benchmarks.maintenance.sweep_memory import write_synthetic
 from benchmarks.sweeps import summary
 from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.plan import Plan
@@ -60,11 +60,11 @@ def test_the_summary_is_that_of_the_rows(finished: Path) -> None:
 
 def test_stopped_runs_are_counted_and_enter_no_mean(tmp_path: Path) -> None:
     """Of three runs one is stopped and one oscillates: the mean is that of the two that are whole."""
-    plan = Plan(config(grid={"control.damping": [1e-6, 1e-5, 1e-4]}, seeds=1))
+    plan = Plan(config(grid={"control.regularization": [1e-6, 1e-5, 1e-4]}, seeds=1))
     endings = ["completed", "oscillated: joint_7", "stopped: the tip", None]
 
     def work(table: Any, limit_s: float) -> dict[str, Any]:
-        place = [1e-6, 1e-5, 1e-4].index(table["control"]["damping"])
+        place = [1e-6, 1e-5, 1e-4].index(table["control"]["regularization"])
         return {**made_up(table, limit_s), "ended": endings[place], "figures": {"mu_mean": [1.0, 2.0, 50.0][place]}}
 
     do(plan, tmp_path, work=work)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.qp.equalities import equalities
+from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.backends.buffers import Loader, lift_duals
 from tests.problems import random_problem
@@ -29,7 +29,7 @@ def untied(n=7):
 
 
 def check(qp, rows, found, scale, signs):
-    A, b, _ = equalities(NullSpaceQP.from_row(np.array(qp.row)), rows)
+    _, _, A, b, _ = assembled(qp, rows)
     np.testing.assert_allclose(found["P"], scale * qp.P, rtol=1e-12, atol=1e-12 * scale)
     np.testing.assert_allclose(found["p"], signs[0] * scale * qp.p, rtol=1e-12, atol=1e-12 * scale)
     np.testing.assert_array_equal(found["A"], A)
@@ -85,7 +85,7 @@ def test_one_array_may_serve_both_sides():
     found, _, _ = buffers(5, 7)
     found["high"] = found["low"]
     assert Loader(5, 1.0, **found)(qp)
-    np.testing.assert_array_equal(found["low"], equalities(qp, 5).b)
+    np.testing.assert_array_equal(found["low"], assembled(qp, 5).b)
 
 
 @pytest.mark.parametrize("form", ["compiled", "plain"])
@@ -95,12 +95,12 @@ def test_multipliers_are_lifted(rows, form):
     found, _, _ = buffers(rows, 7)
     load, y = Loader(rows, 1.0, **found), np.arange(1.0, rows + 1.0)
     assert load(qp)
-    wanted = 0.5 * y @ equalities(qp, rows).lift
+    wanted = 0.5 * y @ assembled(qp, rows).lift
     np.testing.assert_allclose(load.lifted(y, 0.5), wanted, atol=1e-14)
-    np.testing.assert_allclose(qp.A.T @ load.lifted(y, 2.0), 2.0 * equalities(qp, rows).A.T @ y, atol=1e-12)
+    np.testing.assert_allclose(qp.A.T @ load.lifted(y, 2.0), 2.0 * assembled(qp, rows).A.T @ y, atol=1e-12)
     six = np.empty(6)
     kernel = lift_duals if form == "compiled" else lift_duals.py_func
-    kernel(np.array(equalities(qp, rows).lift), y, 0.5, six)
+    kernel(np.array(assembled(qp, rows).lift), y, 0.5, six)
     np.testing.assert_allclose(six, wanted, atol=1e-14)
 
 

@@ -13,18 +13,18 @@ from tests.problems import infeasible_problem, random_problem, smooth_sequence
 COUNT = 100
 
 
-def alternating(damping=1e-5):
+def alternating(regularization=1e-5):
     """Feasible and infeasible problems in turn, each a jump away from the last."""
     rng = np.random.default_rng(1)
     makers = (random_problem, infeasible_problem)
-    return [makers[i % 2](rng, damping=damping) for i in range(2 * COUNT)]
+    return [makers[i % 2](rng, regularization=regularization) for i in range(2 * COUNT)]
 
 
-@pytest.mark.parametrize("damping", [1e-5, 0.0])
+@pytest.mark.parametrize("regularization", [1e-5, 0.0])
 @pytest.mark.parametrize("box", ["bounds", "rows"])
 @pytest.mark.parametrize("rows", [5, 6])
-def test_jumps_neither_fool_nor_stop_a_warm_session(rows, box, damping):
-    qps = alternating(damping)
+def test_jumps_neither_fool_nor_stop_a_warm_session(rows, box, regularization):
+    qps = alternating(regularization)
     session = ProxQP(rows=rows, box=box).start(qps[0])
     for feasible, qp in zip([True, False] * COUNT, qps, strict=True):
         found = session.solve(qp)
@@ -38,7 +38,7 @@ def test_jumps_neither_fool_nor_stop_a_warm_session(rows, box, damping):
 def test_jumps_between_feasible_problems_do_not_end_at_the_opposite_bound():
     """As they do with WARM_START_WITH_PREVIOUS_RESULT."""
     rng = np.random.default_rng(5)
-    qps = [random_problem(rng, damping=0.0) for _ in range(230)]
+    qps = [random_problem(rng, regularization=0.0) for _ in range(230)]
     sessions = [ProxQP(cost_scale=cost_scale).start(qps[0]) for cost_scale in (10.0, 1e3)]
     for qp in qps:
         for session in sessions:
@@ -61,7 +61,7 @@ def test_the_library_as_it_comes_calls_feasible_problems_infeasible():
     rng = np.random.default_rng(1)
     said = []
     for _ in range(40):
-        qp = random_problem(rng, damping=0.0)
+        qp = random_problem(rng, regularization=0.0)
         said.append(plain.start(qp).solve(qp).status)
     assert said.count(Status.INFEASIBLE) > 10
 

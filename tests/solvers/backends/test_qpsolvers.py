@@ -99,9 +99,9 @@ def test_only_a_status_certifies_infeasibility():
 
 
 def test_quadprog_without_damping_is_unsupported():
-    qp, chosen = problem(5, damping=0.0), QPSolver("quadprog")
-    assert "damping > 0" in chosen.supports(qp)
-    with pytest.raises(SolverError, match=r"quadprog: .*damping > 0"):
+    qp, chosen = problem(5, regularization=0.0), QPSolver("quadprog")
+    assert "regularization > 0" in chosen.supports(qp)
+    with pytest.raises(SolverError, match=r"quadprog: .*regularization > 0"):
         chosen.start(qp)
     assert chosen.supports(problem(5)) is None
     assert chosen.start(problem(5)).solve(qp).status is Status.UNSUPPORTED

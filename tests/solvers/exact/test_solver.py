@@ -9,7 +9,7 @@ from scipy.optimize import linprog
 
 from benchmarks.latency.solve import random_problems
 from moc_opt.errors import SolverError
-from moc_opt.qp.problem import NullSpaceQP, judge
+from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.solvers import Status, create
 from moc_opt.solvers.exact.solver import Exact
 from tests.hard_problems import nearly_singular, rounded
@@ -25,10 +25,10 @@ def solve(qp):
     seed=st.integers(0, 100_000),
     n=st.sampled_from([6, 7, 8, 9, 11]),
     structured=st.booleans(),
-    damping=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]),
+    regularization=st.sampled_from([0.0, 1e-8, 1e-6, 1e-5, 1e-3, 1.0]),
 )
-def test_kkt_for_any_number_of_joints(seed, n, structured, damping):
-    qp = random_problem(np.random.default_rng(seed), n, structured=structured, damping=damping)
+def test_kkt_for_any_number_of_joints(seed, n, structured, regularization):
+    qp = random_problem(np.random.default_rng(seed), n, structured=structured, regularization=regularization)
     solution = solve(qp)
     found = qp.residuals(solution.x, solution.y)
     assert solution.status is Status.SOLVED
@@ -43,7 +43,7 @@ def test_kkt_for_any_number_of_joints(seed, n, structured, damping):
 def test_linear_case_agrees_with_highs(structured):
     rng = np.random.default_rng(11)
     for _ in range(20):
-        qp = random_problem(rng, structured=structured, damping=0.0)
+        qp = random_problem(rng, structured=structured, regularization=0.0)
         five = qp.reduced()
         program = linprog(
             -qp.grad_mu, A_eq=five.A, b_eq=five.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
@@ -73,23 +73,23 @@ def test_thousands_of_arms_without_structure(n):
     rows = np.array([qp.row for qp in random_problems(n, 3000, np.random.default_rng(1))])
     x, y, status = Exact().solve_batch(rows)
     assert set(status) == {Status.SOLVED}
-    found = judge(rows, x, y)
+    found = compute_residuals(rows, x, y)
     assert found.verified().all()
     assert found.primal.max() < 1e-13
     assert found.natural.max() < 1e-13
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-8, 1e-5, 1.0])
+@pytest.mark.parametrize("regularization", [0.0, 1e-8, 1e-5, 1.0])
 @pytest.mark.parametrize("n", [7, 8, 9])
-def test_a_plane_that_only_touches_the_box(n, damping):
+def test_a_plane_that_only_touches_the_box(n, regularization):
     # Some of these have one feasible point and nothing around it: rounding alone must not call them infeasible.
     rng = np.random.default_rng(18)
     for i in range(40):
-        qp = random_problem(rng, n, structured=bool(i % 2), damping=damping)
+        qp = random_problem(rng, n, structured=bool(i % 2), regularization=regularization)
         corner = np.where(rng.random(n) < 0.5, qp.lower, qp.upper)
         touching = NullSpaceQP(
             qp.J_tip, qp.J_wrist, qp.J_tip @ corner, qp.J_wrist @ corner, qp.grad_mu, qp.lower, qp.upper,
-            damping=damping,
+            regularization=regularization,
         )  # fmt: skip
         solution = solve(touching)
         assert solution.status is Status.SOLVED
@@ -99,8 +99,8 @@ def test_a_plane_that_only_touches_the_box(n, damping):
 @pytest.mark.parametrize("n", [16, 17, 70, 200])
 def test_arms_wider_than_one_piece_and_than_the_frame(n):
     rng = np.random.default_rng(19)
-    for damping in (1e-5, 1.0):
-        qp = random_problem(rng, n, damping=damping)
+    for regularization in (1e-5, 1.0):
+        qp = random_problem(rng, n, regularization=regularization)
         solution = solve(qp)
         assert solution.status is Status.SOLVED
         # By hand: the judge's loss takes the facets of a polytope in n - 5 dimensions, which are too many here.
@@ -136,10 +136,10 @@ def test_references_rounded_to_a_few_decimals_have_an_answer_as_long_as_the_judg
 
 
 def test_idle_joint_stays_still_and_flat_gradient_takes_the_slowest():
-    qp = random_problem(np.random.default_rng(14), damping=0.0)
+    qp = random_problem(np.random.default_rng(14), regularization=0.0)
     assert solve(qp).x[6] == 0.0
     flat = NullSpaceQP(
-        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, np.zeros(7), qp.lower, qp.upper, damping=0.0
+        qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, np.zeros(7), qp.lower, qp.upper, regularization=0.0
     )
     x = solve(flat).x
     least = np.linalg.lstsq(qp.A, qp.b, rcond=None)[0]
@@ -245,7 +245,7 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
     rng = np.random.default_rng(decimals)
     refused = 0
     for k in range(24):
-        qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, damping=0.0), decimals)
+        qp = rounded(random_problem(rng, 6 + k % 4, structured=k % 8 < 4, regularization=0.0), decimals)
         U = np.linalg.svd(qp.A)[0][:, :5]
         program = linprog(
             -qp.grad_mu, A_eq=U.T @ qp.A, b_eq=U.T @ qp.b, bounds=list(zip(qp.lower, qp.upper, strict=True))
@@ -264,7 +264,7 @@ def test_rounded_jacobians_agree_with_highs_on_five_rows(decimals):
 def test_near_the_rank_tolerance_nothing_is_silently_wrong(decimals, singular):
     rng = np.random.default_rng(decimals)
     for k in range(24):
-        plain = random_problem(rng, 7 + k % 3, structured=False, damping=0.0 if k % 2 else 1e-5)
+        plain = random_problem(rng, 7 + k % 3, structured=False, regularization=0.0 if k % 2 else 1e-5)
         qp = nearly_singular(plain, 10.0**-decimals) if singular else rounded(plain, decimals)
         solution = solve(qp)
         assert solution.status is not Status.SOLVED or qp.residuals(solution.x, solution.y).verified()

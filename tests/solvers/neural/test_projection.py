@@ -20,7 +20,7 @@ SEEDS = st.integers(0, 100_000)
 
 def right_hand_side(qp, x, l1, l2, k, scale=1.0):
     """eps dY/dt as DESIGN and the paper write it, term by term."""
-    c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.damping))
+    c0, c1, c2, rho = (scale * w for w in (qp.c0, qp.c1, qp.c2, qp.regularization))
     JT, JW = qp.J_tip, qp.J_wrist
     force = c0 * JT.T @ (JT @ x - qp.v_tip) + c1 * JW.T @ (JW @ x - qp.v_wrist) + rho * x - c2 * qp.grad_mu
     force += JT.T @ l1 + JW.T @ l2
@@ -48,7 +48,7 @@ def test_steps_are_the_printed_network(method, h):
 
 
 def spectral_radius(qp, c, h, k, implicit, h_x):
-    """Of one step away from the bounds without damping, on the modes that A sees."""
+    """Of one step away from the bounds without regularization, on the modes that A sees."""
     A, hk, hk_x = qp.A, h * k, h_x * k
     m, n = A.shape
     onto_x = np.hstack([np.eye(n) - hk_x * c * A.T @ A, -hk_x * A.T])
@@ -65,7 +65,7 @@ def spectral_radius(qp, c, h, k, implicit, h_x):
     implicit=st.booleans(), h_x=st.none() | st.floats(0.05, 1.0),
 )
 def test_unstable_is_exactly_where_the_step_diverges(seed, c, k, h, implicit, h_x):
-    qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, damping=0.0)
+    qp = random_problem(np.random.default_rng(seed), c0=c, c1=c, regularization=0.0)
     radius = spectral_radius(qp, c, h, k, implicit, h if h_x is None else h_x)
     if abs(radius - 1.0) > 1e-9:  # slow modes come within rounding of 1
         assert (unstable(qp, h, k, 1.0, implicit, h_x) is None) == (radius < 1.0)
@@ -84,7 +84,7 @@ def test_unstable_settings_are_refused_with_the_cure():
 
 
 def test_scaling_the_weights_leaves_the_solution():
-    """Scaling c0, c1, c2 and damping together changes the speed and nothing else."""
+    """Scaling c0, c1, c2 and regularization together changes the speed and nothing else."""
     rng = np.random.default_rng(2)
     for _ in range(5):
         qp = random_problem(rng)
@@ -148,7 +148,7 @@ def test_a_state_that_overflows_is_given_up():
 
 def test_printed_is_equation_two_from_the_measured_velocity():
     """x - v is the printed qdd_d = -v + P(v - k dL/dqd), whatever the step of the multipliers."""
-    qps = smooth_sequence(np.random.default_rng(6), 40, damping=0.0)
+    qps = smooth_sequence(np.random.default_rng(6), 40, regularization=0.0)
     chosen = RNNPrinted()
     assert chosen.h == 0.002  # dt/eps for eps = 1 s at 500 Hz
     assert (chosen.k, qps[0].c0, qps[0].c1, qps[0].c2) == (0.1, 0.01, 0.01, 0.001)

@@ -91,7 +91,7 @@ def test_sqp_without_damping_answers_by_bfgs_and_often_not_by_the_exact_hessian(
     rng = np.random.default_rng(5)
     losses = {"limited-memory": [], "exact": []}
     for _ in range(40):
-        qp = random_problem(rng, arm=ARM, damping=0.0)
+        qp = random_problem(rng, arm=ARM, regularization=0.0)
         for hessian, found in losses.items():
             solution = solve(SQP(KINEMATICS, hessian=hessian), qp)
             if solution.status is Status.SOLVED:

@@ -1,0 +1,48 @@
+"""Readings that came before: a recording played once more, at the pace of the arm. Compiled.
+
+A sensor with noise never shows the same numbers twice. A reading that equals an earlier one to the last bit, joints,
+velocities and wrench alike, is that earlier one; several with one and the same lag are a recording. It agrees with its
+own velocities and with the model, so that no other sign of ``motion_kernels`` tells it from the arm it was taken of.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SLOTS = 4096
+"""Readings that are remembered, one a slot; a later one with the same slot takes its place."""
+READINGS, LAG, HITS = range(3)
+"""Places of the count (3,): readings so far; the lag of the last one that came before; how many came with that lag."""
+_SHRINK, _FINE, _LARGEST = 0.61803398875, 1e9, 1e6
+
+
+@njit(cache=True, nogil=True)
+def count_replayed(q: Array, v: Array, wrench: Array, seen: Array, count: Array) -> float:
+    """Take in a new reading; return how many came before, all of them by the same number of readings.
+
+    Each reading is reduced to one number, a weighted sum, which equal readings share to the last bit.
+
+    Args:
+        q, v: (n,) [rad], [rad/s].
+        wrench: (6,) [N], [Nm].
+        seen: (2, SLOTS) changed in place: that number and the count of the reading with it; zeros at the start.
+        count: (3,) changed in place; zeros at the start.
+    """
+    number = 0.0
+    for values in (q, v, wrench):
+        for i in range(values.shape[0]):
+            number = _SHRINK * number + values[i]
+    if not abs(number) < _LARGEST:
+        return count[HITS]
+    count[READINGS] += 1.0
+    slot = int(abs(number) * _FINE) % SLOTS
+    lag = count[READINGS] - seen[1, slot]
+    if seen[1, slot] > 0.0 and seen[0, slot] == number and lag > 1.0:  # lag 1: a frozen reading, a sign of its own
+        count[HITS] = count[HITS] + 1.0 if lag == count[LAG] else 1.0
+        count[LAG] = lag
+    seen[0, slot], seen[1, slot] = number, count[READINGS]
+    return count[HITS]

@@ -1,0 +1,88 @@
+"""Gains for an arm that nobody has tuned: Table I and the LWR4+'s own table, carried over by inertia.
+
+A gain on a joint's velocity over the inertia behind it is a rate [1/s]; the rate times the period decides whether a
+sampled loop is stable (`largest_rate`). The LWR4+ is tuned: other arms get its rates, each joint in its own unit
+(N m s/rad, or N s/m for a prismatic joint), and so the same distance from that limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from moc_opt.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Table = dict[str, float | tuple[float, ...]]
+
+JOINT_RATE = 12.0
+"""K_N2 over the joint's inertia [1/s]: the LWR4+'s table has 10 to 22 over its joints, 12.5 on the last one."""
+DAMPING_SHARE = 1.0 / 7.0
+"""D_N2 over K_N2: the same table has 0.13 to 0.2."""
+CARTESIAN_RATE = 160.0
+"""Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
+500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
+CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
+    "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
+}  # fmt: skip
+"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and ours."""
+_POSES = 16
+
+
+def derived_gains(robot: RobotModel) -> dict[str, Table]:
+    """Derive the tables "dcac", "moc" and "default" from the arm's inertia.
+
+    K_N2_i = `JOINT_RATE` M_ii at the home pose, D_N2 = `DAMPING_SHARE` K_N2. K_X and D_X (K_N, D_N) are those of the
+    LWR4+, both smaller by the same share where the arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
+
+    Args:
+        robot: the arm; it needs no gains.
+    """
+    inertia = np.diag(robot.state(robot.data.q_home).M)
+    inverse_masses = largest_inverse_masses(robot)
+    joints = tuple(_rounded(JOINT_RATE * float(m)) for m in inertia)
+    damping = tuple(_rounded(DAMPING_SHARE * gain) for gain in joints)
+    tables: dict[str, Table] = {}
+    for name, cartesian in CARTESIAN.items():
+        tables[name] = {}
+        for letter, inverse, (K, D) in zip("XN", inverse_masses, (cartesian[:2], cartesian[2:]), strict=True):
+            share = min(1.0, CARTESIAN_RATE / (D * inverse))
+            tables[name] |= {f"K_{letter}": _rounded(share * K), f"D_{letter}": _rounded(share * D)}
+        if name != "dcac":
+            tables[name] |= {"K_N2": joints, "D_N2": damping}
+    return tables
+
+
+def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
+    """Largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the home pose and seeded poses of the range."""
+    rng = np.random.default_rng(0)
+    found = np.zeros(2)
+    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
+        state = robot.state(q)
+        yields = np.linalg.solve(state.M, state.A.T)
+        tip, wrist = state.J_tip @ yields[:, :3], state.J_wrist @ yields[:, 3:]
+        found = np.maximum(found, [np.linalg.eigvalsh(tip)[-1], np.linalg.eigvalsh(wrist)[-1]])
+    return float(found[0]), float(found[1])
+
+
+def largest_rate(period_s: float, delay_ticks: int) -> float:
+    """Largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
+
+    A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
+    one, two and three ticks d of delay (Levin and May, 1976).
+
+    Args:
+        period_s: T [s].
+        delay_ticks: d, from measurement to torque; a filter of the velocity counts as its own delay in ticks.
+    """
+    return 2.0 * math.sin(math.pi / (2.0 * (2.0 * delay_ticks + 1.0))) / period_s
+
+
+def _rounded(value: float) -> float:
+    """Three significant digits: a gain is a choice."""
+    return float(f"{value:.3g}")

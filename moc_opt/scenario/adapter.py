@@ -1,0 +1,84 @@
+"""Connects a controller to the loop of the simulator, which knows neither models nor solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.control import Controller
+from moc_opt.model.robot_state import RobotState
+from moc_opt.qp.problem import row_length
+
+Array = NDArray[np.float64]
+
+
+class ControllerAdapter:
+    """Connects a controller to the loop: measurements become a model state, and the answers become columns."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.controller, self._robot = controller, controller.robot
+        self._state: RobotState | None = None
+
+    @property
+    def tip(self) -> Array:
+        """Where the last tick saw the tip (3,) [m]; zero before the first one."""
+        return np.zeros(3) if self._state is None else self._state.tip
+
+    @property
+    def state(self) -> RobotState | None:
+        """The model's state at the last tick; None before the first one."""
+        return self._state
+
+    @property
+    def faults(self) -> dict[str, dict[str, Any]]:
+        """Of the third level, as ``Controller.faults``."""
+        return self.controller.faults
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """See ``sim.loop.LoggedController``; run one discarded tick, so that compilation is over before the loop."""
+        state = self._robot.state(q, v)
+        self.controller.start(state, tip_ref, trocar)
+        self.controller.tick(state, tip_ref, trocar)
+        self.controller.start(state, tip_ref, trocar)
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """See ``sim.loop.LoggedController``."""
+        self._state = state = self._robot.state(q, v)
+        return self.controller.tick(state, tip_ref, trocar)
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """See ``sim.loop.LoggedController``."""
+        self.controller.set_applied_torque(tau)
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """The third level's columns; none but the status under DCAC."""
+        n = self._robot.n
+        found: dict[str, NDArray[Any]] = {
+            "status": np.full(ticks, "none", dtype="<U12"),
+            "solve_us": np.full(ticks, np.nan),
+        }
+        if self.controller.solver is not None:
+            found |= {
+                "x_rad_per_s": np.full((ticks, n), np.nan), "dual": np.full((ticks, 6), np.nan),
+                "applied_x_rad_per_s": np.full((ticks, n), np.nan), "subproblem": np.zeros((ticks, row_length(n))),
+                "iterations": np.zeros(ticks, dtype=np.int32), "fault": np.full(ticks, "none", dtype="<U12"),
+            }  # fmt: skip
+        return found
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """See ``sim.loop.LoggedController``."""
+        solution, qp = self.controller.solution, self.controller.subproblem
+        if solution is None or qp is None:
+            return
+        columns["status"][row] = solution.status.label
+        columns["solve_us"][row] = self.controller.solve_us
+        columns["x_rad_per_s"][row] = solution.x
+        columns["applied_x_rad_per_s"][row] = self.controller.answer
+        if solution.y is not None:
+            columns["dual"][row] = solution.y
+        columns["subproblem"][row] = qp.row
+        columns["iterations"][row] = solution.iterations
+        columns["fault"][row] = self.controller.fault.label

@@ -1,0 +1,106 @@
+"""One step of the closed loop: simulation, live page, operating procedure and benchmarks all call this one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.sim.faults import Faults
+from moc_opt.sim.filtered import FilteredController
+from moc_opt.sim.plant import Plant
+from moc_opt.sim.protocols import SafetyFilter, TorqueController
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stop:
+    """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated [s]."""
+
+    damping: float = 15.0
+    seconds: float = 0.5
+
+
+DEFAULT_STOP = Stop()
+
+
+class ClosedLoop:
+    """Plant, controller and safety filter, advanced one control period at a time.
+
+    Args:
+        plant: at the state where the loop begins.
+        controller: computes the torque.
+        safety_filter: checks measurements and limits torques; None: neither.
+        stop: how the arm is stopped once the safety filter has requested it.
+        faults: disturb sensors and arm; None: nothing does.
+
+    Attributes:
+        seen: the last measurement, as it arrived.
+        tau: (n,) the last torque that was applied [Nm].
+        tick_us: time that safety filter and controller took for it [us].
+        ticks: number of steps so far.
+    """
+
+    def __init__(
+        self, plant: Plant, controller: TorqueController, safety_filter: SafetyFilter | None,
+        stop: Stop = DEFAULT_STOP, faults: Faults | None = None,
+    ) -> None:  # fmt: skip
+        self._plant, self._faults, self._damping = plant, faults, stop.damping
+        self._watched = round(stop.seconds / plant.settings.period_s)
+        self.tau, self.tick_us = np.array(plant.applied_torque), float("nan")
+        self._filtered = FilteredController(controller, safety_filter, self.tau)
+        self.seen, self.ticks, self._stopped_at = plant.measure(), 0, -1
+
+    def start(self, tip_ref: Array, trocar: Array) -> None:
+        """Start controller and safety filter at the plant's present measurement; arguments as for ``step``."""
+        self.seen = self._plant.measure()
+        self._filtered.start(self.seen, tip_ref, trocar)
+
+    def step(self, tip_ref: Array, registered: Array, trocar: Array | None = None) -> None:
+        """Measure, check, compute, limit, and move the arm by one control period.
+
+        Args:
+            tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
+            registered: (2, 3) rows P_t [m], dP_t [m/s], as the controller believes the trocar to be.
+            trocar: (2, 3) where it truly is; None: the arm is in no incision.
+
+        Raises:
+            PlantError: the plant cannot go on; measurement and torque of this step are there all the same.
+        """
+        seen = self._plant.measure()
+        if self._faults is not None:
+            self._faults.act(self._plant, self.ticks)
+            seen = self._faults.sense(seen, self.ticks)
+        begin = perf_counter_ns()
+        tau = self._filtered.tick(seen, tip_ref, registered)
+        self.tick_us = (perf_counter_ns() - begin) * 1e-3
+        self.seen, self.tau = seen, tau
+        if self._filtered.stop_reason:
+            self._stopped_at = self.ticks if self._stopped_at < 0 else self._stopped_at
+            self._plant.brake(self._damping, self._filtered.brake_friction(seen))
+        self.ticks += 1
+        self._plant.step(tau, trocar)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm is being stopped; empty while it is not."""
+        return self._filtered.stop_reason
+
+    @property
+    def finished(self) -> bool:
+        """Whether the arm has been stopped, and simulated for as long as ``Stop`` says."""
+        return 0 <= self._stopped_at < self.ticks - self._watched
+
+    @property
+    def limited(self) -> int:
+        """Number of joints at which the safety filter changed the last torque."""
+        return self._filtered.limited
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What exceeded a warning level since the start, as JSON values."""
+        return self._filtered.warnings

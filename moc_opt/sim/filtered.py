@@ -1,0 +1,82 @@
+"""A controller behind its safety filter: from a measurement to the torque that may be applied."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import MocOptError
+from moc_opt.sim.protocols import SafetyFilter, TorqueController
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+
+
+class FilteredController:
+    """A controller whose measurements and torques pass through a safety filter; without one, the controller alone.
+
+    Args:
+        controller: computes the torque.
+        safety_filter: checks measurements and limits torques; None: neither.
+        applied: (n,) torque that was applied last [Nm].
+    """
+
+    def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
+        self._controller, self._filter, self._applied = controller, safety_filter, applied
+        self._shows_state = self._shows_tip = False
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Start controller and safety filter at the first measurement."""
+        controller = self._controller
+        controller.start(seen.q, seen.v, tip_ref, trocar)
+        # Only now: before its start a property of the controller may raise AttributeError, which reads as its absence.
+        self._shows_state, self._shows_tip = hasattr(controller, "state"), hasattr(controller, "tip")
+        if self._filter is not None:
+            self._filter.start(seen.q, seen.v, seen.stamp)
+
+    @property
+    def stop_reason(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+        return "" if self._filter is None else self._filter.reason
+
+    @property
+    def limited(self) -> int:
+        """Number of joints at which the safety filter changed the last torque."""
+        return 0 if self._filter is None else self._filter.limited
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What exceeded a warning level since the start, as JSON values."""
+        return [] if self._filter is None else self._filter.warnings
+
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+        return 0.0 if self._filter is None else self._filter.brake_friction(seen.force)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+        safety = self._filter
+        if safety is None:
+            return self._controller.tick(seen.q, seen.v, tip_ref, trocar)
+        if not safety.stopped:
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, self._applied, seen.force)
+            safety.check_incision(q, trocar, seen.force)
+        if not safety.stopped:
+            try:
+                asked = self._controller.tick(q, v, tip_ref, trocar)
+                if self._shows_tip:
+                    safety.check_tip(self._controller.tip, tip_ref)  # type: ignore[attr-defined]
+                state = self._controller.state if self._shows_state else None  # type: ignore[attr-defined]
+                safety.check_motion(q, v, state, self._applied)
+            except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                safety.request_stop(f"the controller failed: {error}")
+            else:
+                tau = safety.limit_torque(asked, self._applied, q, v)
+                if safety.limited:
+                    self._controller.set_applied_torque(tau)
+        if safety.stopped:
+            tau = safety.stop_torque(self._applied)
+        self._applied = tau
+        return tau

@@ -1,0 +1,98 @@
+"""What the closed loop asks of controllers and of a safety filter; sim imports neither."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class TorqueController(Protocol):
+    """Computes a torque from a measurement.
+
+    One that shows ``tip`` (3,) [m], where its last tick saw the tip, has its tip error checked; one that shows
+    ``state``, the model's state of that tick, saves the safety filter from computing it again.
+    """
+
+    def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
+        """Forget the past, and prepare for a run that begins at this measurement."""
+        ...
+
+    def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
+        """Compute the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
+        ...
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Replace the last torque by the one (n,) [Nm] that was applied, where the safety filter changed it."""
+        ...
+
+
+class LoggedController(TorqueController, Protocol):
+    """A controller that also writes columns of its own into the trace."""
+
+    def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write the last tick's values into a row of ``columns``."""
+        ...
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """Create the columns that ``note`` fills, ``ticks`` rows each."""
+        ...
+
+
+class SafetyFilter(Protocol):
+    """Checks measurements and limits torques; ``moc_opt.control.safety_filter.SafetyFilter`` says how."""
+
+    limited: int
+    reason: str
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop was requested; ``reason`` says why."""
+        ...
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """What exceeded a warning level since the start, as JSON values."""
+        ...
+
+    def start(self, q: Array, v: Array, stamp: int = 0) -> None:
+        """Begin at the first measurement."""
+        ...
+
+    def request_stop(self, reason: str) -> None:
+        """Request the stop; the first reason stays."""
+        ...
+
+    def check_measurement(
+        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None, wrench: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible."""
+        ...
+
+    def check_incision(self, q: Array, trocar: Array, wrench: Array) -> None:
+        """Check RCM error and trocar force at q (n,), registered trocar (2, 3) and wrench (6,) at the mount."""
+        ...
+
+    def check_tip(self, tip: Array, tip_ref: Array) -> None:
+        """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d."""
+        ...
+
+    def check_motion(self, q: Array, v: Array, state: Any, applied: Array) -> None:
+        """Compare the motion with the torque (n,) that was applied; ``state`` None: of (q, v)."""
+        ...
+
+    def limit_torque(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+        """Return the torque within its limits; ``limited`` is the number of joints that were changed."""
+        ...
+
+    def stop_torque(self, before: Array) -> Array:
+        """Return the torque (n,) [Nm] of a damped stop, where ``before`` was applied last."""
+        ...
+
+    def brake_friction(self, wrench: Array) -> Array:
+        """Return the dry friction (n,) [Nm] of the brakes in a stop, for the wrench (6,) at the mount."""
+        ...

@@ -1,0 +1,137 @@
+"""What the adapters of libraries share: checks, buffers, five or six rows, the cost's scale, the way back.
+
+An adapter is the settings of its library, a frozen dataclass derived from `Adapter`, and a `LibrarySession` with three
+calls: set the library up, hand it a subproblem, run it. See docs/extending.md.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.qp.equalities import ROWS, assembled
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers import checks
+from moc_opt.solvers.backends.buffers import Loader
+from moc_opt.solvers.base import Session, Solution, Status, no_answer
+
+Array = NDArray[np.float64]
+Outcome = tuple[Status, int, Array, Array]
+
+_HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
+
+
+class Adapter:
+    """Settings of one library: what every one of them does with its fields.
+
+    A subclass is a frozen dataclass with at least ``cost_scale``, and ``rows`` where the library takes six rows.
+
+    Attributes:
+        rows: 5 or 6 equality rows.
+        cost_scale: multiplies P and p; the duals are scaled back.
+        name: in the registry.
+        choices: field -> the values it may have.
+        needs: what the library does with a cost that is not positive definite; empty where it copes.
+    """
+
+    rows: int = 5
+    cost_scale: float
+    name: ClassVar[str]
+    session: ClassVar[type[LibrarySession]]
+    choices: ClassVar[Mapping[str, tuple[object, ...]]] = {}
+    needs: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        checks.like_defaults(self, rows=ROWS, **self.choices)
+
+    def supports(self, qp: NullSpaceQP) -> str | None:
+        """Say why a subproblem cannot be taken; None where it can."""
+        return refuse_semidefinite(qp, self.needs) if self.needs else None
+
+    def start(self, qp: NullSpaceQP) -> Session:
+        """Set a workspace up with the shape and the scaling of ``qp``."""
+        return self.session(self, qp)
+
+
+def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
+    """Say why a library that ``needs`` a positive definite cost cannot take ``qp``; None where it can."""
+    if qp.regularization > 1e-10 * (qp.c0 + qp.c1):
+        return None
+    return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
+
+
+class LibrarySession(ABC):
+    """One workspace of a library and the buffers that it reads.
+
+    Attributes:
+        dual_sign: of the library's multipliers of A x = b.
+    """
+
+    dual_sign: ClassVar[float] = 1.0
+
+    def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
+        self._settings = settings
+        self._factor = self.dual_sign / settings.cost_scale
+        self._choosy = bool(settings.needs)
+        self._build(qp)
+
+    def _build(self, qp: NullSpaceQP) -> None:
+        self._m, self._n = assembled(qp, self._settings.rows).A.shape
+        self._load = Loader(self._settings.rows, self._settings.cost_scale, **self._allocate(self._m, self._n))
+        self._load(qp)
+        self._set_up(self._m, self._n)
+
+    @abstractmethod
+    def _allocate(self, m: int, n: int) -> dict[str, Any]:
+        """Make the arrays that the library reads; returns the arguments of `Loader` that write into them."""
+
+    @abstractmethod
+    def _set_up(self, m: int, n: int) -> None:
+        """Make the library's workspace from the loaded arrays, its options set."""
+
+    @abstractmethod
+    def _hand_over(self) -> None:
+        """Hand the loaded arrays to the library."""
+
+    @abstractmethod
+    def _run(self) -> Outcome:
+        """Run the library: status, iterations, x (n,) in memory of its own, multipliers (m,) of A x = b.
+
+        x and multipliers count only where the status is one with an answer.
+        """
+
+    def update(self, qp: NullSpaceQP) -> None:
+        """Hand the subproblem to the library; another shape than the last one's starts a new workspace."""
+        if not self._load(qp):
+            self._build(qp)
+        self._hand_over()
+
+    def solve(self, qp: NullSpaceQP) -> Solution:
+        """Answer one subproblem."""
+        if self._choosy and self._settings.supports(qp) is not None:
+            return no_answer(qp.n, Status.UNSUPPORTED)
+        self.update(qp)
+        status, iterations, x, y = self._run()
+        if status not in _HAS_X:
+            return no_answer(qp.n, status, iterations)
+        return Solution(x, self._load.lifted(y, self._factor), status, iterations)
+
+
+class TruncatedSession(LibrarySession):
+    """A library whose iterations can be limited from call to call."""
+
+    @abstractmethod
+    def _limit(self, iterations: int) -> None:
+        """Let the library make so many iterations at most."""
+
+    def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
+        """Answer with the iterate after so many iterations (at least 1), from where the last solve began."""
+        self._limit(iterations)
+        try:
+            return self.solve(qp)
+        finally:
+            self._limit(self._settings.max_iter)

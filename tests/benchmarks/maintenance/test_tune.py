@@ -1,0 +1,215 @@
+"""The search for parameters: it stays inside its space, its objective says what it should, and it can be run again."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.maintenance import tune
+from benchmarks.output import default_config
+from benchmarks.paper_experiment.config import STREAM
+from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
+from moc_opt.control import ControlSettings
+from moc_opt.control.settings import TUNED
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+
+GOOD = {
+    "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_model_mean_mm": 0.12,
+    "torque_rate": 500.0,
+    **{f"settled_{name}_high": 0.0 for name in tune.ERRORS}, **{f"travelling_{name}": 0.0 for name in tune.ERRORS},
+}  # fmt: skip
+
+TINY = """
+seed = 3
+tasks = ["circle"]
+random = 2
+local = 1
+finalists = 2
+trials = 2
+final_trials = 2
+processes = 1
+[space]
+rho_over_c2 = { low = 0.05, high = 0.3, log = true }
+K_N2 = { low = 10.0, high = 40.0, log = true }
+[hard]
+delay_ticks = 2
+[scenario]
+duration_s = 0.8
+judge = false
+bound_samples = 0
+"""
+
+
+@pytest.fixture(scope="module")
+def config():
+    return tune.Config.load(default_config("tune"))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6))
+def test_candidates_stay_in_the_space_and_make_settings(seed):
+    config = tune.Config.load(default_config("tune"))
+    rng = np.random.default_rng(seed)
+    first = tune.draw(config, rng)
+    for candidate in (first, tune.draw(config, rng, [first])):
+        for name, value in candidate.values.items():
+            span = config.space[name]
+            if span.choices is None:
+                assert span.low * (1 - 5e-3) <= value <= span.high * (1 + 5e-3)
+            else:
+                assert value in span.choices
+        ControlSettings(**candidate.control)
+
+
+def test_local_candidates_lie_near(config):
+    rng = np.random.default_rng(0)
+    first = tune.draw(config, rng)
+    near = [tune.draw(config, rng, [first]) for _ in range(50)]
+    far = [tune.draw(config, rng) for _ in range(50)]
+
+    def spread(drawn):
+        return np.mean([np.abs(np.subtract(c.places, first.places)).mean() for c in drawn])
+
+    assert spread(near) < 0.12 < spread(far)
+
+
+def test_rho_follows_the_ratio():
+    candidate = tune.Candidate((0.5,), {"rho_over_c2": 0.05})
+    assert candidate.control == {"gains": "default", "regularization": 5e-5}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("gain", 10.0),
+        ("worst_gain", -0.5),
+        ("tip_error_model_mean_mm", 0.12),
+        ("rcm_error_model_mean_mm", 0.25),
+        *((f"settled_{error}_high", 6.0) for error in tune.ERRORS),
+    ],
+)
+def test_a_missed_goal_costs_more_than_anything_else(name, value):
+    missed = tune.objective({**GOOD, name: value})
+    expensive = {**GOOD, "torque_rate": 900.0, **{f"travelling_{error}": 40.0 for error in tune.ERRORS}}
+    assert missed > tune.objective(GOOD)
+    assert missed > tune.objective(expensive)
+
+
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [
+        ("torque_rate", 600.0),
+        ("gain", 18.0),
+        ("tip_error_model_mean_mm", 0.08),
+        ("travelling_rcm_error_model_mean_mm", 10.0),
+    ],
+)
+def test_costs_rise_where_it_gets_worse(name, worse):
+    assert tune.objective({**GOOD, name: worse}) > tune.objective(GOOD)
+
+
+def test_a_settled_phase_that_never_came_is_a_missed_goal():
+    never = {name: value for name, value in GOOD.items() if not name.startswith("settled_")}
+    assert tune.objective(never) > tune.objective(GOOD) + 10.0
+
+
+def outcome(group, controller, rate, mu=0.3, gain=0.0, trial=0):
+    metrics = {"torque_rate_rms_Nm_per_s": rate, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.12,
+               "mu_mean": mu, "mu_gain_percent": gain}  # fmt: skip
+    entry = Measurement(group, controller, "circle", f"circle/{trial}", 1, "whole", metrics)
+    return Outcome([entry], {}, {}, [])
+
+
+def test_score_reads_the_gain_and_refuses_what_is_not_calm():
+    """Gains of 100 and 10 %: of the means it is 19 %, and the mean of both, 55 %, would be another number."""
+    candidate = tune.Candidate((), {})
+    usual = [
+        outcome("", MATCHED, 500.0, 0.1, 0.0, 0), outcome("", tune.SOLVER, 500.0, 0.2, 100.0, 0),
+        outcome("", MATCHED, 500.0, 0.9, 0.0, 1), outcome("", tune.SOLVER, 500.0, 0.99, 10.0, 1),
+    ]  # fmt: skip
+    found = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 600.0)])
+    assert found.figures["gain"] == pytest.approx(19.0)
+    assert found.figures["worst_gain"] == 10.0
+    assert math.isfinite(found.objective)
+    wild = tune.score(candidate, [*usual, outcome("hard", tune.SOLVER, 5000.0)])
+    assert wild.objective == math.inf
+    assert "5000" in wild.reason
+
+
+def test_score_refuses_what_breaks_off():
+    broken = Outcome([], {}, {}, [{"error": "PlantError: the arm ran away"}])
+    found = tune.score(tune.Candidate((), {}), [outcome("", tune.SOLVER, 500.0, 20.0), broken])
+    assert found.objective == math.inf
+    assert "ran away" in found.reason
+
+
+def test_change_while_settled_is_that_of_the_same_trials():
+    entries = []
+    for trial, (moc, dcac) in enumerate([(0.1, 0.2), (0.2, 0.4), (0.3, 0.6)]):
+        for controller, value in ((tune.SOLVER, moc), (MATCHED, dcac)):
+            metrics = {**dict.fromkeys(tune.ERRORS, value), "ticks": 100.0}
+            entries.append(
+                Measurement("", controller, "circle", f"circle/{trial}", 0, "settled", metrics)
+            )
+        entries.extend(outcome("", tune.SOLVER, 500.0, 20.0).measurements)
+    values = tune.figures(entries)
+    assert values["settled_tip_error_model_mean_mm"] == pytest.approx(-50.0)
+    assert "travelling_tip_error_model_mean_mm" not in values
+
+
+def test_search_and_experiment_share_no_trial():
+    streams = [set(seeds(0, stream, 60)) for stream in (STREAM, tune.SEARCH_STREAM, tune.FINAL_STREAM)]
+    assert len(set.union(*streams)) == 180
+
+
+def test_the_preset_is_a_point_of_the_space(config):
+    """The shipped preset names its command; it must be what that command can draw."""
+    for name, span in config.space.items():
+        value = TUNED["regularization"] / 1e-3 if name == "rho_over_c2" else TUNED[name]
+        assert value in span.choices if span.choices else span.low * 0.99 <= value <= span.high * 1.01
+    assert ControlSettings.tuned() == ControlSettings(**TUNED)
+
+
+def test_preset_is_written_as_a_scenario_reads_it():
+    found = tune.preset(tune.Score(tune.Candidate((), {"K_N": 2000.0, "rho_over_c2": 0.1}), 0.0, {}))
+    assert found == '[control]\ngains = "default"\nK_N = 2000.0\nregularization = 0.0001'
+
+
+def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys):
+    file = tmp_path / "tiny.toml"
+    file.write_text(TINY)
+    summaries = []
+    for turn in ("a", "b"):
+        assert tune.main([str(file), "--out", str(tmp_path / turn), "--json"]) == 0
+        summaries.append(json.loads((tmp_path / turn / "summary.json").read_text()))
+        assert (tmp_path / turn / "rows.parquet").exists()
+        assert json.loads((tmp_path / turn / "environment.json").read_text())["seed"] == 3
+    assert summaries[0] == summaries[1]
+    assert set(summaries[0]["tuned"]["control"]) == {"gains", "K_N2", "regularization"}
+    assert json.loads(capsys.readouterr().out.split("\n}\n")[0] + "}") == summaries[0]
+
+
+def test_wrong_input_is_named(tmp_path, capsys):
+    with pytest.raises(ScenarioError, match=r"no\.toml"):
+        tune.Config.load(tmp_path / "no.toml")
+    file = tmp_path / "bad.toml"
+    file.write_text(TINY.replace("random", "randon"))
+    with pytest.raises(UnknownNameError, match="did you mean 'random'"):
+        tune.Config.load(file)
+    file.write_text(TINY.replace('"circle"', '"circel"'))
+    assert tune.main([str(file), "--out", str(tmp_path / "out")]) == 2
+    assert "circel" in capsys.readouterr().err
+    with pytest.raises(MocOptError):
+        tune.Range(low="a", high=1.0)
+    with pytest.raises(ScenarioError, match="low < high"):
+        tune.Range(low=2.0, high=1.0)
+    with pytest.raises(ScenarioError, match="above 0 where log"):
+        tune.Range(low=0.0, high=1.0, log=True)
+
+
+def test_choices_are_drawn_evenly():
+    span = tune.Range(choices=[False, True])
+    assert [span.at(place) for place in (0.0, 0.49, 0.51, 1.0)] == [False, False, True, True]

@@ -1,0 +1,249 @@
+"""The arms of the package: their makers' figures, other people's files of them, and poses fit to begin with."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from moc_opt.commissioning.freedoms import freedoms
+from moc_opt.model.gains import largest_rate
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.robots import available_robots, loader
+from moc_opt.scenario.agreement import check_engines
+
+Array = NDArray[np.float64]
+FOLDER = Path(loader.__file__).parent
+NEW = ("gen3", "iiwa14", "lwr4_rail", "panda", "xarm7")
+RIGHT = np.pi / 2
+
+Rows = list[tuple[float, float, float, float]]
+
+
+def upright(signs: tuple[float, ...], lengths: tuple[float, ...]) -> Rows:
+    """Rows of an arm whose axes all cross: alpha is a right angle of this sign, or 0."""
+    return [(0, sign * RIGHT, d, 0) for sign, d in zip(signs, lengths, strict=True)]
+
+
+# Denavit-Hartenberg rows as the makers print them, (a, alpha, d, offset of q), then the way from the last frame to the
+# flange. Craig's convention has a and alpha of the joint before, the classical one those behind the joint.
+DH: dict[str, tuple[str, Rows, float]] = {
+    "lwr4": ("classical", upright((1, -1, -1, 1, 1, -1, 0), (0.3105, 0, 0.4, 0, 0.39, 0, 0.078)), 0.0),
+    "iiwa14": ("classical", upright((-1, 1, 1, -1, -1, 1, 0), (0.36, 0, 0.42, 0, 0.4, 0, 0.126)), 0.0),
+    "panda": (
+        "craig",
+        [
+            (0, 0, 0.333, 0), (0, -RIGHT, 0, 0), (0, RIGHT, 0.316, 0), (0.0825, RIGHT, 0, 0),
+            (-0.0825, -RIGHT, 0.384, 0), (0, RIGHT, 0, 0), (0.088, RIGHT, 0, 0),
+        ],
+        0.107,
+    ),
+    "xarm7": (
+        "craig",
+        [
+            (0, 0, 0.267, 0), (0, -RIGHT, 0, 0), (0, RIGHT, 0.293, 0), (0.0525, RIGHT, 0, 0),
+            (0.0775, RIGHT, 0.3425, 0), (0, RIGHT, 0, 0), (0.076, -RIGHT, 0.097, 0),
+        ],
+        0.0,
+    ),
+    "gen3": (
+        "classical",
+        [
+            (0, RIGHT, -(0.15643 + 0.12838), 0), (0, RIGHT, -(0.005375 + 0.006375), np.pi),
+            (0, RIGHT, -2 * 0.21038, np.pi), (0, RIGHT, -2 * 0.006375, np.pi), (0, RIGHT, -(0.20843 + 0.10593), np.pi),
+            (0, RIGHT, 0, np.pi), (0, np.pi, -(0.10593 + 0.061525), np.pi),
+        ],
+        0.0,
+    ),
+}  # fmt: skip
+
+
+def placed(R: Array, p: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, p
+    return T
+
+
+def turned(axis: str, angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]] if axis == "x" else [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def by_dh(name: str, q: Array) -> Array:
+    """Flange (4,4) from the printed table; the Gen3's first axis points down, from its base."""
+    kind, rows, flange = DH[name]
+    T = placed(turned("x", np.pi), np.zeros(3)) if name == "gen3" else np.eye(4)
+    for (a, alpha, d, offset), angle in zip(rows, q, strict=True):
+        across = placed(turned("x", alpha), np.array([a, 0.0, 0.0]))
+        along = placed(turned("z", angle + offset), np.array([0.0, 0.0, d]))
+        T = T @ (across @ along if kind == "craig" else along @ across)
+    return T @ placed(np.eye(3), np.array([0.0, 0.0, flange]))
+
+
+@pytest.fixture(scope="module", params=NEW)
+def arm(request: pytest.FixtureRequest) -> RobotModel:
+    return load_robot(request.param)
+
+
+def poses(robot: RobotModel, count: int = 8) -> Array:
+    return np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (count, robot.n))
+
+
+def test_the_arms_are_these() -> None:
+    assert available_robots() == ["gen3", "iiwa14", "lwr4", "lwr4_rail", "panda", "xarm7"]
+
+
+@pytest.mark.parametrize("name", DH)
+def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
+    robot = load_robot(name)
+    for q in poses(robot):
+        flange = by_dh(name, q)
+        if name == "gen3":  # the printed table lets axes 6 and 7 cross: 0.175 mm twice
+            np.testing.assert_allclose(robot.state(q).tip, (flange @ [0, 0, 0.3, 1])[:3], atol=5e-4)
+        else:
+            np.testing.assert_allclose(robot.state(q).tip, (flange @ [0, 0, 0.3, 1])[:3], rtol=0, atol=1e-9)
+
+
+def test_the_rail_carries_the_lwr4() -> None:
+    rail, bare = load_robot("lwr4_rail"), load_robot("lwr4")
+    for q in poses(rail):
+        ours, theirs = rail.state(q), bare.state(q[1:])
+        np.testing.assert_allclose(ours.tip, theirs.tip + np.array([0.0, q[0], 0.0]), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours.M[1:, 1:], theirs.M, rtol=0, atol=1e-9)
+        assert ours.M[0, 0] == pytest.approx(20.0 + 10.0 + 15.85 + 0.3, abs=1e-9)  # drive, carriage, arm, tool
+
+
+# --- other people's files of the same arms, where they are installed ---
+
+
+def installed(package: str, path: str) -> str:
+    try:
+        file = Path(str(metadata.distribution(package).locate_file(path)))
+    except metadata.PackageNotFoundError:
+        pytest.skip(f"{package} is not installed: pip install --no-deps {package} brings another file of this arm")
+    if not file.is_file():
+        pytest.skip(f"this {package} has no {path}")
+    return file.read_text(encoding="utf-8")
+
+
+def exact_right_angles(text: str) -> str:
+    """Makers print pi/2 and pi with four digits; nobody builds a robot that is 4e-6 rad oblique."""
+    return re.sub(r"\b1\.5708\b", repr(RIGHT), re.sub(r"\b3\.1416\b", repr(np.pi), text))
+
+
+ROBOTS = "cmeel.prefix/share/example-robot-data/robots"
+
+
+@pytest.mark.parametrize(
+    ("name", "path"), [("panda", "panda_description/urdf/panda.urdf"), ("xarm7", "xarm_description/urdf/xarm7.urdf")]
+)
+def test_kinematics_and_masses_are_those_of_another_file(name: str, path: str) -> None:
+    theirs = pin.buildModelFromXML(exact_right_angles(installed("example-robot-data", f"{ROBOTS}/{path}")))
+    ours = pin.buildModelFromXML((FOLDER / f"{name}.urdf").read_text(encoding="utf-8"))
+    fingers = theirs.nq - 7
+    datas = [model.createData() for model in (ours, theirs)]
+    for q in np.random.default_rng(2).uniform(ours.lowerPositionLimit, ours.upperPositionLimit, (8, 7)):
+        pin.forwardKinematics(ours, datas[0], q)
+        pin.forwardKinematics(theirs, datas[1], np.concatenate([q, np.zeros(fingers)]))
+        np.testing.assert_allclose(datas[0].oMi[7].homogeneous, datas[1].oMi[7].homogeneous, rtol=0, atol=1e-9)
+    # body by body; the last one carries their hand too
+    for j in range(1, 8 if fingers == 0 else 7):
+        mine, other = ours.inertias[j], theirs.inertias[j]
+        assert mine.mass == pytest.approx(other.mass, abs=1e-9)
+        np.testing.assert_allclose(mine.lever, other.lever, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(mine.inertia, other.inertia, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.effortLimit, theirs.effortLimit[:7])
+    np.testing.assert_allclose(ours.velocityLimit, theirs.velocityLimit[:7])
+
+
+def test_the_gen3_is_that_of_another_file() -> None:
+    tree = ET.fromstring(installed("robosuite", "robosuite/models/assets/robots/kinova3/robot.xml"))
+    bodies = [body for body in tree.iter("body") if body.find("joint") is not None]
+    ours = pin.buildModelFromXML((FOLDER / "gen3.urdf").read_text(encoding="utf-8"))
+    for j, body in enumerate(bodies, start=1):
+        place = ours.jointPlacements[j]
+        np.testing.assert_allclose(place.translation, numbers(body.get("pos")), rtol=0, atol=1e-9)
+        w, x, y, z = numbers(body.get("quat"))
+        turn = pin.Quaternion(w, x, y, z).normalized().toRotationMatrix()  # printed with six digits
+        np.testing.assert_allclose(place.rotation, np.round(turn, 4), rtol=0, atol=1e-9)
+        inertial: Any = body.find("inertial")
+        if j == 7:
+            continue  # theirs has the vision module
+        assert ours.inertias[j].mass == pytest.approx(float(inertial.get("mass")), abs=1e-9)
+        np.testing.assert_allclose(ours.inertias[j].lever, numbers(inertial.get("pos")), rtol=0, atol=1e-9)
+        principal = np.sort(numbers(inertial.get("diaginertia")))
+        np.testing.assert_allclose(np.linalg.eigvalsh(ours.inertias[j].inertia), principal, rtol=1e-5)
+
+
+def numbers(text: str | None) -> Array:
+    return np.array([float(part) for part in (text or "").split()])
+
+
+# --- what every arm of the package has ---
+
+
+def test_both_engines_read_the_same_arm(arm: RobotModel) -> None:
+    check_engines(arm)
+
+
+def test_the_home_pose_is_fit_to_begin_with(arm: RobotModel) -> None:
+    q, data = arm.data.q_home, arm.data
+    left = freedoms(arm, q)
+    assert left.rank == 5
+    assert (left.real, left.idle) == ((2, (7,)) if data.name == "lwr4_rail" else (1, (6,)))
+    assert left.tip > 0.3
+    assert left.both > 0.1
+    turning = ~arm.chain.prismatic
+    assert np.degrees(np.minimum(q - data.q_min, data.q_max - q)[turning].min()) > 35.0
+    state = arm.state(q)
+    assert state.tool_direction[2] < -0.8  # the tool points down
+    assert state.tip[2] > 0.05
+    assert 0.7 < state.mu / self_motion(arm, q).mu_best < 0.9  # there is something to gain
+
+
+def test_the_wrist_point_is_where_the_last_axes_come_nearest(arm: RobotModel) -> None:
+    """On the last axis, at the foot of the common normal with the axis before it."""
+    axes, points = axes_at(arm, arm.data.q_home)
+    wrist = arm.state(arm.data.q_home).wrist
+    assert np.linalg.norm(np.cross(wrist - points[-1], axes[-1])) < 1e-9
+    distances = [
+        np.linalg.norm(np.cross(wrist + shift * axes[-1] - points[-2], axes[-2])) for shift in (-0.001, 0.0, 0.001)
+    ]
+    assert distances[1] < min(distances[0], distances[2])
+
+
+def axes_at(arm: RobotModel, q: Array) -> tuple[list[Array], list[Array]]:
+    """Direction of and a point on every joint's axis, in the world."""
+    chain, T = arm.chain, np.eye(4)
+    axes, points = [], []
+    for R, p, axis, slides, angle in zip(chain.rotations, chain.origins, chain.axes, chain.prismatic, q, strict=True):
+        T = T @ placed(R, p)
+        axes.append(T[:3, :3] @ axis)
+        points.append(T[:3, 3].copy())
+        turn = np.eye(3) if slides else pin.AngleAxis(angle, axis).toRotationMatrix()
+        T = T @ placed(turn, angle * axis if slides else np.zeros(3))
+    return axes, points
+
+
+def test_gains_stay_far_from_the_stability_limit(arm: RobotModel) -> None:
+    """The rates of tip, wrist and null space, with a period of 2 ms, against three ticks of delay."""
+    limit, gains = largest_rate(0.002, 3), arm.data.gains["default"]
+    K = np.diag(gains["K_N2"]) + np.diag(gains["D_N2"])
+    for q in [arm.data.q_home, *poses(arm)]:
+        state = arm.state(q)
+        yields = np.linalg.solve(state.M, state.A.T)
+        assert gains["D_X"] * np.linalg.eigvalsh(state.J_tip @ yields[:, :3])[-1] < 0.85 * limit
+        assert gains["D_N"] * np.linalg.eigvalsh(state.J_wrist @ yields[:, 3:])[-1] < 0.5 * limit
+        Z = np.linalg.svd(state.A)[2][5:]
+        rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ K @ Z.T)).real
+        assert rates.max() < 0.6 * limit
+
+

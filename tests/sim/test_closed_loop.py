@@ -1,0 +1,118 @@
+"""The one step of every closed loop: whoever runs it, a reason of the safety filter stops the arm."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.latency.tick import record
+from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.live import LiveRun
+from moc_opt.procedure.hands_on import HandsOnSettings, guide_to
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.sim import Plant
+from moc_opt.sim.closed_loop import ClosedLoop
+
+ROOT = Path(__file__).resolve().parents[2]
+QUICK = {"bound_samples": 0, "judge": False, "duration_s": 1.5}
+
+
+def simulation(scenario):
+    """Reason, when, and the joints' last speeds (n,), of ``mo.run``."""
+    setup = Setup(scenario)
+    trace = setup.trace()
+    return trace.meta["ended"], trace.meta.get("stopped_at_s"), setup.plant.v
+
+
+def benchmark(scenario):
+    """The same of the run that the benchmarks of latency record."""
+    setup = Setup(scenario)
+    trace = record(setup).trace
+    return trace.meta["ended"], trace.meta.get("stopped_at_s"), setup.plant.v
+
+
+def live(scenario):
+    """The same of the live page's run."""
+    run = LiveRun(scenario.change(duration_s=None))
+    run.advance(round(QUICK["duration_s"] / run.period_s))
+    stopped = run.moment()
+    run.advance(10)
+    assert not stopped.stopped or run.moment().t_s == stopped.t_s  # nothing goes on
+    return stopped.stopped, stopped.t_s - scenario.guard.stop_s, run._setup.plant.v
+
+
+def procedure(scenario):
+    """The same of hand guiding: it has neither a reference nor a trocar."""
+    setup = Setup(scenario)
+    incision = setup.plant.tip + np.array([0.05, 0.1, 0.1])
+    found = guide_to(incision, setup.plant, setup.robot, HandsOnSettings(guard=scenario.guard, time_limit_s=1.5))
+    assert found.registered is None
+    return found.trace.meta["ended"], found.trace.t_s[-1] - scenario.guard.stop_s, setup.plant.v
+
+
+REASONS = {
+    "measurements not believed": {},
+    "the tip has been": {"guard": {"tip_error_m": 1e-5}},
+    "the trocar's force has been above": {"guard": {"trocar_force_N": 0.1, "trocar_force_warning_N": 0.1}},
+}
+LOOPS = [(loop, reason) for loop in (simulation, benchmark, live) for reason in REASONS]
+
+
+@pytest.fixture
+def failing_encoders(monkeypatch):
+    """Every plant's encoders show NaN from 0.2 s on."""
+    measure = Plant.measure
+
+    def broken(plant):
+        seen = measure(plant)
+        return seen._replace(q=seen.q + np.nan) if plant.time > 0.2 else seen
+
+    monkeypatch.setattr(Plant, "measure", broken)
+
+
+@pytest.mark.parametrize(("loop", "reason"), [*LOOPS, (procedure, "measurements not believed")])
+def test_a_reason_of_the_safety_filter_stops_every_loop(loop, reason, request):
+    if reason == "measurements not believed":
+        request.getfixturevalue("failing_encoders")
+    ended, at, speed = loop(Scenario(control={"preset": "tuned"}, **REASONS[reason], **QUICK))
+    assert reason in ended
+    assert at == pytest.approx(0.208, abs=0.003) if "believed" in reason else 0.0 < at < 0.9
+    assert np.abs(speed).max() < 0.02  # the brakes hold
+
+
+@pytest.mark.parametrize("loop", [simulation, benchmark, live])
+def test_without_a_reason_none_of_them_stops(loop):
+    ended, _, speed = loop(Scenario(control={"preset": "tuned"}, **QUICK))
+    assert ended in ("completed", "")
+    assert np.abs(speed).max() > 0.02
+
+
+def test_the_stop_is_simulated_for_as_long_as_it_says(robot):
+    """One more step than fits into the time, the one that ordered it; the arm is braked from that step on."""
+    setup = Setup(Scenario(**QUICK))
+    loop = setup.closed_loop(setup.adapter())
+    loop._filtered._filter.request_stop("for a test")  # before the start: it forgets this
+    references = setup.reference.rows(0.0), np.stack(setup.registered.at(0.0)), np.stack(setup.trocar.at(0.0))
+    loop.start(*references[:2])
+    for _ in range(5):
+        loop.step(*references)
+    assert (loop.stop_reason, loop.finished, loop.ticks) == ("", False, 5)
+    free = np.array(setup.plant.mj_model.dof_damping)
+    loop._filtered._filter.request_stop("for a test")
+    steps = 0
+    while not loop.finished:
+        loop.step(*references)
+        steps += 1
+    assert steps == round(SafetyFilterSettings().stop_s / setup.plant.settings.period_s) + 1
+    np.testing.assert_allclose(setup.plant.mj_model.dof_damping - free, 20.0)
+    np.testing.assert_array_equal(loop.tau, loop._filtered._applied)
+
+
+def test_no_other_code_moves_a_plant():
+    """Whoever steps or brakes a plant by hand has a loop of its own; the fuzzer's arm has no controller."""
+    by_hand = re.compile(r"plant\.(step|brake)\(")
+    files = [path for room in ("moc_opt", "benchmarks") for path in (ROOT / room).rglob("*.py")]
+    found = {path.relative_to(ROOT).as_posix() for path in files if by_hand.search(path.read_text(encoding="utf-8"))}
+    assert found == {"moc_opt/sim/closed_loop.py", "benchmarks/reliability/fuzz_checks.py"}
+    assert ClosedLoop.step.__module__ == "moc_opt.sim.closed_loop"
