@@ -23,7 +23,7 @@ class Configuration(Settings):
 
     @classmethod
     def chosen(cls, given: Namespace, name: str) -> Self:
-        """What the options of ``cli.parser`` ask for: the file or the benchmark's own, its seed, less data.
+        """Return what the options of ``cli.parser`` ask for: the file or the benchmark's own, its seed, less data.
 
         Raises:
             MocOptError: the file cannot be used.
@@ -34,7 +34,7 @@ class Configuration(Settings):
         return config.quick() if given.quick else config
 
     def quick(self) -> Self:
-        """The same on less data: for a first look and for the tests."""
+        """Return the same on less data: for a first look and for the tests."""
         raise NotImplementedError
 
     @classmethod
@@ -48,5 +48,5 @@ class Configuration(Settings):
             raise
 
     def environment(self, given: Namespace, **remarks: Any) -> dict[str, Any]:
-        """What environment.json holds after a run with this configuration."""
+        """Return what environment.json holds after a run with this configuration."""
         return environment(self.model_dump(mode="json"), self.seed, given.argv) | remarks

@@ -62,7 +62,7 @@ class ExportError(MocOptError, RuntimeError):
 
 
 def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
-    """Name -> each every-th problem of those sets that has an answer.
+    """Map name to each every-th problem of those sets that has an answer.
 
     Raises:
         UnknownNameError: no such set.

@@ -12,7 +12,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from benchmarks import cli
-from benchmarks.processes import run_parallel
+from benchmarks.crew import run_parallel
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
 from benchmarks.reliability.report import headline, report, tables

@@ -21,9 +21,7 @@ from moc_opt.embedded.compiler import CompilerError, find_compiler
 from moc_opt.report.tables import Table
 
 if TYPE_CHECKING:
-    from hypothesis.strategies import SearchStrategy
-
-    from benchmarks.reliability import fuzz_checks
+    from benchmarks.reliability.fuzz_case import Kind
 
 KINDS = {
     "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.15, "result_file": 0.2,
@@ -47,7 +45,7 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     import hypothesis
     from hypothesis import HealthCheck
 
-    from benchmarks.reliability import fuzz_c, fuzz_checks
+    from benchmarks.reliability import fuzz_c, fuzz_case, fuzz_checks
 
     check, strategy = lookup(kind)
     fuzz_checks.warm_up()
@@ -62,7 +60,7 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     def one(case: Any) -> None:
         last[0] = case
         try:
-            with fuzz_checks.time_limit():
+            with fuzz_case.time_limit():
                 verdicts[check(case)] += 1
         finally:
             done()
@@ -79,7 +77,7 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
         part += 1
         try:
             attempt()
-        except (Exception, fuzz_checks.Hang) as error:  # noqa: BLE001 - whatever comes out is the finding
+        except (Exception, fuzz_case.Hang) as error:  # noqa: BLE001 - whatever comes out is the finding
             cause = error.exceptions[0] if isinstance(error, ExceptionGroup) else error
             where = traceback.extract_tb(cause.__traceback__)[-1]
             place = f"{Path(where.filename).name}:{where.lineno}"
@@ -88,27 +86,16 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
     return verdicts, failures
 
 
-def lookup(kind: str) -> tuple[fuzz_checks.Check, SearchStrategy[Any]]:
-    """The check of one kind of input, and where its cases come from."""
-    from benchmarks.reliability import (
-        fuzz_checks,
-        fuzz_file_checks,
-        fuzz_files,
-        fuzz_inputs,
-        fuzz_names,
-        fuzz_numbers,
-    )
+def lookup(kind: str) -> Kind:
+    """Find the check of one kind of input, and where its cases come from."""
+    from benchmarks.reliability import fuzz_checks, fuzz_file_checks, fuzz_names, fuzz_numbers
 
-    if kind in fuzz_files.STRATEGIES:
-        return fuzz_file_checks.CHECKS[kind], fuzz_files.STRATEGIES[kind]
-    for module in (fuzz_names, fuzz_numbers):
-        if kind in module.STRATEGIES:
-            return getattr(module, kind), module.STRATEGIES[kind]
-    return getattr(fuzz_checks, kind), fuzz_inputs.STRATEGIES[kind]
+    modules = (fuzz_checks, fuzz_file_checks, fuzz_names, fuzz_numbers)
+    return next(module.KINDS[kind] for module in modules if kind in module.KINDS)
 
 
 def has_compiler() -> bool:
-    """Whether the kind "exported" can be checked here."""
+    """Tell whether the kind "exported" can be checked here."""
     try:
         return bool(find_compiler())
     except CompilerError:

@@ -19,7 +19,7 @@ REPLAY = "replay.html"
 
 
 def trial_map(robot: RobotModel, traces: Mapping[str, Trace]) -> SwivelMap | str:
-    """The map of one trial, or the reason why there is none: a report is not lost for want of one figure."""
+    """Return the map of one trial, or the reason why there is none: a report is not lost for want of one figure."""
     if not traces:
         return "no run of this trial came to its end"
     low, high = COLUMNS

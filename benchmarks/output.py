@@ -6,7 +6,6 @@ import datetime
 import importlib.metadata
 import os
 import platform
-import re
 import subprocess
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -40,15 +39,8 @@ def save_page(page: Page, path: Path, *, figures: bool = False) -> None:
 
 
 def default_config(name: str) -> Path:
-    """The configuration that ships with a benchmark."""
+    """Return the configuration that ships with a benchmark."""
     return Path(__file__).parent / "configs" / f"{name}.toml"
-
-
-def fill_section(page: str, name: str, text: str) -> str | None:
-    """Put text between the lines ``<!-- name -->`` and ``<!-- /name -->`` of a page; None where they are missing."""
-    marks = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
-    filled, found = marks.subn(lambda at: f"{at[1]}{text}\n{at[2]}", page)
-    return filled if found else None
 
 
 def write_atomically(path: Path, data: bytes) -> None:
@@ -94,7 +86,7 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:
-    """Machine, versions, commit, seed and the whole configuration."""
+    """Return the machine, versions, commit, seed and the whole configuration."""
     versions: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
@@ -127,7 +119,7 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """The commit of this checkout, marked where files differ from it; None outside a checkout."""
+    """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
     where = Path(__file__).parent
     try:
         head = subprocess.run(

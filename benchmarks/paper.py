@@ -17,18 +17,19 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import cli
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
 from benchmarks.paper_experiment.config import STREAM, Config
+from benchmarks.paper_experiment.tables import tables
 from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
-from benchmarks.processes import run_parallel
 from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
 
 
 def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:
-    """The study of the starting swivel."""
+    """Run the study of the starting swivel."""
     base = config.base(config.swivel.group)
     [(_, trial)] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1))
     jobs = [(trial, start, config.best_solver) for start in paper_swivel.starts(trial, config.swivel.starts)]
@@ -36,7 +37,7 @@ def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:
 
 
 def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """(one row a task, accuracy of single pictures)."""
+    """Return (one row a task, accuracy of single pictures)."""
     rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance)
     accuracy = paper_procedure.accuracy(config.procedure, config.scenario.robot.name, config.seed)
     advance()
@@ -44,7 +45,7 @@ def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[st
 
 
 def run_ablation(config: Config, advance: Any) -> tuple[list[Measurement], list[dict[str, Any]]]:
-    """(every measurement, every run that broke off) of Table I with entries exchanged."""
+    """Return (every measurement, every run that broke off) of Table I with entries exchanged."""
     done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance)
     return [m for found, _ in done for m in found], [entry for _, broken in done for entry in broken]
 
@@ -52,7 +53,7 @@ def run_ablation(config: Config, advance: Any) -> tuple[list[Measurement], list[
 def summarise(
     config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any]]
 ) -> tuple[dict[str, Any], list[Measurement], list[dict[str, Any]]]:
-    """(summary, every measurement, every run that broke off)."""
+    """Return (summary, every measurement, every run that broke off)."""
     found = [m for outcome in outcomes for m in outcome.measurements]
     broken = [entry for outcome in outcomes for entry in outcome.broken]
     summary: dict[str, Any] = {}
@@ -80,7 +81,7 @@ def summarise(
 
 
 def draw(config: Config, outcomes: Sequence[Outcome], swivel: list[dict[str, Any]]) -> dict[str, Any]:
-    """Every figure by its file's name."""
+    """Return every figure by its file's name."""
     drawn: dict[str, Any] = {}
     for group in config.groups:
         drawn |= figures.box_figures(outcomes, group, config.tasks)
@@ -126,9 +127,9 @@ def experiment(given: Namespace) -> cli.Results:
         summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config)
     )
     return cli.Results(
-        summary, environment, [*measured, *broken, *failed, *swivel, *procedure], page,
-        report.tables(summary, groups, best), report.headline(summary, list(groups), best[1]),
-        ["replay.html", "figures/"],
+        summary, environment, rows=[*measured, *broken, *failed, *swivel, *procedure], page=page,
+        tables=tables(summary, groups, best), sentences=report.headline(summary, list(groups), best[1]),
+        files=["replay.html", "figures/"],
     )  # fmt: skip
 
 

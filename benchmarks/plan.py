@@ -11,16 +11,16 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import ClassVar, Self
+from typing import Self
 
 from pydantic import Field
 
 from benchmarks import cli
 from benchmarks.config import Configuration
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise, tables
-from benchmarks.processes import run_parallel
 from moc_opt.scenario import Scenario
 
 STREAM = 7
@@ -30,8 +30,6 @@ STREAM = 7
 class Config(Configuration):
     """benchmarks/configs/plan.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     robots: list[str] = Field(["lwr4", "iiwa14"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     poses: int = Field(20, ge=1, description="random starts per task and robot")
@@ -64,8 +62,6 @@ class Config(Configuration):
 def study(given: Namespace) -> cli.Results:
     """Plan every trial; the timed part first, before other processes are busy."""
     config = Config.chosen(given, "plan")
-    if given.quick:
-        config = config.quick()
     jobs = config.jobs()
     with cli.steps("plans", len(jobs)) as step:
         rows = run_parallel(run_job, [job for job in jobs if job.part == "map"], 1, step)

@@ -18,14 +18,12 @@ from typing import Any, Self
 
 from pydantic import Field
 
-from benchmarks import cli, output
+from benchmarks import cli, markdown, output
 from benchmarks.config import Configuration
+from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.config import STREAM
-from benchmarks.paper_experiment.trials import MATCHED, seeds, trials, variant
-from benchmarks.processes import run_parallel
+from benchmarks.paper_experiment.trials import MATCHED, attempt, seeds, trials, variant
 from benchmarks.statistics import mean
-from moc_opt import scenario
-from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings
@@ -67,7 +65,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def plant(self, effect: str) -> PlantSettings:
-        """The plant with one effect.
+        """Return the plant with one effect.
 
         Raises:
             MocOptError: a field that does not exist, or a value out of range.
@@ -75,11 +73,11 @@ class Config(Configuration):
         return PlantSettings(**self.scenario.plant.model_dump() | self.base | self.effects[effect])
 
     def quick(self) -> Self:
-        """The same on less data."""
+        """Return the same on less data."""
         return self.model_copy(update={"tasks": self.tasks[:1], "trials": 2, "presets": self.presets[:1]})
 
     def jobs(self) -> list[Job]:
-        """Every effect on every trial under every preset."""
+        """Return every effect on every trial under every preset."""
         drawn = seeds(self.seed, STREAM, self.trials * len(self.tasks))
         found = []
         for preset in self.presets:
@@ -101,35 +99,30 @@ class Job:
 
 
 def run_job(job: Job) -> list[dict[str, Any]]:
-    """One row a controller; a run that breaks off is a row with its reason."""
+    """Return one row a controller; a run that breaks off is a row with its reason."""
     rows: list[dict[str, Any]] = []
     baseline: Trace | None = None
     for controller in (MATCHED, job.solver):
         row: dict[str, Any] = {
             "preset": job.preset, "effect": job.effect, "controller": controller, "trial": job.trial.name,
-            "seed": job.trial.seed, "ended": "completed",
+            "seed": job.trial.seed,
         }  # fmt: skip
         rows.append(row)
-        try:
-            trace = scenario.run(variant(job.trial, controller))
-        except MocOptError as error:
-            row["ended"] = f"{type(error).__name__}: {error}"
-            continue
-        row["ended"] = trace.meta["ended"]
-        if Ending.of(row["ended"]).whole:
+        trace, row["ended"] = attempt(variant, job.trial, controller)
+        if trace is not None:
             baseline = trace if controller == MATCHED else baseline
             row |= measure(trace, None if controller == MATCHED else baseline)
     return rows
 
 
 def measure(trace: Trace, baseline: Trace | None) -> dict[str, float]:
-    """The figures of one run."""
+    """Return the figures of one run."""
     found = summarize(trace, baseline)
     return {name: found[name] for name in ("mu_mean", *FIGURES) if name in found}
 
 
 def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Preset -> "effect, controller" -> runs, those that broke off, and each figure with its interval."""
+    """Map preset to "effect, controller" -> runs, those that broke off, and each figure with its interval."""
     summary: dict[str, Any] = {}
     for preset in config.presets:
         summary[preset] = {}
@@ -148,7 +141,7 @@ def summarise(config: Config, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def tables(summary: dict[str, Any]) -> list[Table]:
-    """One a preset, means over the runs that were completed."""
+    """Make one table a preset, means over the runs that were completed."""
     first = [Column("group", "effect, controller"), Column("broke_off", "broke off", format="d")]
     return [
         Table(f"Preset {preset}", [*first, *FIGURES.values()], [{"group": name, **row} for name, row in groups.items()])
@@ -156,18 +149,17 @@ def tables(summary: dict[str, Any]) -> list[Table]:
     ]
 
 
-def markdown(summary: dict[str, Any], config: Config) -> str:
-    """The tables with their intervals, for docs/plant.md."""
+def page_text(summary: dict[str, Any], config: Config) -> str:
+    """Return the tables with their intervals, for docs/plant.md."""
     trials_run = config.trials * len(config.tasks)
     lines = [f"`python -m benchmarks.plant --page` (seed {config.seed}, {trials_run} trials; mean, 95 % interval):"]
-    heads = [f"{column.title} [{column.unit}]" for column in FIGURES.values()]
+    heads = ["effect", "law", *(f"{column.title} [{column.unit}]" for column in FIGURES.values()), "broke off"]
     for preset, groups in summary.items():
-        lines += ["", f"Preset `{preset}`:", "", "| " + " | ".join(["effect", "law", *heads, "broke off"]) + " |"]
-        lines.append("|" + "---|" * (len(heads) + 3))
-        for name, row in groups.items():
-            effect, controller = name.rsplit(", ", 1)
-            cells = [effect, controller, *(_cell(row, key) for key in FIGURES), f"{row['broke_off']}/{row['runs']}"]
-            lines.append("| " + " | ".join(cells) + " |")
+        rows = [
+            [*name.rsplit(", ", 1), *(_cell(row, key) for key in FIGURES), f"{row['broke_off']}/{row['runs']}"]
+            for name, row in groups.items()
+        ]
+        lines += ["", f"Preset `{preset}`:", "", markdown.table(heads, rows)]
     return "\n".join(lines)
 
 
@@ -185,11 +177,9 @@ def write_page(text: str, page: Path = PAGE) -> None:
     """Put the tables between the marks of docs/plant.md.
 
     Raises:
-        ScenarioError: the page has no such marks.
+        SectionError: the page has no such marks.
     """
-    new = output.fill_section(page.read_text(encoding="utf-8"), "plant", text)
-    if new is None:
-        raise ScenarioError(f"{page}: put <!-- plant --> and <!-- /plant --> where the table goes")
+    new = markdown.fill_section(page.read_text(encoding="utf-8"), "plant", text, page)
     output.write_atomically(page, new.encode())
 
 
@@ -202,7 +192,7 @@ def study(given: Namespace) -> cli.Results:
     rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
     if given.page:
-        write_page(markdown(summary, config))
+        write_page(page_text(summary, config))
     return cli.Results(summary, config.environment(given), rows, tables=tables(summary))
 
 

@@ -1,4 +1,4 @@
-"""Calls in other processes of this machine: several at a time, with time limits, crashes told from hangs.
+"""Calls in another process of this machine, with a limit of time, crashes told from hangs; see `crew` for several.
 
 A call that hangs inside a compiled library cannot be interrupted from Python, and one that crashes takes its process
 with it. So a worker process hands over the results of a generator one by one; when the next one does not come in
@@ -15,16 +15,13 @@ import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import Connection, wait
-from queue import SimpleQueue
 from typing import Any, Self, TypeVar
 
 from moc_opt.errors import MocOptError
 
-Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 START_S = 40.0
@@ -173,80 +170,6 @@ class Worker:
             self._process.kill()
 
 
-class Crew:
-    """Several workers, each behind a thread of this process; use it as a context manager.
-
-    Args:
-        size: number of workers.
-        fresh: see `Worker`.
-    """
-
-    def __init__(self, size: int, *, fresh: bool = False) -> None:
-        self._workers = [Worker(fresh=fresh) for _ in range(size)]
-        self._idle: SimpleQueue[Worker] = SimpleQueue()
-        for worker in self._workers:
-            self._idle.put(worker)
-        self._threads = ThreadPoolExecutor(size)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        if kind is not None:
-            self._threads.shutdown(wait=False, cancel_futures=True)
-            for worker in self._workers:
-                worker.kill()
-        self._threads.shutdown()
-        for worker in self._workers:
-            worker.stop()
-
-    def submit(self, work: Callable[..., Result], *arguments: Any) -> Future[Result]:
-        """Call ``work(worker, *arguments)`` in a thread, once a worker is free."""
-
-        def call() -> Result:
-            worker = self._idle.get()
-            try:
-                return work(worker, *arguments)
-            finally:
-                self._idle.put(worker)
-
-        return self._threads.submit(call)
-
-
-def spread(items: Sequence[Item], work: Callable[[Worker, Item], Result], processes: int) -> list[Result]:
-    """Return ``work(worker, item)`` for every item, in order; each of ``processes`` threads has a worker of its own."""
-    with Crew(max(1, min(processes, len(items)))) as crew:
-        return [future.result() for future in [crew.submit(work, item) for item in items]]
-
-
-def run_parallel(
-    work: Callable[[Item], Result], items: Sequence[Item], processes: int, done: Callable[[], Any]
-) -> list[Result]:
-    """Return ``work(item)`` for every item, in order: for runs whose times are not what is measured.
-
-    Args:
-        work: a function of a module; items and results must pickle.
-        items: what to work on.
-        processes: 1 works in this process.
-        done: called after each item.
-
-    Raises:
-        Crashed: a process died.
-    """
-    if processes < 2 or len(items) < 2:
-        results = []
-        for item in items:
-            results.append(work(item))
-            done()
-        return results
-    with Crew(min(processes, len(items)), fresh=True) as crew:
-        futures = [crew.submit(Worker.call, work, item) for item in items]
-        for future in as_completed(futures):
-            future.result()
-            done()
-        return [future.result() for future in futures]
-
-
 def beat() -> None:
     """Say from inside a worker that work goes on: the parent's patience starts anew. Elsewhere it does nothing."""
     if _beat is not None:
@@ -310,7 +233,7 @@ def _dumped(error: BaseException) -> bytes:
 
 
 def _loaded(pickled: bytes) -> BaseException | None:
-    """The exception, made without its constructor, which may take other arguments than it keeps."""
+    """Return the exception, made without its constructor, which may take other arguments than it keeps."""
     try:
         kind, arguments, state = pickle.loads(pickled)
         found: BaseException = kind.__new__(kind, *arguments)

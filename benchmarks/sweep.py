@@ -26,7 +26,7 @@ from moc_opt.report.console import console, progress
 
 
 def choose_pool(scheduler: str | None, workers: int | None) -> Pool:
-    """Processes here, or a cluster."""
+    """Choose processes here, or a cluster."""
     if scheduler is not None:
         return DaskPool(scheduler, workers)
     return LocalPool(cores() if workers is None else workers)

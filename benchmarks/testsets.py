@@ -99,7 +99,7 @@ def at_pose(
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
     lower, upper = np.empty(robot.n), np.empty(robot.n)
-    velocity_damper(q, robot.q_min, robot.q_max, robot.v_max, k0, lower, upper)
+    velocity_damper(q, np.array([robot.q_min, robot.q_max, robot.v_max]), k0, lower, upper)
     v_wrist = consistent_wrist_velocity(v_tip, v_wrist, state.tool_direction)
     return NullSpaceQP(
         state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, regularization=regularization, q=q

@@ -18,7 +18,7 @@ PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
 
 
 def clock_cost_us(samples: int = 2000) -> float:
-    """What reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
+    """Return what reading the clock twice costs [us]; it is left inside every figure and reported beside them."""
     gaps = np.empty(samples)
     for i in range(samples):
         begin = perf_counter_ns()
@@ -52,24 +52,6 @@ def each_us(
             if keep is not None:
                 keep(result)
     return np.array(times) * 1e-3
-
-
-def side_by_side(
-    calls: dict[str, Callable[[Any], Any]], items: Sequence[Any], rounds: int = 5
-) -> dict[str, Array]:
-    """Time several calls on the same items in turn, round by round, so that drift of the machine hits all alike.
-
-    Returns:
-        name -> (rounds, items) [us].
-    """
-    names = list(calls)
-    found: dict[str, list[Array]] = {name: [] for name in names}
-    for name in names:  # a first round that is not timed fills caches and compiles
-        each_us(calls[name], items[: min(len(items), 50)])
-    for r in range(rounds):
-        for name in names[r % len(names) :] + names[: r % len(names)]:
-            found[name].append(each_us(calls[name], items))
-    return {name: np.array(times) for name, times in found.items()}
 
 
 class Timed(NamedTuple):
@@ -117,7 +99,7 @@ def interleaved(
 
 
 def ratios(times: Array, base: Array) -> Array:
-    """Ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
+    """Return the ratio of the medians, chunk by chunk (chunks,), of two results of `interleaved`."""
     found: Array = np.median(times, axis=1) / np.median(base, axis=1)
     return found
 
@@ -134,7 +116,7 @@ def figures(times: Array, prefix: str) -> dict[str, float]:
 
 
 def percentiles(times: Array, prefix: str) -> dict[str, float]:
-    """{prefix_p50_us, prefix_p99_us, ...} of the finite times; empty where there is none."""
+    """Return {prefix_p50_us, prefix_p99_us, ...} of the finite times; empty where there is none."""
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,41 +11,14 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-import moc_opt
 from moc_opt.model.robot_model import RobotModel, load_robot
 
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
-PACKAGE = Path(moc_opt.__file__).parent
 
 # Properties are tested on the same examples in every run, however busy the machine; `benchmarks.fuzz` looks for others.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
-
-
-def stale_kernels(package: Path) -> list[Path]:
-    """Cached kernels (.nbi, .nbc) that are older than something they may have been compiled from.
-
-    A cache knows the file of its own kernel only: it is not compiled anew when a kernel in another file that it
-    calls, or a constant that it froze, has changed. What counts is every file with a kernel, and every module of the
-    package that such a file imports from.
-    """
-    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
-    sources = {path for path, text in texts.items() if "njit" in text}
-    for path in list(sources):
-        for name in re.findall(r"^from moc_opt(\.[\w.]+)? import", texts[path], re.MULTILINE):
-            module = package.joinpath(*name.strip(".").split("."))
-            sources |= {module.with_suffix(".py"), module / "__init__.py"} & texts.keys()
-    newest = max((path.stat().st_mtime for path in sources), default=0.0)
-    cached = [path for kind in ("*.nbi", "*.nbc") for path in package.rglob(f"__pycache__/{kind}")]
-    return [path for path in cached if path.stat().st_mtime < newest]
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Before any worker starts: no test may run a kernel that is no longer in the source."""
-    if not hasattr(config, "workerinput"):
-        for path in stale_kernels(PACKAGE):
-            path.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Other people's controllers at the same job: one file a library, one entry in ``PEERS``.
+"""Other people's controllers at the same job: one file and one line of ``PEERS`` a library.
 
 The job of one tick: tip on its reference, wrist on the line through the trocar, joint speeds within their limits,
 and what freedom is left up the gradient of the manipulability. Every peer gets the data of the same arm, its fastest
@@ -15,18 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 from benchmarks.baselines.base import Peer
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.model.robot_model import RobotModel
 
 PATIENCE_S = 60.0
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class PeerError(MocOptError, RuntimeError):
-    """A peer that could not do its job; the message says why."""
-
-
-class Entry(NamedTuple):
+class Library(NamedTuple):
     """Where a peer is found and how it is installed."""
 
     module: str
@@ -38,16 +34,16 @@ class Entry(NamedTuple):
 
 
 PEERS = {
-    "tsid": Entry(
+    "tsid": Library(
         "benchmarks.baselines.tsid",
         "TSID",
         "tsid",
         "build it from source against the installed pinocchio; its wheel on PyPI lacks the library it links to",
         extra=False,
     ),
-    "pink": Entry("benchmarks.baselines.pink", "Pink", "pink", "pip install pin-pink"),
-    "pink-trimmed": Entry("benchmarks.baselines.pink", "PinkTrimmed", "pink", "pip install pin-pink"),
-    "mink": Entry("benchmarks.baselines.mink", "Mink", "mink", "pip install mink"),
+    "pink": Library("benchmarks.baselines.pink", "Pink", "pink", "pip install pin-pink"),
+    "pink-trimmed": Library("benchmarks.baselines.pink", "PinkTrimmed", "pink", "pip install pin-pink"),
+    "mink": Library("benchmarks.baselines.mink", "Mink", "mink", "pip install mink"),
 }
 """Name -> where it is."""
 
@@ -60,21 +56,21 @@ def create(name: str, robot: RobotModel, period_s: float) -> Peer:
     """
     if name not in PEERS:
         raise UnknownNameError("peer", name, PEERS)
-    entry = PEERS[name]
-    factory = getattr(importlib.import_module(entry.module), entry.factory)
+    library = PEERS[name]
+    factory = getattr(importlib.import_module(library.module), library.factory)
     peer: Peer = factory(robot, period_s)
     return peer
 
 
 def missing(name: str) -> str | None:
-    """Why a peer cannot run here; None when it can.
+    """Say why a peer cannot run here; None when it can.
 
     It is tried in a process of its own: a wheel that was built against another pinocchio ends the process that
     loads it, and that must not be the benchmark's.
     """
-    entry = PEERS[name]
-    if find_spec(entry.package) is None:
-        return f"package {entry.package!r} is not installed: {entry.install}"
+    library = PEERS[name]
+    if find_spec(library.package) is None:
+        return f"package {library.package!r} is not installed: {library.install}"
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.baselines.check", name]
     try:
         tried = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT)

@@ -30,7 +30,7 @@ class Peer(Protocol):
         ...
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint torques (n,) [Nm] or velocities (n,) [rad/s].
+        """Return the joint torques (n,) [Nm] or velocities (n,) [rad/s].
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
@@ -62,7 +62,7 @@ class TipGradient:
         self._views = (data.J.T, last.rotation.T, last.translation, robot.chain.offsets, robot.moves)
 
     def __call__(self, q: Array) -> Array:
-        """Gradient (n,) at q (n,)."""
+        """Return the gradient (n,) at q (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
         grad: Array = _gradient(*self._views)
         return grad
@@ -70,5 +70,5 @@ class TipGradient:
 
 @njit(cache=True)
 def wrist_reference(tip_ref: Array, trocar: Array, span: float) -> tuple[Array, Array]:
-    """Wrist (3,) [m] and its velocity (3,) [m/s] that put the shaft of a tip on its reference through the trocar."""
+    """Return wrist (3,) [m] and velocity (3,) [m/s] that put the shaft of a tip on its reference through the trocar."""
     return desired_wrist(tip_ref[0], tip_ref[1], trocar[0], trocar[1], span)

@@ -57,7 +57,7 @@ class Verdict(NamedTuple):
 
 
 def job(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> Job:
-    """A circle from the home pose, the tip beginning ``offset_m`` beside it, the trocar 0.15 m above the tip."""
+    """Return a circle from the home pose, the tip beginning ``offset_m`` beside it, the trocar 0.15 m above the tip."""
     state = robot.state(robot.data.q_home)
     start = state.tip + np.array([0.0, 0.0, offset_m])
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
@@ -71,7 +71,7 @@ def job(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> J
 
 
 def perform(peer: Peer, robot: RobotModel, work: Job) -> tuple[Array, list[Inputs]]:
-    """Poses (N, n) of the ideal arm under the controller, one after each tick, and what each tick was given."""
+    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given."""
     q, v = work.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(work.tip_refs), robot.n)), []
     for k in range(len(poses)):
@@ -88,7 +88,7 @@ def perform(peer: Peer, robot: RobotModel, work: Job) -> tuple[Array, list[Input
 
 
 def verdict(poses: Array, robot: RobotModel, work: Job) -> Verdict:
-    """How well poses (N, n) of `perform` did the job: tip and shaft in the second half, and mu at the end."""
+    """Tell how well poses (N, n) of `perform` did the job: tip and shaft in the second half, and mu at the end."""
     if not np.isfinite(poses).all():
         return Verdict(np.inf, np.inf, -100.0)
     late = slice(len(poses) // 2, None)
@@ -103,7 +103,7 @@ def verdict(poses: Array, robot: RobotModel, work: Job) -> Verdict:
 
 
 def main(name: str) -> int:
-    """0 when the named peer does its job, else 1 and why not on stderr."""
+    """Return 0 when the named peer does its job, else 1 and why not on stderr."""
     from benchmarks.baselines import create
 
     robot = load_robot()

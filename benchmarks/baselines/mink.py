@@ -32,7 +32,7 @@ class _Climb(mink.tasks.BaseTask):  # type: ignore[misc]
         )
 
     def compute_qp_objective(self, configuration: Any) -> Any:
-        """H (n, n) and c (n,)."""
+        """Return H (n, n) and c (n,)."""
         return mink.tasks.Objective(self._zero, -self._step * self._gradient(configuration.data.qpos))
 
 
@@ -55,7 +55,7 @@ class Mink:
         self._turn = self._configuration.get_transform_frame_to_world(tip, "body").rotation()
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint velocities (n,) [rad/s]."""
+        """Return the joint velocities (n,) [rad/s]."""
         self._configuration.update(q)
         aim = tip_ref[0] + tip_ref[1] / STIFFNESS_PER_S
         self._tip.set_target(mink.SE3.from_rotation_and_translation(self._turn, aim))

@@ -51,7 +51,7 @@ class Pink:
         self._turn = self._arm.data.oMf[self._arm.tip].rotation.copy()
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint velocities (n,) [rad/s]."""
+        """Return the joint velocities (n,) [rad/s]."""
         arm = self._arm
         arm.configuration.update(q)
         # Each target is where the reference will be when the gain has done its share.
@@ -72,11 +72,11 @@ class _Rows(Task):  # type: ignore[misc]
         self._jacobian, self._error = jacobian, error
 
     def compute_error(self, configuration: Any) -> Array:
-        """(m,) [m]"""
+        """Return the error (m,) [m]."""
         return self._error
 
     def compute_jacobian(self, configuration: Any) -> Array:
-        """(m, n) [m/rad]"""
+        """Return the Jacobian (m, n) [m/rad]."""
         return self._jacobian
 
     def __repr__(self) -> str:
@@ -91,15 +91,15 @@ class _Climb(Task):  # type: ignore[misc]
         self._zero, self._step, self.gradient = np.zeros((n, n)), CLIMB * period_s, np.zeros(n)
 
     def compute_qp_objective(self, configuration: Any) -> tuple[Array, Array]:
-        """H (n, n) and c (n,)."""
+        """Return H (n, n) and c (n,)."""
         return self._zero, -self._step * self.gradient
 
     def compute_error(self, configuration: Any) -> Array:
-        """A cost without a residual."""
+        """Return nothing: a cost has no residual."""
         return np.zeros(0)
 
     def compute_jacobian(self, configuration: Any) -> Array:
-        """A cost without a residual."""
+        """Return nothing: a cost has no residual."""
         return np.zeros((0, len(self.gradient)))
 
     def __repr__(self) -> str:
@@ -120,7 +120,7 @@ class PinkTrimmed:
         self._tasks = (self._climb,)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint velocities (n,) [rad/s]."""
+        """Return the joint velocities (n,) [rad/s]."""
         arm = self._arm
         arm.configuration.update(q)
         wrist, wrist_rate = wrist_reference(tip_ref, trocar, arm.span)

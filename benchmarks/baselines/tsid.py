@@ -68,7 +68,7 @@ class TSID:
         return task
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Joint torques (n,) [Nm]."""
+        """Return the joint torques (n,) [Nm]."""
         wrist, wrist_rate = wrist_reference(tip_ref, trocar, self._span)
         self._aim(self._tip, tip_ref[0], tip_ref[1], tip_ref[2])
         self._aim(self._wrist, wrist, wrist_rate, tip_ref[2])

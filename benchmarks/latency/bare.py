@@ -29,7 +29,7 @@ class Bare(Protocol):
         ...
 
     def solve(self, qp: NullSpaceQP) -> tuple[Array, Array]:
-        """x (n,) and the multipliers of the rows, for what was loaded."""
+        """Return x (n,) and the multipliers of the rows, for what was loaded."""
         ...
 
     def __call__(self, qp: NullSpaceQP) -> tuple[Array, Array]:

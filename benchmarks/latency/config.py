@@ -90,7 +90,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """The same on less data: for a first look and for the tests."""
+        """Return the same on less data: for a first look and for the tests."""
         few = {
             "tick": {"ticks": min(self.tick.ticks, 400), "rounds": 1},
             "exact": {"problems": 100, "batch": min(self.exact.batch, 20_000)},

@@ -14,7 +14,7 @@ from benchmarks.baselines.check import Inputs
 from benchmarks.latency.tick import spread
 from benchmarks.timing import Timed
 from moc_opt.control import ControlSettings
-from moc_opt.embedded import NativeController, export, record
+from moc_opt.embedded import NativeController, TickSpec, export, record
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -29,7 +29,7 @@ _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+)
 
 
 def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> NativeController:
-    """The compiled tick behind the interface of the loop.
+    """Return the compiled tick behind the interface of the loop.
 
     Raises:
         MocOptError: no C compiler here, or a setting that C cannot do.
@@ -38,13 +38,13 @@ def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> Nat
 
 
 def timed(brain: NativeController, inputs: list[Inputs]) -> Timed:
-    """The compiled tick, called from Python."""
+    """Return the compiled tick, called from Python."""
     brain.start(*inputs[0])
     return Timed(spread(brain.tick), inputs)
 
 
 def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: list[Inputs]) -> float:
-    """Largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
+    """Return the largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
     brain.start(*inputs[0])
     state = driver.controller.robot.state(*inputs[0][:2])
     driver.controller.start(state, inputs[0][2], inputs[0][3])
@@ -54,17 +54,17 @@ def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: 
 def own_main(
     robot: RobotModel, settings: ControlSettings, period_s: float, inputs: list[Inputs]
 ) -> dict[str, float]:
-    """What the exported program says of itself: ``make`` in a folder of its own, then run it.
+    """Return what the exported program says of itself: ``make`` in a folder of its own, then run it.
 
     Raises:
         MocOptError: a setting that C cannot do.
         OSError, subprocess.SubprocessError: no make or compiler, or the program fails its own test.
     """
     columns = [np.ascontiguousarray(column) for column in zip(*inputs, strict=True)]
-    solver = make_solver(SOLVER, robot)
-    recording = record(robot, settings, solver, period_s, *columns)
+    spec = TickSpec(robot, settings, make_solver(SOLVER, robot), period_s)
+    recording = record(spec, *columns)
     with tempfile.TemporaryDirectory() as folder:
-        export(robot, settings, solver, period_s, recording, folder)
+        export(spec, recording, folder)
         done = subprocess.run(
             ["make", "--silent", "test"],
             cwd=Path(folder),

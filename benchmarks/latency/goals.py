@@ -71,8 +71,8 @@ GOALS = {
 """Key -> goal."""
 
 
-def judge_goals(summary: Summary) -> dict[str, dict[str, Any]]:
-    """Goal -> what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
+def goal_verdicts(summary: Summary) -> dict[str, dict[str, Any]]:
+    """Map goal to what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
     found = {}
     threads = summary.get("exact", {}).get("recorded", {}).get("batch_threads", "all")
     for key, goal in GOALS.items():

@@ -11,19 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import Crew, Worker
+from benchmarks.crew import Crew
+from benchmarks.processes import Worker
 from benchmarks.timing import percentiles
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace
 
 
 def bare(scenario: Scenario) -> Scenario:
-    """The same run without what comes after it: no judging of answers, no scan of the largest mu."""
+    """Return the same run without what comes after it: no judging of answers, no scan of the largest mu."""
     return scenario.change(judge=False, bound_samples=0)
 
 
 def run(scenario: Scenario) -> tuple[float, float, Trace]:
-    """Wall and processor time [s] of one run, references and trace included, and the trace; building is set-up."""
+    """Time one run: wall and processor time [s], references and trace included, and the trace; building is set-up."""
     setup = Setup(scenario)
     begin, busy = perf_counter(), process_time()
     trace = setup.trace()
@@ -33,7 +34,7 @@ def run(scenario: Scenario) -> tuple[float, float, Trace]:
 def factors(
     scenarios: Mapping[str, Scenario], runs: int, advance: Callable[[str], None]
 ) -> tuple[dict[str, dict[str, float]], list[dict[str, Any]]]:
-    """Name -> its metrics, and a row per run; every scenario once a round, one round after the other.
+    """Map name to its metrics, and a row per run; every scenario once a round, one round after the other.
 
     ``factor`` is by the clock on the wall; ``factor_cpu`` by the time that this process had a processor, which
     other people's work on the machine lengthens less.
@@ -94,7 +95,7 @@ def _work(scenario: Scenario, runs: int) -> float:
 def two_processes(
     scenario: Scenario, runs: int, rounds: int, advance: Callable[[str], None]
 ) -> dict[str, float]:
-    """Throughput of two processes over that of one, both on the same number of runs a process.
+    """Return the throughput of two processes over that of one, both on the same number of runs a process.
 
     The processes are spawned, warmed up, and then used for both; rounds with one and with two alternate.
     """
@@ -119,7 +120,7 @@ def two_processes(
 
 
 def memory(scenario: Scenario, short_s: float, long_s: float) -> dict[str, float]:
-    """What a run takes beyond its trace, at two lengths.
+    """Return what a run takes beyond its trace, at two lengths.
 
     ``growth_bytes_per_tick`` is what Python's allocator handed out between the first and the last tenth of the long
     run: the trace's columns are there before the first tick, so a loop that keeps nothing has none. ``kept_*_kB`` is
@@ -165,6 +166,6 @@ def memory(scenario: Scenario, short_s: float, long_s: float) -> dict[str, float
 
 
 def _resident_kB() -> float:
-    """Largest resident set of this process so far [kB]."""
+    """Return the largest resident set of this process so far [kB]."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e3 if sys.platform == "darwin" else float(peak)

@@ -132,7 +132,7 @@ OTHER = {
 
 
 def tables(summary: Summary) -> dict[str, Table]:
-    """Name -> table, in the order of the page; what was not measured is left out."""
+    """Map name to table, in the order of the page; what was not measured is left out."""
     beyond = {name: found["beyond_us"] for name, found in summary["beyond_the_library"].items()}
     ticks = [
         {"name": name, "beyond_us": beyond.get(name), **found} for name, found in summary["tick"].items()
@@ -179,7 +179,7 @@ def tables(summary: Summary) -> dict[str, Table]:
 
 
 def headline(summary: Summary) -> str:
-    """The result in words, computed."""
+    """Return the result in words, computed."""
     goals = summary["goals"].values()
     reached = sum(goal["reached"] == "yes" for goal in goals)
     missed = [f"{goal['what']} ({_short(goal['value'])})" for goal in goals if goal["reached"] == "no"]

@@ -14,7 +14,7 @@ from benchmarks.latency import embedded, setup, solve, tick
 from benchmarks.latency import loop as speed_loop
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
-from benchmarks.latency.goals import judge_goals
+from benchmarks.latency.goals import goal_verdicts
 from benchmarks.solver_study.open_loop import expand
 from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.embedded import NativeController
@@ -56,7 +56,7 @@ class Run:
         self._native: NativeController | None = None
 
     def steps(self) -> int:
-        """How often ``measure`` advances."""
+        """Tell how often ``measure`` advances."""
         loop = self.config.loop
         return (
             7 + len(self._peers) + 2 * (1 + loop.runs) + 2 * loop.two_process_rounds
@@ -64,7 +64,7 @@ class Run:
         )  # fmt: skip
 
     def measure(self, advance: Advance) -> dict[str, Any]:
-        """Everything: part -> name -> metric."""
+        """Measure everything: part -> name -> metric."""
         table = self.config.tick
         recording = tick.record(Setup(self._scenario.change(duration_s=table.ticks * self._period)))
         inputs, problems = recording.inputs, recording.problems
@@ -87,7 +87,7 @@ class Run:
         self.rows += rows
         summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
         summary["not_run"] = {name: {"reason": reason} for name, reason in self._missing.items()}
-        summary["goals"] = judge_goals(summary)
+        summary["goals"] = goal_verdicts(summary)
         return summary
 
     def _choose(self, kind: str, names: list[str], found: Mapping[str, str | None]) -> list[str]:
@@ -131,7 +131,7 @@ class Run:
         return {"c": found}
 
     def _ticks(self, inputs: list[Any], advance: Advance) -> dict[str, Any]:
-        """Our ticks and the peers' side by side."""
+        """Return our ticks and the peers' side by side."""
         own, refused = tick.own_ticks(
             self._solvers, self._robot, self._scenario.control, inputs, self._period
         )
@@ -202,7 +202,7 @@ class Run:
         return found
 
     def _beyond(self, summary: Mapping[str, Any]) -> dict[str, dict[str, float]]:
-        """What a tick costs beyond our own part and the library by hand."""
+        """Return what a tick costs beyond our own part and the library by hand."""
         ticks = {name: metrics["tick_p50_us"] for name, metrics in summary["tick"].items()}
         hand = {name: metrics["by_hand_p50_us"] for name, metrics in summary["adapters"].items()}
         rest = ticks["exact"] - summary["exact"]["recorded"]["solve_p50_us"]

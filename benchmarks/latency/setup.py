@@ -45,7 +45,7 @@ print('{"first_tick_s": %r, "libraries_s": %r, "model_s": %r, "start_and_tick_s"
 def setup_times(
     processes: int, advance: Callable[[str], None]
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Medians [s] over fresh processes, and a row for each; one more of each comes first and fills the caches.
+    """Return the medians [s] over fresh processes, and a row for each; one more comes first and fills the caches.
 
     ``import_s`` and ``first_tick_s`` count from the first line of the program; ``*_process_s`` are whole processes,
     the interpreter's own start and end included.

@@ -25,7 +25,7 @@ TOOL_M = 0.38
 
 
 def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSpaceQP]:
-    """Feasible subproblems of random n-joint arms with a rigid tool, without any structure to make use of."""
+    """Make feasible subproblems of random n-joint arms with a rigid tool, without any structure to make use of."""
     found = []
     for _ in range(count):
         spin, wrist = rng.normal(size=(3, n)), rng.normal(scale=0.4, size=(3, n))
@@ -33,7 +33,8 @@ def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSp
         tip = wrist + np.cross(spin.T, TOOL_M * u / np.linalg.norm(u)).T
         lower, upper = -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
         x = 0.5 * (lower + upper) + 0.3 * (upper - lower) * rng.uniform(-1.0, 1.0, n)
-        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, rng.normal(scale=0.1, size=n), lower, upper))
+        gradient = rng.normal(scale=0.1, size=n)
+        found.append(NullSpaceQP(tip, wrist, tip @ x, wrist @ x, gradient, lower=lower, upper=upper))
     return found
 
 
@@ -47,7 +48,7 @@ def _solve_many(rows: Array, tolerance: float, x: Array, y: Array, times: int) -
 
 
 def kernel_us(rows: Array, seconds: float = 0.2) -> float:
-    """Time of one solve inside compiled code [us]: no Python between two of them."""
+    """Return the time of one solve inside compiled code [us]: no Python between two of them."""
     n = (rows.shape[1] - 10) // 10
     # Read-only, as the records of subproblems are: one compiled kernel serves both.
     rows = np.array(rows)
@@ -61,7 +62,7 @@ def kernel_us(rows: Array, seconds: float = 0.2) -> float:
 
 
 def batch(rows: Array, count: int) -> dict[str, float]:
-    """``Exact.solve_batch`` on ``count`` records in one call, with one thread and with one a core: the better of two.
+    """Time ``Exact.solve_batch`` on ``count`` records in one call, on one thread and on all cores: the better of two.
 
     80 doubles a record of seven joints: a million are 640 MB.
     """
@@ -77,7 +78,7 @@ def batch(rows: Array, count: int) -> dict[str, float]:
 
 
 def residuals(problems: list[NullSpaceQP]) -> dict[str, float]:
-    """The worst residuals of ``exact`` on these, judged by the one measure; and how many it solved."""
+    """Return the worst residuals of ``exact`` on these, judged by the one measure; and how many it solved."""
     session = Exact().start(problems[0])
     answers = [session.solve(qp) for qp in problems]
     solved = [i for i, answer in enumerate(answers) if answer.status is Status.SOLVED]
@@ -95,14 +96,14 @@ def residuals(problems: list[NullSpaceQP]) -> dict[str, float]:
 
 
 def exact_entries(by_name: dict[str, list[NullSpaceQP]]) -> dict[str, Timed]:
-    """Name of some subproblems -> one solve from Python."""
+    """Map the name of some subproblems to one solve from Python."""
     return {name: Timed(Exact().start(problems[0]).solve, problems) for name, problems in by_name.items()}
 
 
 def adapters(
     names: Iterable[str], robot: RobotModel, problems: list[NullSpaceQP]
 ) -> tuple[dict[str, dict[str, Timed]], dict[str, str]]:
-    """Adapter -> {"adapter", "by hand", "library"}; and adapter -> why it cannot be compared.
+    """Map adapter to {"adapter", "by hand", "library"}; and adapter -> why it cannot be compared.
 
     "by hand" loads the numbers and solves, "library" is the library's part of that alone.
     """
@@ -124,7 +125,7 @@ def adapters(
 
 
 def disagreement(name: str, solver: Any, problems: list[NullSpaceQP], tolerance: float = 1e-4) -> str | None:
-    """Why adapter and library by hand do not do the same work; None when their answers agree."""
+    """Say why adapter and library by hand do not do the same work; None when their answers agree."""
     session, bare = solver.start(problems[0]), BARE[name](solver, problems[0])
     for i, qp in enumerate(problems[:200]):
         gap = float(np.abs(session.solve(qp).x - bare(qp)[0]).max())

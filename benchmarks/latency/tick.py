@@ -6,7 +6,7 @@ ideal run (theirs), one after the other in chunks, in one process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from benchmarks.baselines.check import PERIOD_S, Inputs, Verdict, job, perform, 
 from benchmarks.timing import Timed
 from moc_opt.control import Controller, ControlSettings, tick
 from moc_opt.control import null_space as manipulability
+from moc_opt.control.law import law_of
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel
@@ -63,7 +64,7 @@ def record(setup: Setup) -> Recording:
 
 
 def references(setup: Setup) -> tuple[Array, Array, Array]:
-    """Tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
+    """Return the tip references (N, 3, 3), true and registered trocar (N, 2, 3) of every tick of a scenario."""
     t = setup.times()
     tip, true, registered = (
         np.stack(source.at(t), axis=1) for source in (setup.reference, setup.trocar, setup.registered)
@@ -74,7 +75,7 @@ def references(setup: Setup) -> tuple[Array, Array, Array]:
 def own_ticks(
     names: Iterable[str], robot: RobotModel, settings: ControlSettings, inputs: list[Inputs], period_s: float
 ) -> tuple[dict[str, Timed], dict[str, str]]:
-    """Solver -> its whole tick; and solver -> why it cannot run in this controller."""
+    """Map solver to its whole tick; and solver -> why it cannot run in this controller."""
     timed: dict[str, Timed] = {}
     refused: dict[str, str] = {}
     for name in names:
@@ -89,14 +90,14 @@ def own_ticks(
 
 
 def spread(call: Callable[..., Any]) -> Callable[[tuple[Any, ...]], Any]:
-    """``call`` for a tuple of its arguments."""
+    """Return ``call`` for a tuple of its arguments."""
     return lambda given: call(*given)
 
 
 PARTS = {
     "model state": "pinocchio's terms, Jacobians, manipulability and its gradient (RobotModel.state)",
-    "before the solver": "one compiled call: the next four rows",
-    "- levels 1 and 2": "tip and RCM torque, called alone",
+    "levels 1 and 2": "tip and RCM torque, one compiled call",
+    "before the solver": "one compiled call: the next two rows",
     "- null space": "Z carried on, called alone",
     "- subproblem": "its record filled, called alone",
     "solver": "exact, from Python",
@@ -109,14 +110,8 @@ PARTS = {
 def parts(
     robot: RobotModel, settings: ControlSettings, solver: Solver, inputs: list[Inputs], period_s: float
 ) -> dict[str, Timed]:
-    """The parts of our tick, each on the same states: what the controller calls, called by itself."""
-    n, gains = robot.n, settings.resolve_gains(robot.data.gains, robot.n)
-    numbers, rcm_lambda = np.array(gains[:4]), settings.rcm_lambda or 0.0
-    limits = manipulability.box_limits(
-        robot.q_min, robot.q_max, robot.v_max,
-        margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
-    )  # fmt: skip
-    weights = np.array([settings.c0, settings.c1, settings.c2, settings.regularization])
+    """Return the parts of our tick, each on the same states: what the controller calls, called by itself."""
+    n, law = robot.n, law_of(settings, robot)
     states = [robot.state(q, v) for q, v, _, _ in inputs]
     given = [(state, tip_ref, trocar) for state, (_, _, tip_ref, trocar) in zip(states, inputs, strict=True)]
     Z, tau, row = manipulability.null_space(states[0].A), np.empty(n), np.empty(row_length(n))
@@ -127,34 +122,33 @@ def parts(
     problems = []
     for state, tip_ref, trocar in given:
         record = np.empty(row_length(n))
-        tick.fill_subproblem(state.record, n, tip_ref, trocar, limits, weights, settings.k0_per_s, record)
+        tick.fill_subproblem(state.record, law, tip_ref, trocar, record)
         problems.append(NullSpaceQP.from_row(record))
     session = solver.start(problems[0])
     answers = [np.array(session.solve(qp).x) for qp in problems]
     views = [state_views.py_func(state.record, n) for state in states]
     spans = [(view.A, view.u) for view in views]
-    fixed = (limits, weights, settings.k0_per_s)
-
-    def before(item: Any) -> None:
-        state, tip_ref, trocar = item
-        tick.before_solver(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda, *fixed, Z, tau, row)
 
     def low(item: Any) -> None:
         state, tip_ref, trocar = item
-        tick.tracking_torque(state.record, n, tip_ref, trocar, numbers, 0, False, rcm_lambda)
+        tick.tracking_torque(state.record, law, tip_ref, trocar, held)
+
+    def prepare(item: Any) -> None:
+        state, tip_ref, trocar = item
+        tick.prepare_third_level(state.record, law, tip_ref, trocar, Z, row)
 
     def fill(item: Any) -> None:
         state, tip_ref, trocar = item
-        tick.fill_subproblem(state.record, n, tip_ref, trocar, *fixed, row)
+        tick.fill_subproblem(state.record, law, tip_ref, trocar, row)
 
     def after(item: Any) -> None:
         state, x = item
-        tick.after_solver(state.record, n, Z, x, gains.K_N2, gains.D_N2, 1.0, held, robot.tau_max, tau)
+        tick.add_third_level(state.record, law, Z, x, 1.0, tau)
 
     calls: dict[str, tuple[Callable[[Any], Any], list[Any]]] = {
         "model state": (lambda item: robot.state(item[0], item[1]), inputs),
-        "before the solver": (before, given),
-        "- levels 1 and 2": (low, given),
+        "levels 1 and 2": (low, given),
+        "before the solver": (prepare, given),
         "- null space": (lambda item: manipulability.follow_null_space(item[0], item[1], Z), spans),
         "- subproblem": (fill, given),
         "solver": (session.solve, problems),
@@ -175,7 +169,7 @@ class PeerRun(NamedTuple):
 def peer_ticks(
     names: Iterable[str], robot: RobotModel, advance: Callable[[str], None]
 ) -> tuple[dict[str, PeerRun], dict[str, str]]:
-    """Peer -> its tick on the states of its own run; and peer -> why it is not listed."""
+    """Map peer to its tick on the states of its own run; and peer -> why it is not listed."""
     work, runs, refused = job(robot), {}, {}
     for name in names:
         reason = peers.missing(name)
@@ -187,11 +181,3 @@ def peer_ticks(
         poses, given = perform(peer, robot, work)
         runs[name] = PeerRun(Timed(spread(peer.tick), given), peer.level, verdict(poses, robot, work))
     return runs, refused
-
-
-def excess_us(
-    ticks: Mapping[str, float], solves: Mapping[str, float], bare: Mapping[str, float]
-) -> dict[str, float]:
-    """What a tick costs beyond our tick without its solver and the library by hand [us], by solver."""
-    rest = ticks["exact"] - solves["exact"]
-    return {name: ticks[name] - rest - bare[name] for name in ticks if name in bare}

@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,25 +30,15 @@ from benchmarks.maintenance.errata_numbers import (
     torque_of_mu,
     true_lambdas,
 )
+from benchmarks.markdown import render
 from benchmarks.output import write_atomically
 from moc_opt.control.null_space import null_space
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"
 
 
-@dataclass(frozen=True)
-class Erratum:
-    """One row: what is printed, what is computed here, why, and the numbers that show it."""
-
-    name: str
-    printed: str
-    consistent: str
-    why: str
-    shown: Callable[[Arm], str]
-
-
 def number(value: float) -> str:
-    """Two significant digits; rounding errors all alike."""
+    """Write two significant digits; rounding errors all alike."""
     if abs(value) < 1e-12:
         return "below 1e-12"
     text = f"{float(f'{value:.2g}'):g}"
@@ -58,7 +47,7 @@ def number(value: float) -> str:
 
 
 def span(values: Sequence[float]) -> str:
-    """Smallest to largest."""
+    """Write the smallest and the largest."""
     low, high = number(min(values)), number(max(values))
     return low if low == high else f"{low} to {high}"
 
@@ -68,7 +57,7 @@ def _projector(arm: Arm) -> str:
     printed, dynamic, static = ([idempotence(ps[i]) for ps, _ in found] for i in range(3))
 
     def leak(i: int) -> list[float]:
-        """Tip acceleration left of that of an unprojected torque."""
+        """Return the tip acceleration left of that of an unprojected torque."""
         return [
             float(
                 np.linalg.norm(s.J_tip @ np.linalg.solve(s.M, ps[i]), 2)
@@ -160,66 +149,24 @@ def _gains(arm: Arm) -> str:
     return f"{'; '.join(parts)}. `python -m benchmarks.paper` shows every claim with both"
 
 
-ERRATA = (
-    Erratum(
-        "projector", "(I - J_T^T J_T) J_W^T F",
-        "I - J_T^T Jbar_T^T with Jbar_T = M^-1 J_T^T Lambda_T (dynamic); I - J_T^T pinv(J_T)^T (static) is a setting",
-        "not idempotent, and its units do not fit (m^2)", _projector,
-    ),
-    Erratum(
-        "wrist", "J_W is 3x5", "3x7, zero where a joint does not move the wrist",
-        "three rows and five columns cannot multiply seven velocities", _wrist,
-    ),
-    Erratum(
-        "third level", "[(Z M Z^T) Z M]^T", "M Z^T (Z M Z^T)^-1 Z", "the inverse is missing, and the shapes", _third,
-    ),
-    Erratum(
-        "sign", "F(Y) = [-dL/dqd, dL/dlambda]", "[dL/dqd, -dL/dlambda]",
-        "the paper's own optimality conditions and its equation (2)", _sign,
-    ),
-    Erratum(
-        "gradient", "grad F + grad F^T <= 0, with blocks J J^T (3x3)",
-        "2 diag(c0 J_T^T J_T + c1 J_W^T J_W, 0, 0) >= 0, 7x7", "sign and shape; convergence rests on it", _gradient,
-    ),
-    Erratum(
-        "clock", "no time constant", "eps, or m steps per tick",
-        "with the printed weights the network's modes are far slower than the task", _clock,
-    ),
-    Erratum(
-        "torque", "K_N2 = [80, 120, 60, 30, 20, 10, 10] on qdd_d at c2 = 0.001, k = 0.1",
-        "kept to the letter as the solver `rnn-printed`, without a factor on qdd_d; the multipliers take eps = 1 s",
-        "the torque that mu causes is too small to act", _act,
-    ),
-    Erratum(
-        "lambda", "e_N1 = d / lambda with the constant lambda = 0.5",
-        "&#124;N_d - N&#124;, which is d / lambda with lambda = &#124;P_t - X&#124;/L cos(theta/2); the constant is "
-        "the setting `rcm_lambda`, 0.5 in the preset `paper`",
-        "lambda varies with the depth of the tip, and the stiffness at the wrist with it", _lambda,
-    ),
-    Erratum(
-        "gains", "DCAC compared with MOC at other gains", "every comparison also with matched gains",
-        "stiffer springs track better without any third level", _gains,
-    ),
-)  # fmt: skip
+ERRATA = {
+    "projector": _projector,
+    "wrist": _wrist,
+    "third": _third,
+    "sign": _sign,
+    "gradient": _gradient,
+    "clock": _clock,
+    "act": _act,
+    "lambda": _lambda,
+    "gains": _gains,
+}
+"""Row of benchmarks/templates/errata.md -> the numbers that show it."""
 
 
 def page(arm: Arm | None = None) -> str:
-    """docs/errata.md, computed."""
+    """Make docs/errata.md, with numbers computed on the states of an arm."""
     arm = Arm.load() if arm is None else arm
-    lines = [
-        "# What the paper prints and what is computed here",
-        "",
-        "Su et al., *Manipulability Optimization Control of a Serial Redundant Robot for Robot-assisted Minimally",
-        "Invasive Surgery* (2019). Written by `python -m benchmarks.errata`; do not edit by hand. The numbers are",
-        f"taken over {len(arm.states)} seeded regular poses of the LWR4+ with its default tool. The same rows are",
-        "tests, in `tests/benchmarks/maintenance/test_errata.py`.",
-        "",
-        "| printed | computed here | why | the number that shows it |",
-        "|---|---|---|---|",
-    ]
-    for row in ERRATA:
-        lines.append(f"| {row.printed} | {row.consistent} | {row.why} | {row.shown(arm)} |")
-    return "\n".join(lines) + "\n"
+    return render("errata.md", poses=len(arm.states), **{name: shown(arm) for name, shown in ERRATA.items()})
 
 
 def write_page(given: argparse.Namespace) -> int:

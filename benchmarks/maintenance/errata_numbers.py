@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
+from moc_opt.control.law import packed
 from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     null_space,
@@ -42,7 +43,7 @@ class Arm:
 
     @classmethod
     def load(cls, poses: int = POSES, seed: int = 0) -> Arm:
-        """The LWR4+ in seeded regular poses."""
+        """Return the LWR4+ in seeded regular poses."""
         robot, rng = load_robot(), np.random.default_rng(seed)
         return cls(robot, tuple(robot.state(robot.random_regular_pose(rng)) for _ in range(poses)))
 
@@ -50,17 +51,19 @@ class Arm:
         self, state: RobotState, c2: float = PAPER.c2, rho: float = PAPER.regularization, weight: float = 1.0,
         speed: float = 0.0,
     ) -> NullSpaceQP:  # fmt: skip
-        """The paper's subproblem at a state; ``weight`` scales c0, c1, c2 and rho together; tip speed [m/s] along x."""
+        """Make the paper's subproblem at a state; ``weight`` scales c0, c1, c2 and rho; tip speed [m/s] along x."""
         robot, lower, upper = self.robot, np.empty(self.robot.n), np.empty(self.robot.n)
-        velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)
+        velocity_damper(state.q, np.array([robot.q_min, robot.q_max, robot.v_max]), PAPER.k0_per_s, lower, upper)
         v_tip = np.array([speed, 0.0, 0.0])
         v_wrist = consistent_wrist_velocity(v_tip, v_tip, state.tool_direction)
-        weights = (PAPER.c0 * weight, PAPER.c1 * weight, c2 * weight, rho * weight)
-        return NullSpaceQP(state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, *weights)
+        return NullSpaceQP(
+            state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper,
+            c0=PAPER.c0 * weight, c1=PAPER.c1 * weight, c2=c2 * weight, regularization=rho * weight,
+        )  # fmt: skip
 
 
 def projectors(state: RobotState) -> tuple[Array, Array, Array]:
-    """The printed, the dynamic and the static projector (n, n) of level 2."""
+    """Return the printed, the dynamic and the static projector (n, n) of level 2."""
     J, eye = np.array(state.J_tip), np.eye(len(state.q))
     W, factor = task_inertia(J, cholesky(np.array(state.M)))
     printed = np.array([rcm.project_as_published(J, e) for e in eye]).T
@@ -70,17 +73,17 @@ def projectors(state: RobotState) -> tuple[Array, Array, Array]:
 
 
 def saddle(qp: NullSpaceQP, sign: float = 1.0) -> Array:
-    """Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); sign = -1 is F as printed."""
+    """Return the Jacobian of F(Y) = [dL/dx, -dL/dlambda], (n + 6, n + 6); sign = -1 is F as printed."""
     return sign * np.block([[qp.P, qp.A.T], [-qp.A, np.zeros((6, 6))]])
 
 
 def idempotence(N: Array) -> float:
-    """|N N - N|/|N|."""
+    """Return |N N - N|/|N|."""
     return float(np.linalg.norm(N @ N - N, 2) / np.linalg.norm(N, 2))
 
 
 def third_level(state: RobotState) -> tuple[Array, Array, Array]:
-    """The consistent map (n, n), the printed one with the missing Z appended (n, n), and Z M Z^T (r, r)."""
+    """Return the consistent map (n, n), the printed one with the missing Z appended (n, n), and Z M Z^T (r, r)."""
     Z, M = null_space(state.A), np.array(state.M)
     consistent = np.array([self_motion_torque(M, Z, e) for e in np.eye(len(state.q))]).T
     inner = Z @ M @ Z.T
@@ -98,7 +101,7 @@ def network(qp: NullSpaceQP, steps: int, sign: float, k: float = 0.5) -> Array:
 
 
 def time_constants(arm: Arm) -> tuple[float, float]:
-    """(fastest, slowest) mode of dY/dt = -k F(Y) at the printed weights [s]; free directions have none."""
+    """Return (fastest, slowest) mode of dY/dt = -k F(Y) at the printed weights [s]; free directions have none."""
     fastest, slowest = np.inf, 0.0
     for s in arm.states:
         rates = -np.linalg.eigvals(-K * saddle(arm.subproblem(s))).real
@@ -108,7 +111,7 @@ def time_constants(arm: Arm) -> tuple[float, float]:
 
 
 def torque_of_mu(arm: Arm) -> float:
-    """Largest share of mu in the torque of ``rnn-printed`` from rest and in slow motion [Nm]: with c2 less without."""
+    """Return the largest share of mu in the torque of ``rnn-printed`` [Nm], at rest and slow: with c2 less without."""
     rng, printed, share = np.random.default_rng(0), solvers.create("rnn-printed"), 0.0
     for rest in arm.states:
         for v in (np.zeros(arm.robot.n), rng.uniform(-0.01, 0.01, arm.robot.n)):
@@ -119,13 +122,13 @@ def torque_of_mu(arm: Arm) -> float:
                 session = printed.start(qp)
                 session.observe(v)  # type: ignore[attr-defined]
                 x = session.solve(qp).x
-                torques.append(tick.third_level(s.record, arm.robot.n, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
+                torques.append(tick.third_level(s.record, packed(arm.robot.n, K_N2=K_N2), null_space(s.A), x, 1.0))
             share = max(share, float(np.abs(torques[0] - torques[1]).max()))
     return share
 
 
 def true_lambdas(arm: Arm, off_m: float = 0.002) -> list[float]:
-    """d / |N - N_d| at the depths of the virtual tasks, the trocar a little beside the shaft."""
+    """Return d / |N - N_d| at the depths of the virtual tasks, the trocar a little beside the shaft."""
     found = []
     for s in arm.states:
         across = np.cross(s.tool_direction, np.eye(3)[int(np.argmin(np.abs(s.tool_direction)))])
@@ -139,7 +142,7 @@ def true_lambdas(arm: Arm, off_m: float = 0.002) -> list[float]:
 
 
 def gains_in_mu() -> dict[str, float]:
-    """Change of mu in one second at rest in a plant that equals the model, from a poor swivel [percent]."""
+    """Return the change of mu in one second at rest in a plant that equals the model, from a poor swivel [percent]."""
     base = Scenario(
         duration_s=1.0, start={"swivel": 0.15}, plant={"preset": "nominal"}, judge=False, bound_samples=0,
         task={"wait_s": 2.0}, control={"preset": "paper"},

@@ -52,7 +52,7 @@ class Config(Configuration):
     equivalent: tuple[Equivalent, ...] = ()
 
     def quick(self) -> Self:
-        """Eight mutants alone."""
+        """Take eight mutants alone."""
         return self.model_copy(update={"sample": 8})
 
     def choosing(self, names: Sequence[str] | None, count: int | None) -> Self:
@@ -72,7 +72,7 @@ class Config(Configuration):
 
 
 def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
-    """How many places for a mutation each module has, and a seeded sample over all of them."""
+    """Tell how many places for a mutation each module has, and a seeded sample over all of them."""
     every = {name: places(ROOT, name) for name in config.modules}
     pooled = [place for found in every.values() for place in found]
     chosen = sample(ROOT, pooled, config.sample, np.random.default_rng(config.seed))
@@ -80,12 +80,12 @@ def draw(config: Config) -> tuple[dict[str, int], list[Mutant]]:
 
 
 def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[dict[str, float], dict[str, str]]:
-    """Tests of a module that pass on the source as it is, with their seconds; those left out, with the reason.
+    """Return the tests of a module that pass on its source as it is, with their seconds; those left out, and why.
 
     Raises:
         MutationError: they take too long, or none is left.
     """
-    found = trial.judge(ROOT, module, None, plain, config.modules[module], BASELINE_S, keep_going=True)
+    found = trial.run_tests(ROOT, module, None, plain, config.modules[module], BASELINE_S, keep_going=True)
     if found.result == "timed out":
         raise MutationError(f"{module}: its tests take longer than {BASELINE_S:g} s without any mutation")
     fails = "fails where kernels are plain Python" if plain else "fails"
@@ -101,8 +101,10 @@ def usable_tests(config: Config, module: str, plain: Collection[str]) -> tuple[d
     return {name: seconds for seconds, name in ranked}, left_out
 
 
-def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]) -> dict[str, Any]:
-    """All mutants of one module; what became of them."""
+def try_mutants(
+    config: Config, module: str, chosen: Sequence[Mutant], advance: Callable[[str], None]
+) -> dict[str, Any]:
+    """Try all mutants of one module; return what became of them."""
     known = {(entry.before, entry.after): entry.why for entry in config.equivalent if entry.module == module}
     counts = dict.fromkeys(KINDS, 0)
     survivors: list[dict[str, Any]] = []
@@ -115,7 +117,7 @@ def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callab
             usable[plain] = usable_tests(config, module, plain)
         tests = usable[plain][0]
         limit_s = max(config.limit_s, config.patience * sum(tests.values()))
-        outcome = trial.judge(ROOT, module, mutant.source, plain, list(tests), limit_s)
+        outcome = trial.run_tests(ROOT, module, mutant.source, plain, list(tests), limit_s)
         if outcome.result != "survived":
             counts[outcome.result.replace(" ", "_")] += 1
             found_by[outcome.by or "time limit"] = found_by.get(outcome.by or "time limit", 0) + 1
@@ -136,7 +138,7 @@ def judge(config: Config, module: str, chosen: Sequence[Mutant], advance: Callab
 
 
 def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
-    """Share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
+    """Compute the share found of all mutants, and of all but the equivalent ones; a time limit counts as found."""
     found = counts["killed"] + counts["timed_out"]
     real = found + counts["survived"]
     every = real + counts["equivalent"]
@@ -144,7 +146,7 @@ def shares(counts: Mapping[str, int]) -> dict[str, float | None]:
 
 
 def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, Any]:
-    """Counts and shares over all modules."""
+    """Sum counts and shares over all modules."""
     counts = {kind: sum(row[kind] for row in modules.values()) for kind in KINDS}
     found = shares(counts)
     share = found["share_found"]
@@ -152,7 +154,7 @@ def total(modules: Mapping[str, Mapping[str, Any]], wanted: float) -> dict[str, 
 
 
 def table(summary: Mapping[str, Any]) -> Table:
-    """A line a module, and the total."""
+    """Make the table: a line a module, and the total."""
     counts = ("places", "tried", *KINDS)
     columns = [Column("module", "module"), *(Column(name, name.replace("_", " "), format="d") for name in counts)]
     rows = [
@@ -174,7 +176,7 @@ def run(given: Namespace) -> cli.Results:
         for name in config.modules:
             mine = [mutant for mutant in chosen if mutant.module == name]
             if mine:
-                modules[name] = {"places": numbers[name], **judge(config, name, mine, step)}
+                modules[name] = {"places": numbers[name], **try_mutants(config, name, mine, step)}
     summary = {"modules": modules, "total": total(modules, config.share_wanted)}
     survivors = [
         f"{name}:{row['line']} {row['operator']}\n    {row['before']}\n    {row['after']}"

@@ -16,7 +16,8 @@ from typing import Any
 
 from benchmarks import cli
 from benchmarks.latency.goals import GOALS
-from benchmarks.output import fill_section, write_atomically
+from benchmarks.markdown import fill_section, table
+from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.solver_study.tables import SETTLED
@@ -47,17 +48,16 @@ class ReadmeError(MocOptError, ValueError):
 
 
 def solvers_section(summary: Summary, environment: Summary) -> str:
-    """The table of the main job: recorded subproblems on the left, closed loop on the right."""
+    """Return the table of the main job: recorded subproblems on the left, closed loop on the right."""
     warm, closed = summary["open_loop_warm"], summary["closed_loop"]
-    lines = [_row(COLUMNS), "|" + "---|" * len(COLUMNS)]
-    lines.append(_row(["`dcac` (no third level)", *[""] * 6, *_figures(closed[BASELINE], CLOSED)]))
+    rows = [["`dcac` (no third level)", *[""] * 6, *_figures(closed[BASELINE], CLOSED)]]
     for name in LISTED:
         if name in warm:
             given = warm[name]
             star = "*" if name.startswith("nlp-") else ""
             counts = [f"{given['verified_solved']}/{given['solves']}", str(given["silently_wrong"])]
             figures = [*_figures(given, OPEN), *_figures(closed.get(name, {}), CLOSED)]
-            lines.append(_row([f"`{name}`{star}", *counts, *figures]))
+            rows.append([f"`{name}`{star}", *counts, *figures])
     runs = closed[BASELINE].get("runs", 0)
     trials = f"{runs} {'trial' if runs == 1 else 'trials'} from random poses"
     cut = environment.get("config", {}).get("closed_loop", {}).get("duration_s")
@@ -75,7 +75,7 @@ def solvers_section(summary: Summary, environment: Summary) -> str:
 a 500 Hz sequence of recorded subproblems solved warm, on the right means over {trials} in the realistic plant, the
 same for all controllers; the gain is that of the mean over DCAC's (`exact`: {gain} %, 95 % interval).
 
-{chr(10).join(lines)}
+{table(COLUMNS, rows)}
 
 \\* The NLP solvers answer the nonlinear one-step problem, which lies about 1e-3 m/s off the linear subproblem that the
 judge knows: they count as not verified, and in closed loop it costs nothing.
@@ -85,17 +85,17 @@ certified sets: {listed}. {SETTLED}"""
 
 
 def paper_section(summary: Summary, environment: Summary) -> str:
-    """The goals of the experiment, each with what was measured and its interval."""
+    """Return the goals of the experiment, each with what was measured and its interval."""
     away = {goal["goal"]: goal for goal in summary.get("goals_elsewhere", [])}
     heads = ["MOC with `exact`, preset `tuned`", "wanted", "home pose", *(["random poses"] if away else [])]
-    lines = [_row(heads), "|---" * len(heads) + "|"]
+    rows = []
     for goal in summary["goals"]:
         what, _, side = goal["text"].rpartition(", ")
         found = [_goal(row) for row in (goal, away.get(goal["goal"])) if row is not None]
-        lines.append(_row([what, f"{side} {goal['limit']:g}", *found]))
+        rows.append([what, f"{side} {goal['limit']:g}", *found])
     trials = max((row["trials"] for row in summary.get("tuned", {}).values()), default=0)
     said = f"`python -m benchmarks.paper` (seed {environment['seed']}), {trials:g} trials, mean and 95 % interval:\n\n"
-    return "\n\n".join([said + "\n".join(lines), *_claims(summary)])
+    return "\n\n".join([said + table(heads, rows), *_claims(summary)])
 
 
 def _goal(goal: Mapping[str, Any]) -> str:
@@ -103,7 +103,7 @@ def _goal(goal: Mapping[str, Any]) -> str:
 
 
 def _claims(summary: Summary) -> list[str]:
-    """The paper's claims with its own Table I, by solver, and which entry of the table decides."""
+    """Return the paper's claims with its own Table I, by solver, and which entry of the table decides."""
     mine = [row for row in summary.get("verdict", []) if row["group"] == "paper"]
     if not mine:
         return []
@@ -114,25 +114,27 @@ def _claims(summary: Summary) -> list[str]:
         for row in mine
         if None not in (row.get("matched_percent"), row.get("matched_percent_low"))
     }
-    lines = [_row(["claim", *(f"`{name}` [%]" for name in solvers)]), "|---" * (len(solvers) + 1) + "|"]
-    for text in dict.fromkeys(row["text"] for row in mine):
-        lines.append(_row([text, *(cells.get((text, name), "") for name in solvers)]))
+    texts = dict.fromkeys(row["text"] for row in mine)
+    shown = table(
+        ["claim", *(f"`{name}` [%]" for name in solvers)],
+        [[text, *(cells.get((text, name), "") for name in solvers)] for text in texts],
+    )
     said = (
         "The paper's claims with the paper's parameters (preset `paper`, Table I as printed): change against DCAC with "
         "the same gains, 95 % interval, verdict by the interval's end."
     )
     decided = " ".join(ablation.headline(summary.get("ablation", [])))
-    return [said, "\n".join(lines), *([decided] if decided else [])]
+    return [said, shown, *([decided] if decided else [])]
 
 
 def speed_section(summary: Summary, environment: Summary) -> str:
-    """What everything costs beside what was wanted, and the ticks of others in the same run."""
-    lines = [_row(["", "measured", "wanted"]), "|---|---|---|"]
+    """Return what everything costs beside what was wanted, and the ticks of others in the same run."""
+    rows = []
     for goal in (summary["goals"][key] for key in GOALS if key in summary["goals"]):
         unit = f" [{goal['unit']}]" if goal["unit"] else ""
         found = "not measured" if goal["value"] is None else f"{goal['value']:.3g}"
         mark = " (not reached)" if goal["reached"] == "no" else ""
-        lines.append(_row([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"]))
+        rows.append([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"])
     own = _medians(summary["tick"])
     daggers = {name: "†" for name, row in summary["peers"].items() if row["installed"] == "hand"}
     peers = {f"{name}{daggers.get(name, '')} ({row['level']})": row for name, row in summary["peers"].items()}
@@ -143,7 +145,7 @@ def speed_section(summary: Summary, environment: Summary) -> str:
     return f"""\
 `python -m benchmarks.speed` ({_where(environment)}), all in one run:
 
-{chr(10).join(lines)}
+{table(["", "measured", "wanted"], rows)}
 
 Median of our tick by solver, and in C [us]: {own}.
 Median of other libraries' ticks at the same job [us]: {others or "none is installed"}.
@@ -155,18 +157,6 @@ def _medians(rows: Mapping[str, Mapping[str, float]]) -> str:
     return ", ".join(f"{name} {row['tick_p50_us']:.1f}" for name, row in ordered)
 
 
-def filled(readme: str, name: str, text: str) -> str:
-    """The README with a section replaced.
-
-    Raises:
-        ReadmeError: it has no such pair of markers.
-    """
-    found = fill_section(readme, name, text)
-    if found is None:
-        raise ReadmeError(f"README: no lines <!-- {name} --> and <!-- /{name} -->: put them where the figures belong")
-    return found
-
-
 def fill(given: argparse.Namespace) -> int:
     """Write the sections whose results are there."""
     makers = {"solvers": solvers_section, "paper": paper_section, "speed": speed_section}
@@ -174,7 +164,8 @@ def fill(given: argparse.Namespace) -> int:
     for name, make in makers.items():
         folder = getattr(given, name)
         if folder is not None:
-            text = filled(text, name, make(*(_read(folder / f"{kind}.json") for kind in ("summary", "environment"))))
+            read = (_read(folder / f"{kind}.json") for kind in ("summary", "environment"))
+            text = fill_section(text, name, make(*read), "README")
     write_atomically(given.readme, text.encode())
     return 0
 
@@ -203,10 +194,6 @@ def _read(path: Path) -> Summary:
     except ValueError as error:
         raise ReadmeError(f"{path}: not JSON: {error}; run the benchmark again") from error
     return found
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 def _figures(row: Mapping[str, Any], formats: Mapping[str, str]) -> list[str]:

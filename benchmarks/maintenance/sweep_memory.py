@@ -39,7 +39,7 @@ COLUMNS = [
 
 
 def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
-    """rows.parquet as a sweep leaves it, with log-normal figures; itself in constant memory."""
+    """Return rows.parquet as a sweep leaves it, with log-normal figures; itself in constant memory."""
     plan = Plan(Config(solvers=list(SOLVERS), grid={"control.regularization": [1e-6, 1e-5, 1e-4]}))
     schema, rng = rows_schema(plan), np.random.default_rng(seed)
     path = folder / "rows.parquet"
@@ -61,7 +61,7 @@ def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
 
 
 def peak_MB() -> float:
-    """Largest resident memory of this process so far [MB]."""
+    """Return the largest resident memory of this process so far [MB]."""
     # Not getrusage: its figure survives exec, so a child would begin with its parent's.
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):

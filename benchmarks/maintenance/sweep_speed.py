@@ -49,13 +49,13 @@ COLUMNS = [
 
 
 def the_plan(runs: int, ticks: int) -> Plan:
-    """Runs of so many ticks each; nothing is judged, so that the time is all simulation."""
+    """Plan runs of so many ticks each; nothing is judged, so that the time is all simulation."""
     scenario = {"duration_s": 0.002 * ticks, "judge": False, "bound_samples": 0}
     return Plan(Config(solvers=["exact"], seeds=runs, scenario=scenario)).number_runs()  # type: ignore[arg-type]
 
 
 def calibrate(seconds: float) -> int:
-    """How many ticks take so long here; in a process of its own."""
+    """Tell how many ticks take so long here; in a process of its own."""
     times = {}
     for ticks in (100, 100, 5100):  # the first one pays for compilers and caches
         table = scenario_table(the_plan(1, ticks), 0)
@@ -65,13 +65,13 @@ def calibrate(seconds: float) -> int:
 
 
 def pause(table: Table, limit_s: float) -> dict[str, Any]:
-    """A run that waits as long as its scenario lasts."""
+    """Wait as long as the scenario of a run lasts."""
     sleep(table["duration_s"])
     return {"error": None, "figures": {}, "wall_s": table["duration_s"], "version": code_version()}
 
 
 def bare(tables: Sequence[Table], work: Work) -> float:
-    """The runs in a loop, in a process of its own [s]."""
+    """Do the runs in a loop, in a process of its own [s]."""
     work({**tables[0], "duration_s": 0.1}, LIMIT_S)
     begin = perf_counter()
     for table in tables:
@@ -80,7 +80,7 @@ def bare(tables: Sequence[Table], work: Work) -> float:
 
 
 def timed(plan: Plan, pool: Pool, workers: int, work: Work) -> dict[str, float]:
-    """The runs as a sweep does them, folder and all."""
+    """Do the runs as a sweep does them, folder and all."""
     tiny = [scenario_table(the_plan(2 * workers, 50), i) for i in range(2 * workers)]
     walls: list[float] = []
     begin = perf_counter()
@@ -102,13 +102,13 @@ def timed(plan: Plan, pool: Pool, workers: int, work: Work) -> dict[str, float]:
 
 
 def scenario_table(plan: Plan, index: int) -> Table:
-    """What a worker is given."""
+    """Return what a worker is given."""
     return plan.scenario(index).model_dump(mode="json")
 
 
 @contextmanager
 def dask_cluster(workers: int) -> Iterator[str]:
-    """A scheduler with worker processes on this machine; yields its address."""
+    """Make a scheduler with worker processes on this machine; yields its address."""
     LocalCluster: Any = importlib.import_module("distributed").LocalCluster
 
     with tempfile.TemporaryDirectory() as folder, LocalCluster(
@@ -120,7 +120,7 @@ def dask_cluster(workers: int) -> Iterator[str]:
 
 
 def cpu_seconds() -> tuple[float, float]:
-    """CPU time that all programs of this machine have used, and that this one and its ended children have [s]."""
+    """Read the CPU time [s] that all programs of this machine have used, and this one with its ended children."""
     busy = [float(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
     idle = busy[3] + busy[4]
     own = os.times()
@@ -128,7 +128,7 @@ def cpu_seconds() -> tuple[float, float]:
 
 
 def others(turn: Callable[[], dict[str, float]]) -> dict[str, float]:
-    """The figures of a turn, and how many cores other programs took meanwhile."""
+    """Return the figures of a turn, and how many cores other programs took meanwhile."""
     everybody, own, begin = *cpu_seconds(), perf_counter()
     found = turn()
     everybody_after, own_after = cpu_seconds()
@@ -161,7 +161,7 @@ def contenders(plan: Plan, workers: int, work: Work) -> dict[str, Callable[[], d
 def measure(
     runs: int, seconds: float, workers: int, rounds: int, waiting: bool
 ) -> dict[str, dict[str, float]]:
-    """Medians over the rounds; in each round every engine has its turn, so that drift of the machine hits all."""
+    """Take medians over rounds; in each every engine has its turn, so that drift of the machine hits all."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
     if waiting:

@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import cli
+from benchmarks.crew import run_parallel
 from benchmarks.maintenance.tune_space import Candidate, Config, Range, Values, draw
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect
-from benchmarks.processes import run_parallel
 from moc_opt.errors import ScenarioError
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
@@ -56,7 +56,7 @@ class Score:
 
 
 def figures(found: Sequence[Measurement]) -> dict[str, float]:
-    """The figures that the objective reads, over all trials."""
+    """Return the figures that the objective reads, over all trials."""
 
     whole = [m.metrics for m in found if (m.controller, m.phase) == (SOLVER, "whole")]
     gain = effect(found, "", SOLVER, MATCHED, "mu_mean")
@@ -73,7 +73,7 @@ def figures(found: Sequence[Measurement]) -> dict[str, float]:
 
 
 def objective(values: Values) -> float:
-    """The figures in one number; see above."""
+    """Return the figures in one number; see above."""
     settled = [values.get(f"settled_{name}_high", 100.0) for name in ERRORS]
     travelling = [values.get(f"travelling_{name}", 0.0) for name in ERRORS]
     tip, rcm = values["tip_error_model_mean_mm"] / 0.1, values["rcm_error_model_mean_mm"] / 0.2
@@ -94,7 +94,7 @@ def objective(values: Values) -> float:
 
 
 def jobs_of(config: Config, candidate: Candidate, stream: int, per_task: int, hard: bool) -> list[Job]:
-    """The candidate on every trial of a stream, and one trial on the worse arm."""
+    """Return the candidate on every trial of a stream, and one trial on the worse arm."""
     base = config.scenario.change(control=candidate.control)
     cases = trials(base, config.tasks, seeds(config.seed, stream, per_task * len(config.tasks)))
     jobs = [Job("", task, trial, (MATCHED, SOLVER)) for task, trial in cases]
@@ -128,7 +128,7 @@ def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
 def evaluate(
     config: Config, candidates: Sequence[Candidate], stream: int, per_task: int, advance: Any
 ) -> list[Score]:
-    """Scores in the order of the candidates."""
+    """Return the scores in the order of the candidates."""
     batches = [jobs_of(config, c, stream, per_task, hard=stream == SEARCH_STREAM) for c in candidates]
     outcomes = run_parallel(run_job, [job for batch in batches for job in batch], config.processes, advance)
     scores, at = [], 0
@@ -139,7 +139,7 @@ def evaluate(
 
 
 def search(config: Config) -> tuple[list[Score], list[Score]]:
-    """(every score of the search, scores of the finalists on fresh trials), each best first."""
+    """Return (every score of the search, scores of the finalists on fresh trials), each best first."""
     rng = np.random.default_rng(config.seed)
     each, final = config.trials * len(config.tasks) + 1, config.final_trials * len(config.tasks)
     total = (config.random + config.local) * each + min(
@@ -166,7 +166,7 @@ def search(config: Config) -> tuple[list[Score], list[Score]]:
 
 
 def row(part: str, entry: Score) -> dict[str, Any]:
-    """One row of rows.parquet and of the table."""
+    """Return one row of rows.parquet and of the table."""
     return {
         "part": part, "objective": entry.objective, "reason": entry.reason or None,
         **entry.candidate.values, **entry.figures,
@@ -174,7 +174,7 @@ def row(part: str, entry: Score) -> dict[str, Any]:
 
 
 def preset(winner: Score) -> str:
-    """The winner as it stands in a scenario."""
+    """Return the winner as it stands in a scenario."""
     lines = [f"{name} = {json.dumps(value, allow_nan=False)}" for name, value in winner.candidate.control.items()]
     return "\n".join(["[control]", *lines])
 

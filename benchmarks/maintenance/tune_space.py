@@ -36,7 +36,7 @@ class Range(Settings):
         return self
 
     def at(self, place: float) -> float | bool:
-        """The value at a place in [0, 1], to three significant digits: a preset is read by people."""
+        """Return the value at a place in [0, 1], to three significant digits: a preset is read by people."""
         if self.choices is not None:
             return self.choices[min(int(place * len(self.choices)), len(self.choices) - 1)]
         if self.log:
@@ -61,7 +61,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario(judge=False, bound_samples=0)
 
     def quick(self) -> Config:
-        """The same search with few candidates: for a first look and for the tests."""
+        """Return the same search with few candidates: for a first look and for the tests."""
         few = {
             "random": 3,
             "local": 1,
@@ -90,7 +90,7 @@ class Candidate:
 
 
 def draw(config: Config, rng: np.random.Generator, near: Sequence[Candidate] = ()) -> Candidate:
-    """A candidate from the whole space, or near one of some others."""
+    """Draw a candidate from the whole space, or near one of some others."""
     size = len(config.space)
     if near:
         centre = np.array(near[int(rng.integers(len(near)))].places)

@@ -14,16 +14,14 @@ from typing import Any, ClassVar
 
 from pydantic import Field
 
-from benchmarks.paper_experiment.trials import MATCHED, Measurement, trials, variant
+from benchmarks.paper_experiment.trials import MATCHED, Measurement, attempt, trials, variant
 from benchmarks.paper_experiment.trials import seeds as seeds_of
 from benchmarks.paper_experiment.verdict import CLAIMS, Claim, effect, pairs
 from benchmarks.statistics import difference_of_changes
-from moc_opt import scenario
 from moc_opt.control import ControlSettings
-from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import summarize
 
 ALL = "all"
@@ -52,7 +50,7 @@ class Ablation(Settings):
     cases: dict[str, Case] = Field(default_factory=dict)
 
     def quick(self) -> Ablation:
-        """The first two cases at one seed."""
+        """Return the first two cases at one seed."""
         return self.model_copy(update={"draws": 1, "cases": dict(list(self.cases.items())[:2])})
 
 
@@ -65,7 +63,7 @@ class AblationJob:
 
 
 def changed(base: Scenario, case: Case) -> Scenario:
-    """The scenario that a case's trials share.
+    """Return the scenario that a case's trials share.
 
     Raises:
         UnknownNameError: a setting that does not exist.
@@ -82,7 +80,7 @@ def changed(base: Scenario, case: Case) -> Scenario:
 def jobs(
     ablation: Ablation, base: Scenario, tasks: Sequence[str], per_task: int, seed: int, stream: int
 ) -> list[AblationJob]:
-    """Every trial of every draw, each under all cases."""
+    """Return every trial of every draw, each under all cases."""
     shared = {name: changed(base, case) for name, case in ablation.cases.items()}
     found = []
     for draw in range(seed, seed + ablation.draws):
@@ -98,7 +96,7 @@ def jobs(
 
 
 def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
-    """The claims' metrics of both controllers of each case over the whole trial, and why a run broke off."""
+    """Return the claims' metrics of both controllers of each case over the whole trial, and why a run broke off."""
     found, broken = [], []
     # DCAC knows no third level: cases that differ there only have the same baseline.
     baselines: dict[str, dict[str, float] | str] = {}
@@ -116,25 +114,21 @@ def measure(job: AblationJob) -> tuple[list[Measurement], list[dict[str, Any]]]:
                     }
                 )  # fmt: skip
             else:
-                found.append(Measurement(case, name, job.task, trial.name, trial.seed, "whole", done))
+                found.append(Measurement(case, name, job.task, trial.name, trial.seed, phase="whole", metrics=done))
     return found, broken
 
 
 def _metrics(case: Scenario) -> dict[str, float] | str:
-    """The claims' metrics of one run, or why it broke off."""
-    try:
-        trace = scenario.run(case)
-    except MocOptError as error:
-        return f"{type(error).__name__}: {error}"
-    ended = str(trace.meta["ended"])
-    if not Ending.of(ended).whole:
+    """Return the claims' metrics of one run, or why it broke off."""
+    trace, ended = attempt(lambda: case)
+    if trace is None:
         return ended
     metrics = summarize(trace)
     return {claim.metric: metrics[claim.metric] for claim in CLAIMS}
 
 
 def rows(ablation: Ablation, found: Sequence[Measurement]) -> list[dict[str, Any]]:
-    """One row a case, draw and claim: the effect with its interval; over all draws also shift and ``decides``."""
+    """Make one row a case, draw and claim: the effect with its interval; over all draws also shift and ``decides``."""
     table: list[dict[str, Any]] = []
     by_draw: dict[str, list[Measurement]] = {}
     for m in found:
@@ -161,7 +155,7 @@ def rows(ablation: Ablation, found: Sequence[Measurement]) -> list[dict[str, Any
 def _against_printed(
     ablation: Ablation, found: Sequence[Measurement], name: str, claim: Claim
 ) -> dict[str, Any]:
-    """Shift of a case from the first, over the trials in which all four runs came to their end, and ``decides``."""
+    """Compute the shift of a case from the first, over the trials with four whole runs, and ``decides``."""
     first = next(iter(ablation.cases))
     asked = [(case, ablation.cases[case].controller) for case in (name, first)]
     ends = [
@@ -179,7 +173,7 @@ def _against_printed(
 
 
 def headline(table: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Which entries decide, in words, from the rows over all draws; cases of another controller are left out."""
+    """Return which entries decide, in words, from the rows over all draws; cases of another controller are left out."""
     over_all = [row for row in table if row["draw"] == ALL]
     if not over_all:
         return []

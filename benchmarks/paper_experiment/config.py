@@ -102,7 +102,7 @@ class Config(Configuration):
             Setup(changed(self.base(self.ablation.group), case))
 
     def quick(self) -> Self:
-        """The same experiment on less data: for a first look and for the tests."""
+        """Return the same experiment on less data: for a first look and for the tests."""
         less = {
             "tasks": self.tasks[:1], "trials": 2, "swivel": self.swivel.model_copy(update={"starts": 3}),
             "procedure": self.procedure.model_copy(update={"poses": 20, "film": False}),
@@ -111,17 +111,17 @@ class Config(Configuration):
         return self.model_copy(update=less)
 
     def base(self, group: str) -> Scenario:
-        """The scenario that a group's trials share."""
+        """Return the scenario that a group's trials share."""
         table = self.groups[group]
         return self.scenario.change(control=table.control, task=table.task, start=table.start)
 
     def same_path(self, group: str) -> bool:
-        """Whether a group's trials follow the paths of the best group, at the same time."""
+        """Tell whether a group's trials follow the paths of the best group, at the same time."""
         mine, best = self.groups[group], self.groups[self.best]
         return (mine.task, mine.start) == (best.task, best.start)
 
     def procedures(self, out: Path) -> list[ProcedureJob]:
-        """The whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
+        """Return the whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
         base = self.base(self.best).change(solver={"name": self.best_solver})
         jobs = []
         for i, (task, seed) in enumerate(
@@ -132,14 +132,14 @@ class Config(Configuration):
         return jobs
 
     def ablation_jobs(self) -> list[AblationJob]:
-        """Every case of the ablation on every trial of every draw; none without cases."""
+        """Return every case of the ablation on every trial of every draw; none without cases."""
         if not self.ablation.cases:
             return []
         base = self.base(self.ablation.group)
         return ablation_jobs(self.ablation, base, self.tasks, self.trials, self.seed, STREAM)
 
     def jobs(self) -> list[Job]:
-        """Every group on every trial; the trials are the same for all groups."""
+        """Return every group on every trial; the trials are the same for all groups."""
         drawn = seeds(self.seed, STREAM, self.trials * len(self.tasks))
         controllers = (*BASELINES, *self.solvers)
         jobs = []

@@ -26,12 +26,12 @@ PANELS = {
 
 
 def titles(controllers: Sequence[str]) -> dict[str, str]:
-    """Controller -> as a reader calls it."""
+    """Map each controller to what a reader calls it."""
     return {name: BASELINES.get(name, f"MOC, {name}") for name in controllers}
 
 
 def box_figures(outcomes: Sequence[Outcome], group: str, tasks: Sequence[str]) -> dict[str, go.Figure]:
-    """One figure a quantity: boxes over the ticks of all trials, by task, a colour a controller."""
+    """Draw one figure a quantity: boxes over the ticks of all trials, by task, a colour a controller."""
     mine = [o for o in outcomes if any(m.group == group for m in o.measurements)]
     controllers = list(dict.fromkeys(controller for o in mine for controller, _ in o.samples))
     names, drawn = titles(controllers), {}
@@ -48,13 +48,13 @@ def box_figures(outcomes: Sequence[Outcome], group: str, tasks: Sequence[str]) -
 
 
 def trial_figure(traces: Mapping[str, Trace]) -> go.Figure:
-    """One trial over time."""
+    """Draw one trial over time."""
     names = titles(list(traces))
     return figures.time_series({names[name]: trace for name, trace in traces.items()})
 
 
 def swivel_figure(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
-    """Gain in mu and mu at the start against the place on the feasible self-motion."""
+    """Draw the gain in mu and mu at the start against the place on the feasible self-motion."""
     known = [row for row in rows if "gain_percent" in row]
     drawn, colors = figure(), list(SERIES)
     places = [row["fraction"] for row in known]
@@ -83,7 +83,7 @@ def swivel_figure(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
 
 
 def save(drawn: Mapping[str, go.Figure], folder: Path) -> list[Path]:
-    """Each figure as FOLDER/NAME.svg and NAME.png.
+    """Save each figure as FOLDER/NAME.svg and NAME.png.
 
     Raises:
         BrowserError: no browser can be driven here; the message holds the cure.

@@ -39,12 +39,12 @@ class Look:
     found: SwivelMap | str
 
     def choice(self) -> str:
-        """Which trial it is, in a few words."""
+        """Return which trial it is, in a few words."""
         return f"{self.trial}: {self.gain_percent:+.1f} %, of {self.of} trials"
 
 
 def chosen(outcomes: Sequence[Outcome], group: str, solver: str) -> dict[str, tuple[Outcome, float, int]]:
-    """Task -> the trial with the middle gain, that gain, and of how many; of an even number the lower middle."""
+    """Map task to the trial with the middle gain, that gain, and of how many; of an even number the lower middle."""
     gains: dict[str, list[tuple[float, int]]] = {}
     for place, outcome in enumerate(outcomes):
         for m in outcome.measurements:
@@ -60,7 +60,7 @@ def chosen(outcomes: Sequence[Outcome], group: str, solver: str) -> dict[str, tu
 
 
 def looks(config: Config, outcomes: Sequence[Outcome]) -> dict[str, Look]:
-    """Task -> what is to be seen of it."""
+    """Map task to what is to be seen of it."""
     robot, found = config.scenario.robot.arm(), {}
     for task, (outcome, gain, of) in chosen(outcomes, config.best, config.best_solver).items():
         names = titles(list(outcome.traces))
@@ -72,7 +72,7 @@ def looks(config: Config, outcomes: Sequence[Outcome]) -> dict[str, Look]:
 
 
 def elsewhere(config: Config, outcomes: Sequence[Outcome], trial: str) -> dict[str, Trace]:
-    """The best MOC on the same trial with the parameters of the other groups, where they leave the path as it is."""
+    """Find the best MOC on the same trial with the parameters of the other groups that leave the path as it is."""
     (best,) = titles([config.best_solver]).values()
     return {
         f"{best}, group {m.group}": outcome.traces[config.best_solver]
@@ -84,7 +84,7 @@ def elsewhere(config: Config, outcomes: Sequence[Outcome], trial: str) -> dict[s
 
 
 def rows(found: Mapping[str, Look]) -> list[dict[str, Any]]:
-    """What each trajectory amounts to: one row a task and controller."""
+    """Return what each trajectory amounts to: one row a task and controller."""
     return [
         {"task": task, "trial": look.trial, **asdict(read_trajectory(look.found, name))}
         for task, look in found.items()
@@ -94,7 +94,7 @@ def rows(found: Mapping[str, Look]) -> list[dict[str, Any]]:
 
 
 def map_figures(found: Mapping[str, Look]) -> dict[str, go.Figure]:
-    """Each map by its file's name, as the page shows it."""
+    """Draw each map by its file's name, as the page shows it."""
     return {
         f"map-{task}": map_figure(look.found, Styles(look.traces), titles=lines(look.found))
         for task, look in found.items()

@@ -20,7 +20,7 @@ from moc_opt.control import Controller
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_through
-from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.model.robot_model import load_robot
 from moc_opt.procedure.hands_on import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.procedure.reachability import check_reachable
 from moc_opt.redundancy.self_motion import self_motion
@@ -67,7 +67,7 @@ class ProcedureJob:
 
 
 def perform(job: ProcedureJob) -> dict[str, Any]:
-    """The whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
+    """Perform the whole procedure once; one row of rows.parquet. What went wrong is in its ``error``."""
     row: dict[str, Any] = {"part": "procedure", "task": job.task, "seed": job.scenario.seed}
     try:
         return row | _perform(job)
@@ -102,7 +102,8 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
 
     q = pose_through(robot, path.start, guided.registered, q=robot.data.q_home)
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
-    trace, waited, lost = _run(job, robot, plant, scene, path, q, (guided.trocar, guided.registered))
+    trocars = (guided.trocar, guided.registered)
+    trace, waited, lost = _run(job, plant, scene, path, q, trocars)
     count = 0
     if job.film is not None:
         count = scene.film(job.film, trace, path, guided.registered)
@@ -118,19 +119,13 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
 
 
 def _run(
-    job: ProcedureJob,
-    robot: RobotModel,
-    plant: Plant,
-    scene: Augmented,
-    path: TipPath,
-    q: Array,
-    trocars: tuple[Array, Array],
+    job: ProcedureJob, plant: Plant, scene: Augmented, path: TipPath, q: Array, trocars: tuple[Array, Array]
 ) -> tuple[Trace, float, float]:
-    """The task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
+    """Run the task under MOC, waiting while the board is lost; the trace, and how long it waited and was lost [s].
 
     ``trocars``: the true one and the registered one, (3,) each [m].
     """
-    true, registered = trocars
+    robot, (true, registered) = job.scenario.robot.arm(), trocars
     scenario, period = job.scenario, job.scenario.plant.period_s
     reference = Reference(
         path,
@@ -180,7 +175,7 @@ def _guiding(guided: HandsOn) -> dict[str, Any]:
 
 
 def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
-    """Distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
+    """Return the distance (k,) [m] of points (k, 3) from a path: how far the tip is off the task, whatever the time."""
     from scipy.spatial import cKDTree
 
     line = path.at(np.linspace(0.0, path.length, samples))[0]
@@ -189,7 +184,7 @@ def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
 
 
 def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[str, Any]:
-    """Accuracy of single pictures of the board at random poses, against the truth."""
+    """Return the accuracy of single pictures of the board at random poses, against the truth."""
     return dict(
         pose_accuracy(
             load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed
@@ -198,7 +193,7 @@ def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Task -> what its procedure came to."""
+    """Map task to what its procedure came to."""
     return {
         row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")}
         for row in rows

@@ -30,7 +30,7 @@ class Start:
 
 
 def starts(trial: Scenario, count: int) -> list[Start]:
-    """Evenly spread starts, and one at the largest mu."""
+    """Return evenly spread starts, and one at the largest mu."""
     robot = trial.robot.arm()
     home = robot.data.q_home if trial.start.q_rad is None else trial.start.q_rad
     curve = self_motion(robot, home)
@@ -45,7 +45,7 @@ def starts(trial: Scenario, count: int) -> list[Start]:
 
 
 def gain(job: tuple[Scenario, Start, str]) -> dict[str, Any]:
-    """DCAC and MOC from one start; one row of rows.parquet."""
+    """Run DCAC and MOC from one start; one row of rows.parquet."""
     trial, start, solver = job
     row: dict[str, Any] = {
         "part": "swivel", "fraction": start.fraction, "mu_start": start.mu, "at_maximum": start.best,
@@ -65,7 +65,7 @@ def gain(job: tuple[Scenario, Start, str]) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Gain at the maximum, and the largest and mean gain over the other starts [percent]."""
+    """Return the gain at the maximum, and the largest and mean gain over the other starts [percent]."""
     known = [row for row in rows if "gain_percent" in row]
     others = [row for row in known if not row["at_maximum"]]
     spread = [row["gain_percent"] for row in others]

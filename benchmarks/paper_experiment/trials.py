@@ -12,7 +12,7 @@ own mismatch, and its noise, all from one seed. Every controller runs it. The ph
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from moc_opt import scenario
 from moc_opt.control.settings import GAINS
-from moc_opt.errors import MocOptError, PlantError
+from moc_opt.errors import MocOptError
 from moc_opt.redundancy.transient import in_transient
 from moc_opt.robots import load_data
 from moc_opt.scenario import Scenario
@@ -59,7 +59,7 @@ class Measurement:
     """the trace's ``meta["ended"]``: no run that was stopped is measured"""
 
     def row(self) -> dict[str, Any]:
-        """One row of rows.parquet."""
+        """Return one row of rows.parquet."""
         names = ("ended", "group", "controller", "task", "trial", "seed", "phase")
         return {"part": "trials", **{name: getattr(self, name) for name in names}, **self.metrics}
 
@@ -90,7 +90,7 @@ class Job:
 
 
 def seeds(seed: int, stream: int, count: int) -> list[int]:
-    """Seeds of ``count`` trials; different streams (experiment, search, verification) share none."""
+    """Draw the seeds of ``count`` trials; different streams (experiment, search, verification) share none."""
     state = np.random.SeedSequence([seed, stream]).generate_state(count, np.uint32)
     return [int(entry) for entry in state]
 
@@ -98,7 +98,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
 def trials(
     base: Scenario, tasks: Sequence[str], seeds_of_trials: Sequence[int]
 ) -> list[tuple[str, Scenario]]:
-    """(task, scenario) for each task and its share of the seeds, in order.
+    """Return (task, scenario) for each task and its share of the seeds, in order.
 
     The sizes and the depth below the trocar are those of the virtual task of that name.
     """
@@ -119,7 +119,7 @@ def trials(
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """The trial under a baseline, or under MOC with the solver of that name; compensation is the trial's for all."""
+    """Put a trial under a baseline, or under MOC with the solver of that name; compensation is the trial's for all."""
     control = trial.control
     if controller not in BASELINES:
         return trial.change(solver={"name": controller, "settings": dict(settings or {})})
@@ -134,26 +134,33 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
     return trial.change(control=table)
 
 
+def attempt(make: Callable[..., Scenario], *arguments: Any) -> tuple[Trace | None, str]:
+    """Run ``make(*arguments)``: its trace, None where it broke off or was stopped; and how it ended, or the error."""
+    try:
+        trace = scenario.run(make(*arguments))
+    except MocOptError as error:
+        return None, f"{type(error).__name__}: {error}"
+    ended = str(trace.meta["ended"])
+    return (trace if Ending.of(ended).whole else None), ended
+
+
 def run_job(job: Job) -> Outcome:
     """Run every controller of a job; a run that breaks off is a result, with its reason."""
     outcome = Outcome([], {}, {}, [])
     traces: dict[str, Trace] = {}
     for controller in job.controllers:
-        try:
-            case = variant(job.trial, controller, job.solver_settings.get(controller))
-            trace = scenario.run(case)
-            ended = str(trace.meta["ended"])
-            if not Ending.of(ended).whole:
-                raise PlantError(ended)
+        trace, ended = attempt(variant, job.trial, controller, job.solver_settings.get(controller))
+        if trace is not None:
             traces[controller] = trace
-        except MocOptError as error:
-            ended = str(error) if Ending.of(str(error)) is Ending.STOPPED else Ending.FAILED.value
-            outcome.broken.append(
-                {
-                    "part": "broke off", "ended": ended, "group": job.group, "controller": controller, "task": job.task,
-                    "trial": job.trial.name, "seed": job.trial.seed, "error": f"{type(error).__name__}: {error}",
-                }
-            )  # fmt: skip
+            continue
+        stopped = Ending.of(ended) is Ending.STOPPED
+        outcome.broken.append(
+            {
+                "part": "broke off", "ended": ended if stopped else Ending.FAILED.value, "group": job.group,
+                "controller": controller, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed,
+                "error": f"PlantError: {ended}" if stopped else ended,
+            }
+        )  # fmt: skip
     baselines = {name: trace for name, trace in traces.items() if name in BASELINES}
     for controller, trace in traces.items():
         reference = baselines.get(MATCHED)
@@ -171,7 +178,7 @@ def run_job(job: Job) -> Outcome:
 
 
 def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
-    """(N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
+    """Return (N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
 
     Args:
         trial: the scenario that all ran.
@@ -208,7 +215,9 @@ def _note(
     # Clocks are left out: jobs share the machine, and a time taken then is no solver's fault.
     kept = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     outcome.measurements.append(
-        Measurement(job.group, controller, job.task, job.trial.name, job.trial.seed, phase, kept, ended)
+        Measurement(
+            job.group, controller, job.task, job.trial.name, job.trial.seed, phase=phase, metrics=kept, ended=ended
+        )
     )
 
 

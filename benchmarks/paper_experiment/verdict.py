@@ -42,7 +42,7 @@ class Claim:
     upwards: bool = False
 
     def confirmed(self, effect: Interval) -> bool:
-        """Whether the whole interval lies beyond the bound."""
+        """Tell whether the whole interval lies beyond the bound."""
         end = effect.low if self.upwards else effect.high
         return bool(end > self.bound_percent if self.upwards else end < self.bound_percent)
 
@@ -74,7 +74,7 @@ LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT = 15.0, 5.0
 def pairs(
     found: Sequence[Measurement], group: str, moc: str, baseline: str, metric: str, phase: str = "whole"
 ) -> tuple[list[float], list[float]]:
-    """One number a trial for the MOC and for the baseline, the trials that have both, in the same order.
+    """Return one number a trial for the MOC and for the baseline, the trials that have both, in the same order.
 
     In a phase the number is the sum over its ticks: else a trial in which the elbow settled for a moment only would
     count as much as one in which it did for seconds.
@@ -95,15 +95,15 @@ def pairs(
 def effect(
     found: Sequence[Measurement], group: str, moc: str, baseline: str, metric: str, phase: str = "whole"
 ) -> Interval | None:
-    """Change of MOC against a baseline [percent]; None where no trial has both."""
+    """Return the change of MOC against a baseline [percent]; None where no trial has both."""
     try:
         return relative_change(*pairs(found, group, moc, baseline, metric, phase))
     except StatisticsError:
         return None
 
 
-def judge_claim(claim: Claim, own: Interval | None, matched: Interval | None) -> str:
-    """The verdict, from the effects against DCAC with its own gains and with MOC's."""
+def claim_verdict(claim: Claim, own: Interval | None, matched: Interval | None) -> str:
+    """Return the verdict, from the effects against DCAC with its own gains and with MOC's."""
     if matched is not None and claim.confirmed(matched):
         return HOLDS
     if own is not None and claim.confirmed(own):
@@ -112,13 +112,13 @@ def judge_claim(claim: Claim, own: Interval | None, matched: Interval | None) ->
 
 
 def verdicts(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
-    """One row a claim: verdict, and the effect against each DCAC with its interval; then what is reported beside."""
+    """Make one row a claim: verdict, effect against each DCAC with its interval; then what is reported beside."""
     rows = []
     for claim in (*CLAIMS, *PATIENT, *REPEATED):
         effects = {name: effect(found, group, moc, name, claim.metric) for name in BASELINES}
         row: dict[str, Any] = {
             "group": group, "controller": moc, "claim": claim.name, "text": claim.text,
-            "verdict": judge_claim(claim, effects[OWN], effects[MATCHED]) if claim not in REPEATED else REPEATS,
+            "verdict": claim_verdict(claim, effects[OWN], effects[MATCHED]) if claim not in REPEATED else REPEATS,
         }  # fmt: skip
         for name, key in ((OWN, "own"), (MATCHED, "matched"), (DAMPED, "damped")):
             change = effects[name]
@@ -129,7 +129,7 @@ def verdicts(found: Sequence[Measurement], group: str, moc: str) -> list[dict[st
 
 
 def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
-    """What the best MOC should reach, against DCAC with the same gains and compensation, and what it reaches."""
+    """Return what the best MOC should reach, against DCAC with the same gains and compensation, and what it reaches."""
     rows: list[dict[str, Any]] = []
 
     def add(name: str, text: str, figure: Interval | None, limit: float, reached: bool) -> None:
@@ -156,7 +156,7 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
 
 
 def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
-    """What the travelling elbow costs: share of the ticks, and the change of each error, by phase."""
+    """Return what the travelling elbow costs: share of the ticks, and the change of each error, by phase."""
     rows = []
     for phase in ("travelling", "settled"):
         mine = [m for m in found if (m.group, m.controller, m.phase) == (group, moc, phase)]
@@ -181,7 +181,7 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
 def intervals(
     found: Sequence[Measurement], group: str, controller: str, phase: str = "whole"
 ) -> dict[str, float]:
-    """Mean over the trials of every metric, those of the claims with their intervals; the gain is that of the means."""
+    """Average every metric over the trials, those of the claims with intervals; the gain is that of the means."""
     mine = [m for m in found if (m.group, m.controller, m.phase) == (group, controller, phase)]
     values: dict[str, float] = {"trials": float(len(mine))}
     of_claims = {claim.metric for claim in (*CLAIMS, *PATIENT, *REPEATED)}

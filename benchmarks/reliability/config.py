@@ -10,7 +10,6 @@ from benchmarks.config import Configuration
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.scenario import Scenario
 
-GROUPS = ("solver", "sensors", "plant", "contact", "camera")
 BASELINE = "dcac"
 
 
@@ -35,7 +34,7 @@ class Case(Settings):
         return self
 
     def spoil(self, scenario: Scenario) -> Scenario:
-        """The scenario with this fault in it."""
+        """Return the scenario with this fault in it."""
         return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
 
@@ -65,6 +64,6 @@ class Config(Configuration):
         return cases
 
     def quick(self) -> Config:
-        """The same faults on one trial of half the length: for a first look and for the tests."""
+        """Return the same faults on one trial of half the length: for a first look and for the tests."""
         short = self.scenario.change(duration_s=min(3.2, self.scenario.duration_s or 3.2))
         return self.model_copy(update={"trials": 1, "scenario": short})

@@ -63,7 +63,7 @@ def warm_up() -> None:
 
 
 def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
-    """Torques of both: finite, within the limits, and the same; refused where the guard stopped the arm.
+    """Compare the torques of both: finite, within the limits, and the same; refused where the guard stopped the arm.
 
     Raises:
         AssertionError: one of them is not.
@@ -99,7 +99,7 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
 
 
 def _inputs(robot: RobotModel, rng: np.random.Generator, q: Array, v: Array) -> dict[str, Array]:
-    """A sound tick: the tip near its reference, the shaft through the trocar."""
+    """Make a sound tick: the tip near its reference, the shaft through the trocar."""
     state = robot.state(q, v)
     tip_ref = rng.normal(size=(3, 3)) * [[1e-4], [1e-2], [1e-1]]
     tip_ref[0] += state.tip

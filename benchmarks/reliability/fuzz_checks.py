@@ -1,22 +1,16 @@
-"""What must be true of any input: it works, or it is refused with a MocOptError that says what is wrong.
-
-Each check takes one input. It returns "accepted" or "refused"; it raises when neither is the case.
-"""
+"""What must be true of scenarios, robots, subproblems and results from strangers; see `fuzz_case`."""
 
 from __future__ import annotations
 
-import signal
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from types import FrameType
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from benchmarks.reliability.fuzz_c import exported
-from benchmarks.reliability.fuzz_inputs import good_trace
+from benchmarks.reliability import fuzz_c
+from benchmarks.reliability.fuzz_case import Kind, Verdict, Wrong, arm, file, refused
+from benchmarks.reliability.fuzz_inputs import TOML, edited, record_files, robot_files, scenarios, subproblems
+from benchmarks.reliability.fuzz_traces import good_trace, result_files
+from benchmarks.sweeps.record import opened
 from moc_opt.control.null_space import null_space
 from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
@@ -30,45 +24,13 @@ from moc_opt.solvers.base import Status
 from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
-__all__ = [
-    "exported", "record_file", "result_file", "robot_file", "scenario", "scenario_file", "subproblem", "warm_up",
-]  # fmt: skip
-
-Verdict = Literal["accepted", "refused"]
-LIMIT_S = 20
-
-
-class Hang(BaseException):
-    """A case took too long. No Exception: nothing may swallow it."""
-
-
-class Wrong(AssertionError):
-    """An input was taken, and what came of it is not true; or refused without saying why."""
-
-
-@contextmanager
-def time_limit(seconds: int = LIMIT_S) -> Iterator[None]:
-    """Raise Hang where the inside takes longer."""
-
-    def ring(number: int, frame: FrameType | None) -> None:
-        raise Hang(f"more than {seconds} s")
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(seconds)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
-
 
 def warm_up() -> None:
     """Compile what is compiled: a compiler at work looks like a hang."""
     for law in ("moc", "dcac"):
         trace = run(Scenario(control={"law": law}, duration_s=0.004, bound_samples=1))
-    qp = NullSpaceQP(
-        np.eye(3, 7), np.eye(3, 7), np.zeros(3), np.zeros(3), np.ones(7), -np.ones(7), np.ones(7)
-    )
+    rows, rest = np.eye(3, 7), np.zeros(3)
+    qp = NullSpaceQP(rows, rows, rest, rest, np.ones(7), lower=-np.ones(7), upper=np.ones(7))
     for name in ("exact", "rnn"):
         solver = create(name)
         solver.start(qp).solve(qp)
@@ -76,38 +38,32 @@ def warm_up() -> None:
 
 
 def scenario(case: tuple[dict[str, Any], tuple[str, ...]]) -> Verdict:
-    """A scenario as a table: two ticks of it run."""
+    """Check a scenario as a table: two ticks of it run."""
     table, names = case
     try:
         made = Scenario(**table)
     except MocOptError as error:
-        if not any(repr(name)[1:-1] in str(error) for name in names):
-            raise Wrong(f"none of {names} is named: {error}") from error
-        return "refused"
+        return refused(error, any(repr(name)[1:-1] in str(error) for name in names))
     return few_ticks(made)
 
 
 def scenario_file(data: bytes) -> Verdict:
-    """A scenario's file."""
-    with _file(data, "scenario.toml") as path:
+    """Check a scenario's file."""
+    with file("scenario.toml", data) as path:
         try:
             made = Scenario.load(path)
         except MocOptError as error:
-            if path.name not in str(error):
-                raise Wrong(f"the file is not named: {error}") from error
-            return "refused"
+            return refused(error, path.name in str(error))
     return few_ticks(made)
 
 
 def few_ticks(made: Scenario) -> Verdict:
-    """Two ticks of a scenario, sound or refused."""
+    """Check two ticks of a scenario, sound or refused."""
     try:
         short = made.change(duration_s=2.0 * made.plant.period_s, bound_samples=min(made.bound_samples, 2))
         trace = run(short)
     except MocOptError as error:
-        if len(str(error)) < 15:
-            raise Wrong(f"says too little: {error}") from error
-        return "refused"
+        return refused(error)
     if not (np.isfinite(trace.q_rad).all() and np.isfinite(trace.tau_Nm).all()):
         raise Wrong("a run that ended well holds NaN")
     summarize(trace)
@@ -115,9 +71,8 @@ def few_ticks(made: Scenario) -> Verdict:
 
 
 def robot_file(case: tuple[bytes, bytes]) -> Verdict:
-    """An arm's TOML and URDF: loaded, modelled, and two periods in the plant."""
-    with _file(case[0], "arm.toml") as path:
-        path.with_suffix(".urdf").write_bytes(case[1])
+    """Check an arm's TOML and URDF: loaded, modelled, and two periods in the plant."""
+    with arm(*case) as path:
         try:
             robot = load_robot(path)
             check_engines(robot)
@@ -126,9 +81,7 @@ def robot_file(case: tuple[bytes, bytes]) -> Verdict:
             for _ in range(2):
                 plant.step(robot.gravity(robot.data.q_home))
         except MocOptError as error:
-            if len(str(error)) < 15:
-                raise Wrong(f"says too little: {error}") from error
-            return "refused"
+            return refused(error)
     for name in ("tip", "wrist", "M", "h"):
         if not np.isfinite(getattr(state, name)).all():
             raise Wrong(f"{name} of an arm that was accepted is not finite")
@@ -138,13 +91,11 @@ def robot_file(case: tuple[bytes, bytes]) -> Verdict:
 
 
 def subproblem(case: dict[str, Any]) -> Verdict:
-    """A subproblem: built, and answered by two solvers that are ours."""
+    """Check a subproblem: built, and answered by two solvers that are ours."""
     try:
         qp = NullSpaceQP(**case)
     except SubproblemError as error:
-        if not any(name in str(error) for name in case):
-            raise Wrong(f"no field is named: {error}") from error
-        return "refused"
+        return refused(error, any(name in str(error) for name in case))
     with np.errstate(all="ignore"):  # numbers of 1e300 overflow; what counts is what is said about them
         for name in ("exact", "rnn"):
             solver = create(name)
@@ -181,14 +132,12 @@ def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]])
 
 
 def result_file(data: bytes) -> Verdict:
-    """A trace's Parquet file: the trace that was saved, or a refusal; and what is in it is data only."""
-    with _file(data, "trace.parquet") as path:
+    """Check a trace's Parquet file: the trace that was saved, or a refusal; and what is in it is data only."""
+    with file("trace.parquet", data) as path:
         try:
             found = Trace.load(path)
         except MocOptError as error:
-            if path.name not in str(error) and "column" not in str(error) and "meta" not in str(error):
-                raise Wrong(f"neither file nor column is named: {error}") from error
-            return "refused"
+            return refused(error, any(name in str(error) for name in (path.name, "column", "meta")))
     for name, column in found.columns.items():
         if column.dtype.kind not in "fiubU":
             raise Wrong(f"column {name!r} is {column.dtype}")
@@ -205,22 +154,17 @@ def result_file(data: bytes) -> Verdict:
 
 
 def record_file(data: bytes) -> Verdict:
-    """A sweep's record (JSON): what was sealed, or nothing."""
-    from benchmarks.sweeps.store import _opened
-
-    with _file(data, "record.json") as path:
-        found = _opened(path, "0")
+    """Check a sweep's record (JSON): what was sealed, or nothing."""
+    with file("record.json", data) as path:
+        found = opened(path, "0")
     if found is not None and not isinstance(found, dict):
         raise Wrong(f"a record that is a {type(found).__name__}")
     return "refused" if found is None else "accepted"
 
 
-@contextmanager
-def _file(data: bytes, name: str) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder:
-        path = Path(folder, name)
-        path.write_bytes(data)
-        yield path
-
-
-Check = Callable[[Any], Verdict]
+KINDS = {
+    "scenario": Kind(scenario, scenarios()), "scenario_file": Kind(scenario_file, edited(TOML)),
+    "robot_file": Kind(robot_file, robot_files()), "subproblem": Kind(subproblem, subproblems()),
+    "result_file": Kind(result_file, result_files()), "record_file": Kind(record_file, record_files),
+    "exported": Kind(fuzz_c.exported, fuzz_c.cases),
+}  # fmt: skip

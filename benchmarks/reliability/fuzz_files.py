@@ -17,7 +17,8 @@ import hypothesis.strategies as st
 import numpy as np
 from pydantic import BaseModel
 
-from benchmarks.reliability.fuzz_inputs import TOML, good_trace
+from benchmarks.reliability.fuzz_inputs import TOML
+from benchmarks.reliability.fuzz_traces import good_trace
 from benchmarks.sweeps.config import Config as SweepConfig
 from moc_opt.scenario import Scenario
 
@@ -77,7 +78,7 @@ def _integer(base: str) -> Callable[[HostileFile], bytes]:
 
 
 def _npy(case: HostileFile) -> bytes:
-    """A header that promises more than there is."""
+    """Return a header that promises more than there is."""
     rng = np.random.default_rng(case.seed)
     shape = tuple(int(n) for n in rng.integers(1, 10**6, int(rng.integers(1, 4))))
     sink = io.BytesIO()
@@ -87,7 +88,7 @@ def _npy(case: HostileFile) -> bytes:
 
 
 def _constant_parquet(case: HostileFile) -> bytes:
-    """A trace of so many rows of one value: a few hundred bytes."""
+    """Return a trace of so many rows of one value: a few hundred bytes."""
     import json
 
     import pyarrow as pa
@@ -112,7 +113,7 @@ def _constant_parquet(case: HostileFile) -> bytes:
 
 
 def _trace_with_lies(case: HostileFile) -> bytes:
-    """A trace whose footer has other numbers: rows, sizes, counts."""
+    """Return a trace whose footer has other numbers: rows, sizes, counts."""
     data, rng = bytearray(good_trace()[1]), np.random.default_rng(case.seed)
     length = struct.unpack("<I", data[-8:-4])[0]
     for _ in range(int(rng.integers(1, 6))):
@@ -153,7 +154,7 @@ SHAPES: dict[str, Callable[[Path, HostileFile], None]] = {
 
 @st.composite
 def hostile_files(draw: st.DrawFn) -> HostileFile:
-    """A reader, and a file for it; half of them of a shape that is meant for this reader."""
+    """Draw a reader, and a file for it; half of them of a shape that is meant for this reader."""
     reader = draw(st.sampled_from(READERS))
     meant = {"trace": ("constant trace", "lying footer"), "urdf": ("nested XML", "wide XML", "attributes"),
              "replay_us": ("array header",), "testset": ("array header",), "part": ("array header", "noise"),
@@ -171,7 +172,7 @@ EXTREMES = (
 
 @cache
 def number_fields(table: type[BaseModel]) -> tuple[tuple[str, ...], ...]:
-    """The path of every field that takes a number."""
+    """Return the path of every field that takes a number."""
     found: list[tuple[str, ...]] = []
     for name, field in table.model_fields.items():
         inner = field.annotation
@@ -184,7 +185,7 @@ def number_fields(table: type[BaseModel]) -> tuple[tuple[str, ...], ...]:
 
 @st.composite
 def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], Any], ...]]:
-    """A configuration, and one or two of its numbers at an end of their range."""
+    """Draw a configuration, and one or two of its numbers at an end of their range."""
     kind = draw(st.sampled_from(["scenario", "scenario", "sweep"]))
     table: type[BaseModel] = Scenario if kind == "scenario" else SweepConfig
     fields = [path for path in number_fields(table) if kind == "scenario" or path[0] != "scenario"]
@@ -223,9 +224,3 @@ damages = st.lists(
     ),
     min_size=1, max_size=4,
 )  # fmt: skip
-
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
-    "hostile_file": hostile_files(), "extreme_number": extreme_numbers(), "sweep_folder": damages,
-    "study_folder": damages, "trace_folder": damages,
-}  # fmt: skip
-"""Kind of input -> where cases come from."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import hypothesis.strategies as st
@@ -12,11 +10,8 @@ import numpy as np
 from hypothesis.extra.numpy import array_shapes, arrays
 from pydantic import BaseModel
 
-from benchmarks.reliability import fuzz_c
+from benchmarks.reliability.fuzz_case import ARM_TOML, ARM_URDF
 from moc_opt.scenario import Scenario
-from moc_opt.trace.trace import Trace
-
-ROBOTS = Path(__file__).resolve().parents[2] / "moc_opt" / "robots"
 
 numbers = st.one_of(
     st.sampled_from([
@@ -43,7 +38,7 @@ junk = st.recursive(
 
 @cache
 def fields(table: type[BaseModel] = Scenario) -> tuple[tuple[str, ...], ...]:
-    """The dotted path of every field of a scenario, tables before what is in them."""
+    """Return the dotted path of every field of a scenario, tables before what is in them."""
     found: list[tuple[str, ...]] = []
     for name, field in table.model_fields.items():
         found.append((name,))
@@ -58,7 +53,7 @@ usual = st.sampled_from([0.0, 1e-3, 0.02, 0.1, 0.5, 1.0, 2, True, False])
 
 @st.composite
 def scenarios(draw: st.DrawFn) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """A scenario as a table with one to three fields changed, and the names of these fields."""
+    """Draw a scenario as a table with one to three fields changed, and the names of these fields."""
     table: dict[str, Any] = {}
     names: list[str] = []
     for path in draw(st.lists(st.sampled_from(fields()), min_size=1, max_size=3, unique=True)):
@@ -112,7 +107,7 @@ bump_N = 5.0
 
 @st.composite
 def edited(draw: st.DrawFn, text: str) -> bytes:
-    """A text file with a few lines, words or bytes changed, doubled or taken out; or something else entirely."""
+    """Draw a text file with a few lines, words or bytes changed, doubled or taken out; or something else entirely."""
     kind = draw(st.integers(0, 9))
     if kind == 0:
         return draw(st.binary(max_size=200))
@@ -155,35 +150,22 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
 
 @st.composite
 def robot_files(draw: st.DrawFn) -> tuple[bytes, bytes]:
-    """TOML and URDF of an arm, one or both of them spoilt."""
-    toml = (ROBOTS / "lwr4.toml").read_text(encoding="utf-8").replace('"lwr4.urdf"', '"arm.urdf"')
-    urdf = (ROBOTS / "lwr4.urdf").read_text(encoding="utf-8")
+    """Draw TOML and URDF of an arm, one or both of them spoilt."""
     which = draw(st.integers(0, 2))
     return (
-        draw(edited(toml)) if which != 1 else toml.encode(),
-        draw(edited(urdf)) if which != 0 else urdf.encode(),
+        draw(edited(ARM_TOML)) if which != 1 else ARM_TOML.encode(),
+        draw(edited(ARM_URDF)) if which != 0 else ARM_URDF.encode(),
     )
 
 
 SUBPROBLEM = (
-    "J_tip",
-    "J_wrist",
-    "v_tip",
-    "v_wrist",
-    "grad_mu",
-    "lower",
-    "upper",
-    "c0",
-    "c1",
-    "c2",
-    "regularization",
-    "q",
-)
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+)  # fmt: skip
 
 
 @st.composite
 def subproblems(draw: st.DrawFn) -> dict[str, Any]:
-    """Arguments of NullSpaceQP: random ones that fit, then some of them replaced."""
+    """Draw arguments of NullSpaceQP: random ones that fit, then some of them replaced."""
     n = draw(st.sampled_from([7, 7, 7, 6, 3, 1]))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     u = rng.normal(size=3)
@@ -218,111 +200,4 @@ def subproblems(draw: st.DrawFn) -> dict[str, Any]:
     return given
 
 
-@cache
-def good_trace() -> tuple[Trace, bytes]:
-    """A small trace and its file."""
-    rng = np.random.default_rng(0)
-    trace = Trace(
-        {
-            "t_s": 0.002 * np.arange(20), "q_rad": rng.normal(size=(20, 7)), "mu": rng.uniform(size=20),
-            "status": np.array(["solved", "infeasible"] * 10), "verified": rng.uniform(size=20) < 0.5,
-            "iterations": np.arange(20, dtype=np.int32),
-        },
-        {"deadline_us": 2000.0, "scenario": {"name": "x"}, "ended": "completed"},
-    )  # fmt: skip
-    return trace, saved(trace)
-
-
-def saved(trace: Trace) -> bytes:
-    """The bytes of its file."""
-    import tempfile
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "trace.parquet")
-        trace.save(file)
-        return file.read_bytes()
-
-
-@st.composite
-def result_files(draw: st.DrawFn) -> bytes:
-    """A trace's file with bytes changed, or a Parquet file of other columns and hostile metadata."""
-    if draw(st.booleans()):
-        data = bytearray(good_trace()[1])
-        for _ in range(draw(st.integers(1, 4))):
-            place = draw(st.integers(0, max(len(data) - 1, 0)))
-            how = draw(st.integers(0, 3))
-            if how == 0 and data:
-                data[place] = draw(st.integers(0, 255))
-            elif how == 1:
-                del data[place : place + draw(st.integers(1, 50))]
-            elif how == 2:
-                data[place:place] = draw(st.binary(max_size=20))
-            else:
-                del data[place:]
-        return bytes(data)
-    return draw(foreign_tables())
-
-
-@st.composite
-def foreign_tables(draw: st.DrawFn) -> bytes:
-    """A Parquet file that claims to be a trace."""
-    import json
-
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    rows = draw(st.integers(0, 4))
-    columns = {
-        "t_s": pa.array([0.1] * rows), "list": pa.array([[1.0]] * rows, pa.list_(pa.float64())),
-        "fixed": pa.array([[1.0, 2.0]] * rows, pa.list_(pa.float64(), 2)), "bytes": pa.array([b"x"] * rows),
-        "text": pa.array(["x"] * rows, pa.string()), "when": pa.array([1] * rows, pa.timestamp("ns")),
-        "null": pa.array([None] * rows), "struct": pa.array([{"a": 1}] * rows, pa.struct([("a", pa.int64())])),
-        "holes": pa.array([None if i else 1.0 for i in range(rows)], pa.float64()),
-        "columns": pa.array([1.0] * rows), "__class__": pa.array([1.0] * rows), "q_rad": pa.array([1.0] * rows),
-        "decimal": pa.array([1] * rows, pa.decimal128(30, 2)), "status": pa.array(["solved"] * rows),
-    }  # fmt: skip
-    names = draw(st.lists(st.sampled_from(sorted(columns)), min_size=1, max_size=4, unique=True))
-    kinds = [
-        "<f8",
-        "|O",
-        "<U9",
-        "<U999999999",
-        "|V8",
-        "<M8[ns]",
-        "|S4",
-        "<f2",
-        "<c16",
-        "|b1",
-        ">i4",
-        "f8,i4",
-        "junk",
-        3,
-        None,
-    ]
-    types = {name: draw(st.sampled_from(kinds)) for name in names}
-    if draw(st.booleans()):
-        types = {name: "<f8" for name in names}
-    metadata = {
-        b"moc_opt.trace.trace": draw(st.sampled_from([b"1", b"1", b"1", b"2", b"\xff"])),
-        b"moc_opt.types": draw(st.sampled_from([json.dumps(types).encode(), b"[]", b"\xff", b"{}", b"[" * 100_000])),
-        b"moc_opt.meta": draw(
-            st.one_of(
-                st.just(b"{}"), st.just(b'{"deadline_us": NaN}'), st.just(b"[" * 100_000), st.just(b'[["a", 1]]'),
-                junk.map(lambda value: json.dumps(value).encode("utf-8", "surrogatepass")), st.binary(max_size=30),
-            )
-        ),
-        **draw(st.dictionaries(st.binary(min_size=1, max_size=5), st.binary(max_size=20), max_size=2)),
-    }  # fmt: skip
-    table = pa.table({name: columns[name] for name in names}).replace_schema_metadata(metadata)
-    sink = io.BytesIO()
-    pq.write_table(table, sink)
-    return sink.getvalue()
-
-
 record_files = st.one_of(edited('{"record": "{}", "crc": 0}'), edited('{"a": 1}'))
-
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {
-    "scenario": scenarios(), "scenario_file": edited(TOML), "robot_file": robot_files(), "subproblem": subproblems(),
-    "result_file": result_files(), "record_file": record_files, "exported": fuzz_c.cases,
-}  # fmt: skip
-"""Kind of input -> where cases come from."""

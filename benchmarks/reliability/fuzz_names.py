@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import re
-import tempfile
 from contextlib import chdir, redirect_stdout
 from functools import cache
 from html.parser import HTMLParser
@@ -16,10 +15,12 @@ from xml.sax.saxutils import quoteattr
 import hypothesis.strategies as st
 import numpy as np
 
-from benchmarks.reliability.fuzz_checks import Verdict, Wrong
-from benchmarks.reliability.fuzz_inputs import ROBOTS, junk, numbers
+from benchmarks.latency.solve import random_problems
+from benchmarks.reliability.fuzz_case import ARM_TOML, ARM_URDF, Kind, Verdict, Wrong, arm, folder, refused
+from benchmarks.reliability.fuzz_inputs import junk, numbers
 from moc_opt.control import ControlSettings
 from moc_opt.embedded import source
+from moc_opt.embedded.support import TickSpec
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.inputs import names as rule
@@ -57,7 +58,7 @@ WRITING = st.sampled_from([
 
 @st.composite
 def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
-    """A solver, and options for the library behind it: half of the time none but those that may be set."""
+    """Draw a solver, and options for the library behind it: half of the time none but those that may be set."""
     solver = draw(st.sampled_from([name for name in ALLOWED if not name.endswith(ABSENT)]))
     own = st.sampled_from(sorted(ALLOWED[solver]))
     values = st.one_of(st.floats(0.0, 1.0), st.booleans(), st.integers(0, 50))
@@ -68,49 +69,43 @@ def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
     return solver, draw(st.dictionaries(own, values, min_size=1, max_size=3))
 
 
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {"name": names, "option": options()}
-
 
 def name(case: tuple[str, str]) -> Verdict:
-    """A name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
+    """Check a name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
     place, text = case
     _comments(text)
     _pages(text)
     _files(text)
     try:
-        arm = _read(place, text)
+        robot = _read(place, text)
     except MocOptError as error:
-        if len(str(error)) < 15:
-            raise Wrong(f"says too little: {error}") from error
-        return "refused"
+        return refused(error)
     if not re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_ .:+/-]{0,98}[A-Za-z0-9_])?", text):
         raise Wrong(f"{text!r} was taken for a name of a {place}")
-    if arm is not None and place in ("joint", "link"):
-        arm.state(arm.data.q_home)
+    if robot is not None and place in ("joint", "link"):
+        robot.state(robot.data.q_home)
     return "accepted"
 
 
 def option(case: tuple[str, dict[str, Any]]) -> Verdict:
-    """Options: refused by name, or the solver answers; and the current folder stays empty."""
+    """Check options: refused by name, or the solver answers; and the current folder stays empty."""
     solver, given = case
     if available().get(solver, "absent") is not None:
         return "refused"
     brief: dict[str, Any] = {key: 20 for key in ("max_iter", "max_iters", "iter_limit") if key in ALLOWED[solver]}
     brief |= {"time_limit": 0.05} if solver.endswith("highs") else {}
     qp = _problem()
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder, chdir(folder), redirect_stdout(io.StringIO()):
+    with folder() as where, chdir(where), redirect_stdout(io.StringIO()):
         try:
             session = create(solver, options={**given, **brief}).start(qp)
         except MocOptError as error:
-            if not any(repr(key)[1:-1][:40] in str(error) for key in given):
-                raise Wrong(f"no option is named: {error}") from error
-            return "refused"
+            return refused(error, any(repr(key)[1:-1][:40] in str(error) for key in given))
         else:
             if session.solve(qp).x.shape != (qp.n,):
                 raise Wrong("no answer")
         finally:
-            if os.listdir(folder):
-                raise Wrong(f"{solver} with {given} wrote {os.listdir(folder)}")
+            if os.listdir(where):
+                raise Wrong(f"{solver} with {given} wrote {os.listdir(where)}")
     if not set(given) <= ALLOWED[solver]:
         raise Wrong(f"{sorted(set(given) - ALLOWED[solver])} passed")
     return "accepted"
@@ -132,8 +127,7 @@ def _read(place: str, text: str) -> RobotModel | None:
 
 
 def _arm(place: str, text: str) -> RobotModel:
-    toml = (ROBOTS / "lwr4.toml").read_text(encoding="utf-8").replace('"lwr4.urdf"', '"arm.urdf"')
-    urdf = (ROBOTS / "lwr4.urdf").read_text(encoding="utf-8")
+    toml, urdf = ARM_TOML, ARM_URDF
     try:
         quoted = quoteattr(text)
         (quoted + text).encode("utf-8")
@@ -148,15 +142,13 @@ def _arm(place: str, text: str) -> RobotModel:
         toml = toml.replace('name = "lwr4"', f"name = {basic}")
     else:
         toml = toml.replace("[gains.dcac]", f"[gains.{basic}]")
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder:
-        Path(folder, "arm.toml").write_bytes(toml.encode())
-        Path(folder, "arm.urdf").write_bytes(urdf.encode())
-        return load_robot(Path(folder, "arm.toml"))
+    with arm(toml, urdf) as path:
+        return load_robot(path)
 
 
 @cache
 def _tick() -> Tick:
-    return build_tick(load_robot(), ControlSettings(), Exact(), 0.002)
+    return build_tick(TickSpec(load_robot(), ControlSettings(), Exact(), 0.002))
 
 
 def _comments(text: str) -> None:
@@ -167,7 +159,7 @@ def _comments(text: str) -> None:
 
 
 def code_of(text: str) -> str:
-    """What a C99 compiler is left with: trigraphs and joined lines resolved, comments taken out."""
+    """Return what a C99 compiler is left with: trigraphs and joined lines resolved, comments taken out."""
     for mark, meant in zip("=/'()!<>-", "#\\^[]|{}~", strict=True):
         text = text.replace(f"??{mark}", meant)
     text = re.sub(r"\\[ \t]*(\r\n|\r|\n)", "", text)
@@ -214,9 +206,7 @@ def _files(text: str) -> None:
 
 @cache
 def _problem() -> NullSpaceQP:
-    rng = np.random.default_rng(0)
-    J, u = rng.normal(size=(3, 7)), np.array([0.0, 0.0, 1.0])
-    wrist = J + 0.4 * np.cross(rng.normal(size=(7, 3)), u).T
-    x = rng.uniform(-0.5, 0.5, 7)
-    grad = rng.normal(size=7)
-    return NullSpaceQP(J, wrist, J @ x, wrist @ x, grad, np.full(7, -2.0), np.full(7, 2.0), regularization=1e-5)
+    return random_problems(7, 1, np.random.default_rng(0))[0]
+
+
+KINDS = {"name": Kind(name, names), "option": Kind(option, options())}

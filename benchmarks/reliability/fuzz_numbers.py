@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-import tempfile
-from pathlib import Path
-from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import hypothesis.strategies as st
 import numpy as np
 
-from benchmarks.reliability.fuzz_checks import Verdict, Wrong
-from benchmarks.reliability.fuzz_inputs import ROBOTS
+from benchmarks.reliability import fuzz_case
+from benchmarks.reliability.fuzz_case import ARM_URDF, Kind, Verdict, Wrong, refused
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.sim.plant import Plant
 
-URDF = (ROBOTS / "lwr4.urdf").read_text(encoding="utf-8")
 NUMBER = re.compile(r'\b(xyz|rpy|value|i[xyz]{2}|lower|upper|velocity|effort)="([^"]*)"')
-SPOTS = [found.span(2) for found in NUMBER.finditer(URDF)]
+SPOTS = [found.span(2) for found in NUMBER.finditer(ARM_URDF)]
 
 odd = st.sampled_from([
     "", " ", "0x1p-2", "0x10", "1_0", "nan", "-nan", "nan(0x1)", "inf", "1e999", "-1e999", "1e-310", "4.9e-324",
@@ -41,26 +37,20 @@ urdf_numbers = st.lists(
 )  # fmt: skip
 """Places in the arm's URDF, and what is written there."""
 
-STRATEGIES: dict[str, st.SearchStrategy[Any]] = {"urdf_number": urdf_numbers}
-
 
 def urdf_number(case: list[tuple[tuple[int, int], str]]) -> Verdict:
-    """An arm with these numbers: refused with the link or joint named, or one and the same in both engines."""
-    urdf = URDF
+    """Check an arm with these numbers: refused with the link or joint named, or one and the same in both engines."""
+    urdf = ARM_URDF
     for (start, end), text in sorted(case, reverse=True):
         urdf = urdf[: start - 1] + quoteattr(text) + urdf[end + 1 :]
-    with tempfile.TemporaryDirectory(prefix="moc-opt-fuzz-") as folder:
-        toml = (ROBOTS / "lwr4.toml").read_text(encoding="utf-8").replace('"lwr4.urdf"', '"arm.urdf"')
-        Path(folder, "arm.toml").write_text(toml, encoding="utf-8")
-        Path(folder, "arm.urdf").write_bytes(urdf.encode())
+    with fuzz_case.arm(urdf=urdf) as path:
         try:
-            arm = load_robot(Path(folder, "arm.toml"))
+            arm = load_robot(path)
         except RobotError as error:
-            if not re.search(r"link_\d|joint_\d|frames coincide|not well-formed", str(error)):
-                raise Wrong(f"neither link nor joint is named: {error}") from error
-            return "refused"
+            return refused(error, bool(re.search(r"link_\d|joint_\d|frames coincide|not well-formed", str(error))))
     for (start, _), text in case:
-        limits = URDF[:start].rfind("<limit") > URDF[:start].rfind(">")  # the TOML's stand in their place, unread
+        before = ARM_URDF[:start]
+        limits = before.rfind("<limit") > before.rfind(">")  # the TOML's stand in their place, unread
         if not limits and not all(_plain(part) for part in text.split(" ")):
             raise Wrong(f"{text!r} was taken for a number")
     check_engines(arm)
@@ -72,6 +62,9 @@ def urdf_number(case: list[tuple[tuple[int, int], str]]) -> Verdict:
 
 
 def _plain(text: str) -> bool:
-    """A decimal number as every reader takes it; the white space around it is XML's."""
+    """Return a decimal number as every reader takes it; the white space around it is XML's."""
     text = text.strip("\t\n\r")
     return text == "" or (set(text) <= set("0123456789+-.eE") and math.isfinite(float(text)))
+
+
+KINDS = {"urdf_number": Kind(urdf_number, urdf_numbers)}

@@ -45,7 +45,7 @@ GOALS = [
 
 
 def case_rows(summary: Summary) -> list[dict[str, Any]]:
-    """One per case and controller."""
+    """Return one row per case and controller."""
     return [
         {"case": case, "solver": name, **figures, "outcome": outcome(figures)}
         for case, by in summary.items()
@@ -54,7 +54,7 @@ def case_rows(summary: Summary) -> list[dict[str, Any]]:
 
 
 def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
-    """Goals, every case, and what the supervisor saw."""
+    """Make the tables: goals, every case, and what the supervisor saw."""
     rows = case_rows(summary)
     return [
         Table("Goals", GOALS, goals),
@@ -66,7 +66,7 @@ def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
 
 
 def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
-    """The result in words, computed."""
+    """Return the result in words, computed."""
     rows = case_rows(summary)
     runs = sum(r["runs"] for r in rows)
     survived, stopped = (sum(r[name] for r in rows) for name in ("survived", "stopped"))
@@ -105,17 +105,8 @@ def report(
     return page
 
 
-def markdown(columns: list[Column], rows: list[dict[str, Any]]) -> str:
-    """A table for docs/: the same notation as everywhere."""
-    heads = [f"{c.title} [{c.unit}]" if c.unit else c.title for c in columns]
-    cells = [[cell.text for cell in Table("", columns, rows).cells(column)] for column in columns]
-    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
-    lines += ["| " + " | ".join(line) + " |" for line in zip(*cells, strict=True)]
-    return "\n".join(lines)
-
-
 def by_group(summary: Summary) -> dict[str, list[dict[str, Any]]]:
-    """Rows of the cases, group by group."""
+    """Return the rows of the cases, group by group."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in case_rows(summary):
         groups.setdefault(str(row["group"]), []).append(row)

@@ -49,7 +49,7 @@ class Outcome:
 
 
 def jobs(config: Config) -> list[Job]:
-    """Every controller on every trial."""
+    """Return every controller on every trial."""
     found = []
     for trial in range(config.trials):
         base = config.scenario.change(seed=config.seed + trial)
@@ -74,13 +74,13 @@ class Waited:
         self.rows, _ = WaitingReference(reference, period).play(seen)
 
     def at(self, t: Array) -> tuple[Array, Array, Array]:
-        """Point, velocity, acceleration, (k, 3) each, of the first k ticks."""
+        """Return the point, velocity, acceleration, (k, 3) each, of the first k ticks."""
         x, dx, ddx = np.swapaxes(self.rows[: len(t)], 0, 1)
         return x, dx, ddx
 
 
 def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> tuple[Trace | None, str]:
-    """The trace as far as it goes, and how the run ended."""
+    """Return the trace as far as it goes, and how the run ended."""
     try:
         setup = Setup(scenario)
         if camera_lost_s is not None:
@@ -95,7 +95,7 @@ def run_case(scenario: Scenario, camera_lost_s: tuple[float, float] | None) -> t
 
 
 def run_job(job: Job) -> Outcome:
-    """All cases of a job."""
+    """Run all cases of a job."""
     out = Outcome()
     free, ended = run_case(job.scenario, None)
     if free is None:
@@ -121,7 +121,7 @@ def run_job(job: Job) -> Outcome:
 def measure(
     trace: Trace | None, free: Trace, ended: str, case: Case | None, limits_mm: tuple[float, float]
 ) -> dict[str, Any]:
-    """The figures of one run beside the run without a fault."""
+    """Return the figures of one run beside the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
     # A stopped arm does not follow its reference, and is not meant to: what counts then is how far it coasts.
@@ -154,12 +154,12 @@ def measure(
 
 
 def _coast_mm(trace: Trace, stop: int) -> float:
-    """Largest distance of the tip from where it was when the stop began [mm]."""
+    """Return the largest distance of the tip from where it was when the stop began [mm]."""
     return 1e3 * float(np.linalg.norm(trace.tip_m[stop:] - trace.tip_m[stop], axis=1).max())
 
 
 def detection(trace: Trace) -> dict[str, int]:
-    """Injected solver faults, those that were refused, and those that were not.
+    """Count injected solver faults, those that were refused, and those that were not.
 
     An answer that was spoilt, was taken, and is verified as the optimum all the same (the opposite gradient can
     have the same optimum, where the box leaves one point) did no harm: it counts apart from the missed ones.
@@ -179,7 +179,7 @@ def detection(trace: Trace) -> dict[str, int]:
 
 
 def recovery(trace: Trace, free: Trace, case: Case | None, ended: str) -> float | None:
-    """Seconds from the fault's end (its start, if it lasts) until both errors stay below 1.2 times their level.
+    """Return the seconds from the fault's end (its start, if it lasts) until both errors stay below 1.2 of their level.
 
     None where the run was stopped, or ends above that level.
     """
@@ -202,7 +202,7 @@ def recovery(trace: Trace, free: Trace, case: Case | None, ended: str) -> float 
 
 
 def smooth(values: Array, width: int) -> Array:
-    """Mean of the last ``width`` values, (N,); of fewer at the beginning."""
+    """Return the mean of the last ``width`` values, (N,); of fewer at the beginning."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     end = np.arange(1, len(values) + 1)
     begin = np.maximum(end - width, 0)

@@ -23,7 +23,7 @@ Summary = dict[str, dict[str, Any]]
 
 
 def summarise(rows: Sequence[Row]) -> Summary:
-    """Case -> controller -> figures: outcomes counted over the trials, worst errors, faults summed."""
+    """Map case and controller to figures: outcomes counted over the trials, worst errors, faults summed."""
     found: Summary = {}
     for row in rows:
         found.setdefault(str(row["case"]), {}).setdefault(str(row["solver"]), []).append(row)
@@ -57,7 +57,7 @@ def outcome(figures: Row) -> str:
 
 
 def goals(config: Config, summary: Summary) -> list[dict[str, Any]]:
-    """What was promised, what was found, and whether the one is the other; nothing on what was not run."""
+    """Return what was promised, what was found, and whether the one is the other; nothing on what was not run."""
     everything = [(case, name, f) for case, by in summary.items() for name, f in by.items()]
     solver = {name: case for name, case in config.cases.items() if case.group == "solver"}
     always = {name for name, case in solver.items() if case.faults.get("solver_share", 0.0) >= 1.0}

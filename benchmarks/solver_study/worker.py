@@ -1,5 +1,6 @@
-"""Workers of the study; see `benchmarks.processes`."""
+"""Workers of the study; see `benchmarks.processes` and `benchmarks.crew`."""
 
-from benchmarks.processes import START_S, Crashed, Hung, Raised, Worker, WorkerError, beat, spread
+from benchmarks.crew import spread
+from benchmarks.processes import START_S, Crashed, Hung, Raised, Worker, WorkerError, beat
 
 __all__ = ["START_S", "Crashed", "Hung", "Raised", "Worker", "WorkerError", "beat", "spread"]

@@ -49,7 +49,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """The same sweep with the first two values of everything, and short runs."""
+        """Return the same sweep with the first two values of everything, and short runs."""
         solvers = None if self.solvers is None else chosen_solvers(self)[0][:2]
         length = min(self.scenario.duration_s or 0.2, 0.2)
         return self.model_copy(
@@ -64,7 +64,7 @@ class Config(Configuration):
 
 
 def chosen_seeds(config: Config) -> list[int]:
-    """The seeds of the scenarios.
+    """Return the seeds of the scenarios.
 
     Raises:
         SweepError: there is none, or one twice.
@@ -79,7 +79,7 @@ def chosen_seeds(config: Config) -> list[int]:
 
 
 def chosen_solvers(config: Config) -> tuple[list[str], dict[str, dict[str, Any]]]:
-    """Names in order, and name -> settings; every one of them can run here.
+    """Return the names in order, and name -> settings; every one of them can run here.
 
     Raises:
         UnknownNameError: no such solver.

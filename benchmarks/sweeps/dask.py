@@ -55,7 +55,7 @@ class DaskPool:
         self._client.close(timeout=CONNECT_S)
 
     def window(self) -> int:
-        """Two runs for each thread of a worker; looked up again now and then, as workers come and go."""
+        """Return two runs for each thread of a worker; looked up again now and then, as workers come and go."""
         if monotonic() - self._looked >= LOOK_EVERY_S:
             try:
                 self._window = max(2, 2 * sum(self._client.nthreads().values()))

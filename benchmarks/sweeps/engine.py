@@ -26,7 +26,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def execute(table: Table, limit_s: float) -> dict[str, Any]:
-    """One run, in a worker.
+    """Do one run, in a worker.
 
     A process has one clock and one collector, so a worker with several threads still does one run at a time.
 
@@ -69,7 +69,7 @@ class Pool(Protocol):
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None: ...
 
     def window(self) -> int:
-        """How many runs to keep in flight."""
+        """Tell how many runs to keep in flight."""
         ...
 
     def submit(self, work: Work, table: Table, limit_s: float) -> Future[dict[str, Any]]:
@@ -181,7 +181,7 @@ def _sent(pool: Pool, work: Work, table: Table, limit_s: float) -> Future[dict[s
 
 
 def _landed(future: Future[dict[str, Any]], pool: Pool, index: int) -> dict[str, Any] | BaseException:
-    """The result, or what took the worker or the machine down."""
+    """Return the result, or what took the worker or the machine down."""
     if future.cancelled():
         raise WorkerError("the scheduler went away with the runs that were under way; start again")
     error = future.exception()

@@ -38,7 +38,7 @@ class Choice(Settings):
 
 
 def paths(model: type[BaseModel] = Scenario, prefix: str = "") -> Iterator[tuple[str, bool]]:
-    """Every field of a scenario, tables opened: its dotted path, and whether it takes names of its own."""
+    """Return every field of a scenario, tables opened: its dotted path, and whether it takes names of its own."""
     for name, info in model.model_fields.items():
         kinds = [info.annotation, *get_args(info.annotation)]
         tables = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
@@ -70,7 +70,7 @@ def check_path(path: str) -> str:
 def flatten(
     table: Mapping[str, Any], is_leaf: Callable[[Any], bool], prefix: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """TOML reads ``control.c0 = ...`` as a table in a table and ``"control.c0" = ...`` as one name: both are one."""
+    """Flatten what TOML reads: ``control.c0 = ...`` is a table in a table, ``"control.c0" = ...`` one name."""
     for name, value in table.items():
         if isinstance(value, Mapping) and not is_leaf(value):
             yield from flatten(value, is_leaf, f"{prefix}{name}.")
@@ -79,7 +79,7 @@ def flatten(
 
 
 def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Path -> its values, all checked.
+    """Map path to its values, all checked.
 
     Raises:
         UnknownNameError: no such field.
@@ -98,7 +98,7 @@ def grid_axes(table: Mapping[str, Any]) -> dict[str, list[Any]]:
 
 
 def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str, list[Any]]:
-    """Path -> ``samples`` values drawn by ``seed``.
+    """Map path to ``samples`` values drawn by ``seed``.
 
     Each field has a stream of its own, named by its path as written: another field changes nothing in it, and more
     samples only lengthen it.
@@ -119,7 +119,7 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 
 
 def draw(path: str, entry: Any, samples: int, rng: np.random.Generator) -> list[Any]:
-    """The values of one field; see :func:`random_draws`."""
+    """Draw the values of one field; see :func:`random_draws`."""
     if not isinstance(entry, Mapping):
         raise SweepError(
             f"[random.fields] {path} = {entry!r}: give {{low = .., high = ..}} or {{choice = [..]}}"

@@ -89,33 +89,33 @@ class Plan:
         return self
 
     def __len__(self) -> int:
-        """Number of different runs."""
+        """Return the number of different runs."""
         if self._numbers is None:
             self.number_runs()
         return len(self._ids)
 
     def point(self, index: int) -> Point:
-        """What distinguishes run ``index``."""
+        """Return what distinguishes run ``index``."""
         run = range(len(self))[index]
         return self._point(run if self._numbers is None else int(self._numbers[run]))
 
     def run_id(self, index: int) -> str:
-        """20 hexadecimal digits, the same for the same scenario in whatever sweep it stands."""
+        """Return 20 hexadecimal digits, the same for the same scenario in whatever sweep it stands."""
         run = range(len(self))[index]
         return bytes(self._ids[run]).decode()
 
     def scenario(self, index: int) -> Scenario:
-        """The whole scenario of run ``index``."""
+        """Return the whole scenario of run ``index``."""
         return self._scenario(self.point(index))
 
     @cached_property
     def metrics(self) -> list[str]:
-        """Names of the metrics of every run."""
+        """Return the names of the metrics of every run."""
         return list(METRICS)
 
     @cached_property
     def description(self) -> dict[str, Any]:
-        """All that decides what the rows will hold, as JSON gives it back: two folders with the same go together."""
+        """Return all that decides what the rows will hold, as JSON gives it back: folders with the same go together."""
         config = self.config.model_dump(mode="json", exclude={"run_limit_s"})
         config |= {"solvers": self.solvers, "seeds": self.seeds, "grid": self.grid}
         whole = {"format": FORMAT, "moc_opt": code_version(), "metrics": self.metrics, "config": config}
@@ -180,7 +180,7 @@ class Plan:
 
 
 def canonical(value: Any) -> str:
-    """One text for one value; NaN and infinity are refused."""
+    """Return one text for one value; NaN and infinity are refused."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -190,7 +190,7 @@ def digest_of(description: Any) -> str:
 
 
 def differences(here: Any, there: Any, path: str = "") -> Iterator[str]:
-    """Where two descriptions differ, in words."""
+    """Return where two descriptions differ, in words."""
     if isinstance(here, dict) and isinstance(there, dict):
         for name in sorted(here.keys() | there.keys()):
             yield from differences(here.get(name), there.get(name), f"{path}.{name}" if path else name)

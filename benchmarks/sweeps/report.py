@@ -62,7 +62,7 @@ def tables(summary: Summary) -> list[Table]:
 
 
 def headline(summary: Summary) -> str:
-    """The result in words, computed."""
+    """Return the result in words, computed."""
     runs = summary["sweep"]["runs"]
     parts = [f"{runs['all']} runs, {runs['failed']} of them ended by an error, {runs['stopped']} stopped by the guard"]
     if runs["lost"]:
@@ -109,7 +109,7 @@ def page(summary: Summary, numeric: Mapping[str, list[float]], environment: Summ
 def against(
     groups: Summary, solvers: list[str], field: str, values: list[float], metric: str, label: str
 ) -> go.Figure:
-    """A metric's mean over a field of the grid, one line a solver, bars from the 5th to the 95th percentile."""
+    """Draw a metric's mean over a field of the grid, one line a solver, bars from the 5th to the 95th percentile."""
     drawn, styles = figure(), Styles(solvers)
     for solver in solvers:
         found = [(v, groups.get(f"{solver}, {v}", {}).get(metric)) for v in sorted(values)]

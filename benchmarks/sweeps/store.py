@@ -13,7 +13,6 @@ goes on from whatever it finds.
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import re
 import zlib
@@ -30,16 +29,9 @@ from numpy.typing import NDArray
 from benchmarks.output import write_atomically
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, differences, digest_of
-from benchmarks.sweeps.table import (
-    BLOCK,
-    PLAN_KEY,
-    parquet_bytes,
-    read_shard,
-    record_table,
-    shard_plan,
-    write_final,
-)  # fmt: skip
-from moc_opt.inputs.files import file_in, parse_json, read_json, to_json
+from benchmarks.sweeps.record import opened, owner, sealed, shard_indices
+from benchmarks.sweeps.table import BLOCK, PLAN_KEY, parquet_bytes, read_shard, record_table, write_final
+from moc_opt.inputs.files import file_in, read_json, to_json
 
 SHARD = 1000
 """Finished runs that are files of their own before they become one."""
@@ -96,11 +88,10 @@ class Store:
         Raises:
             StoreError: it could not be written; nothing of it stays.
         """
-        text = to_json({"index": index, **result}, indent=None, sort_keys=True)
-        sealed = {"crc": zlib.crc32(text.encode()), "plan": self.plan.digest, "record": text}
+        data, record = sealed({"index": index, **result}, self.plan.digest)
         with self._plainly("cannot take another run"):
-            write_atomically(self._file(index), to_json(sealed, indent=None).encode())
-            self._loose[index] = json.loads(text)
+            write_atomically(self._file(index), data)
+            self._loose[index] = record
             self.done[index] = True
             if len(self._loose) >= SHARD:
                 self._compact()
@@ -137,8 +128,8 @@ class Store:
         theirs = self._described(path)
         if theirs is None:
             self._told_by_its_runs()
-            sealed = {"digest": self.plan.digest, "plan": mine}
-            write_atomically(path, (to_json(sealed, indent=1, sort_keys=True) + "\n").encode())
+            described = {"digest": self.plan.digest, "plan": mine}
+            write_atomically(path, (to_json(described, indent=1, sort_keys=True) + "\n").encode())
         elif theirs != mine:
             found = list(differences(mine, theirs))
             more = f", and {len(found) - 3} more" if len(found) > 3 else ""
@@ -148,13 +139,13 @@ class Store:
             )
 
     def _described(self, path: Path) -> Any:
-        """The plan in the folder; None where there is none, or a damaged one, which is set aside."""
+        """Return the plan in the folder; None where there is none, or a damaged one, which is set aside."""
         if not os.path.lexists(path):
             return None
         try:
-            sealed = read_json(path, "plan of a sweep", StoreError)
-            if isinstance(sealed, dict) and digest_of(sealed.get("plan")) == sealed.get("digest"):
-                return sealed["plan"]
+            described = read_json(path, "plan of a sweep", StoreError)
+            if isinstance(described, dict) and digest_of(described.get("plan")) == described.get("digest"):
+                return described["plan"]
         except (StoreError, TypeError, ValueError):
             pass  # not JSON, or values that no plan has: damaged like one whose digest is wrong
         self._drop(path)
@@ -163,7 +154,7 @@ class Store:
     def _told_by_its_runs(self) -> None:
         """Refuse a folder without a plan that holds runs of another sweep, or tables and no run at all."""
         pieces = [*self.folder.glob("shards/*.parquet"), *self.folder.glob("runs/*.json")]
-        signs = {_owner(path) for path in pieces} - {None}
+        signs = {owner(path) for path in pieces} - {None}
         if signs - {self.plan.digest}:
             raise StoreError(
                 f"{self.folder} holds runs of another sweep, whose plan.json is damaged or gone: give another --out"
@@ -182,7 +173,7 @@ class Store:
         before = int(self.done.sum())
         with self._plainly("cannot be used"):
             for path, indices in list(self._shards.items()):
-                if _indices(path, self.plan) is None:
+                if shard_indices(path, self.plan) is None:
                     self._drop(path)
                     del self._shards[path]
                     self.done[indices] = False
@@ -193,14 +184,14 @@ class Store:
             for torn in folder.glob(".*.*.*"):  # what a killed process was writing
                 torn.unlink()
         for path in sorted((self.folder / "shards").glob("*.parquet")):
-            indices = _indices(path, self.plan)
+            indices = shard_indices(path, self.plan)
             if indices is None or self.done[indices].any():
                 self._drop(path)
                 continue
             self.done[indices] = True
             self._shards[path] = indices
         for path in sorted((self.folder / "runs").glob("*.json")):
-            record = _opened(path, self.plan.digest)
+            record = opened(path, self.plan.digest)
             index = -1 if record is None else record["index"]
             if record is None or not 0 <= index < len(self.done) or self._file(index) != path:
                 self._drop(path)
@@ -230,7 +221,7 @@ class Store:
         self._loose.clear()
 
     def _blocks(self, lost: Mapping[int, str]) -> Iterator[pa.Table]:
-        """All records in order, BLOCK rows at a time: of the shards only those are open that reach into a block."""
+        """Yield all records in order, BLOCK rows at a time; only those shards are open that reach into a block."""
         for first in range(0, len(self.plan), BLOCK):
             last = min(first + BLOCK, len(self.plan)) - 1
             inside = [path for path, of in self._shards.items() if of.min() <= last and of.max() >= first]
@@ -261,43 +252,3 @@ class Store:
                 f"{self.folder} {what}: {error}. {int(self.done.sum())} of {len(self.done)} runs are safe there; "
                 "see to the space and the permissions and start the same command again"
             ) from error
-
-
-def _opened(path: Path, digest: str) -> dict[str, Any] | None:
-    """The record in a file, or None where that is damaged, or of another sweep than that of the digest."""
-    try:
-        sealed = _sealed(path)
-        record = parse_json(sealed["record"], str(path), StoreError)
-    except StoreError:
-        return None
-    whole = isinstance(record, dict) and type(record.get("index")) is int
-    return record if whole and sealed["plan"] == digest else None
-
-
-def _sealed(path: Path) -> dict[str, str]:
-    """What a run's file holds: texts ``record`` and ``plan``; StoreError where it is damaged."""
-    sealed = read_json(path, "run of a sweep", StoreError)
-    kinds = {"crc": int, "plan": str, "record": str}
-    if not isinstance(sealed, dict) or any(type(sealed.get(name)) is not kind for name, kind in kinds.items()):
-        raise StoreError(f"{path} is no run of a sweep")
-    if zlib.crc32(sealed["record"].encode("utf-8", "surrogatepass")) != sealed["crc"]:
-        raise StoreError(f"{path} is damaged")
-    return sealed
-
-
-def _indices(path: Path, plan: Plan) -> NDArray[np.int64] | None:
-    """Which runs of the plan a shard holds; None where it is damaged, or no shard of it."""
-    try:
-        found: NDArray[np.int64] = read_shard(path, plan.digest).column("index").to_numpy()
-    except (StoreError, KeyError):
-        return None  # the caller sets it aside, and says so
-    fits = found.size and found.min() >= 0 and found.max() < len(plan) and len(np.unique(found)) == found.size
-    return found if fits else None
-
-
-def _owner(path: Path) -> str | None:
-    """The digest of the sweep that a run or shard belongs to; None where it is damaged."""
-    try:
-        return _sealed(path)["plan"] if path.suffix == ".json" else shard_plan(path)
-    except StoreError:
-        return None

@@ -43,7 +43,7 @@ BUCKETS = 2 * _HALF + 1  # negative, zero, positive
 def summarise(
     folder: Path, by: Sequence[str] = ("solver",), table: str = "rows", alone: bool = False
 ) -> dict[str, dict[str, Any]]:
-    """Runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
+    """Count runs, failures, and for each metric {count, mean, min, max, p05, p50, p95}, in groups.
 
     Runs that were stopped are counted, and enter no metric: theirs are figures of a part.
 
@@ -82,7 +82,7 @@ def summarise(
 
 
 def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
-    """The errors of a finished sweep and how many runs each ended, the commonest first.
+    """Return the errors of a finished sweep and how many runs each ended, the commonest first.
 
     Args:
         folder: of the sweep.
@@ -97,7 +97,7 @@ def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
 
 
 def figure_columns(schema: pa.Schema, but: Sequence[str] = ()) -> list[str]:
-    """The metrics among the columns: numbers that are neither a key nor a swept field."""
+    """Return the metrics among the columns: numbers that are neither a key nor a swept field."""
     if PLAN_KEY not in (schema.metadata or {}):
         raise StoreError("a Parquet file, but not of a sweep")
     names = schema.names
@@ -118,16 +118,11 @@ class Groups:
     """Running figures of every metric in every group."""
 
     def __init__(self, metrics: list[str]) -> None:
-        self.metrics = metrics
+        self.metrics, m = metrics, len(metrics)
         self._place: dict[tuple[Any, ...], int] = {}
-        self._runs: Array = np.zeros(0)
-        self._failed: Array = np.zeros(0)
-        self._ended: Array = np.zeros((0, len(ENDINGS)))
-        self._count: Array = np.zeros((0, len(metrics)))
-        self._total: Array = np.zeros((0, len(metrics)))
-        self._min: Array = np.zeros((0, len(metrics)))
-        self._max: Array = np.zeros((0, len(metrics)))
-        self._histogram: NDArray[np.int32] = np.zeros((0, len(metrics), BUCKETS), dtype=np.int32)
+        self._runs, self._failed, self._ended = np.zeros(0), np.zeros(0), np.zeros((0, len(ENDINGS)))
+        self._count, self._total, self._min, self._max = (np.zeros((0, m)) for _ in range(4))
+        self._histogram: NDArray[np.int32] = np.zeros((0, m, BUCKETS), dtype=np.int32)
 
     def add(self, batch: pa.RecordBatch, by: Sequence[str]) -> None:
         """Take in some rows.
@@ -140,11 +135,8 @@ class Groups:
         self._grow()
         np.add.at(self._runs, place, 1.0)
         if "error" in batch.schema.names:
-            np.add.at(
-                self._failed,
-                place,
-                batch.column("error").is_valid().to_numpy(zero_copy_only=False).astype(np.float64),
-            )
+            failed = batch.column("error").is_valid().to_numpy(zero_copy_only=False)
+            np.add.at(self._failed, place, failed.astype(np.float64))
         stopped = np.zeros(len(place), dtype=np.bool_)
         if "ended" in batch.schema.names:
             for e, ending in enumerate(ENDINGS):
@@ -185,26 +177,21 @@ class Groups:
         if len(self._place) > MAX_GROUPS:
             raise SweepError(f"more than {MAX_GROUPS} groups: summarise by columns with fewer values")
         if more:
-
-            def longer(array: NDArray[Any], fill: float) -> NDArray[Any]:
-                return np.concatenate([array, np.full((more, *array.shape[1:]), fill, dtype=array.dtype)])
-
-            self._runs, self._failed = longer(self._runs, 0.0), longer(self._failed, 0.0)
-            self._ended = longer(self._ended, 0.0)
-            self._count, self._total = longer(self._count, 0.0), longer(self._total, 0.0)
-            self._min, self._max = longer(self._min, np.inf), longer(self._max, -np.inf)
-            self._histogram = longer(self._histogram, 0)
+            for name in ("_runs", "_failed", "_ended", "_count", "_total", "_min", "_max", "_histogram"):
+                array, fill = getattr(self, name), {"_min": np.inf, "_max": -np.inf}.get(name, 0)
+                grown = np.full((more, *array.shape[1:]), fill, dtype=array.dtype)
+                setattr(self, name, np.concatenate([array, grown]))
 
 
 def bucket(values: Array) -> NDArray[np.int64]:
-    """The bucket of each value, 0 .. BUCKETS - 1, in the order of the values."""
+    """Return the bucket of each value, 0 .. BUCKETS - 1, in the order of the values."""
     size = np.clip(np.abs(values), _SMALLEST, _LARGEST)
     step = np.ceil(np.log(size / _SMALLEST) / math.log(_GAMMA)).astype(np.int64)
     return _HALF + np.where(values == 0.0, 0, np.sign(values).astype(np.int64) * np.clip(step, 1, _HALF))
 
 
 def quantile(histogram: NDArray[np.int32], p: float) -> float:
-    """The value below which a fraction ``p`` lies, to ACCURACY."""
+    """Return the value below which a fraction ``p`` lies, to ACCURACY."""
     counts = np.cumsum(histogram, dtype=np.int64)
     place = int(np.searchsorted(counts, p * (int(counts[-1]) - 1), side="right")) - _HALF
     if place == 0:

@@ -26,12 +26,12 @@ MOST_BYTES = 2**28
 
 
 def is_clock(metric: str) -> bool:
-    """Whether a metric is read off a clock, so that two runs of the same scenario differ in it."""
+    """Tell whether a metric is read off a clock, so that two runs of the same scenario differ in it."""
     return metric.endswith("_us") or metric == "deadline_misses"
 
 
 def record_schema(metrics: Sequence[str]) -> pa.Schema:
-    """One finished run, as it is kept: its place in the plan, its error or its figures, and how it was timed."""
+    """Describe one finished run as it is kept: place in the plan, error or figures, and how it was timed."""
     return pa.schema(
         [
             ("index", pa.int64()),
@@ -45,7 +45,7 @@ def record_schema(metrics: Sequence[str]) -> pa.Schema:
 
 
 def rows_schema(plan: Plan) -> pa.Schema:
-    """rows.parquet: everything that the plan decides."""
+    """Describe rows.parquet: everything that the plan decides."""
     values = plan.grid | plan.draws
     fields = [(path, column_type(values[path])) for path in plan.fields]
     figures = [(name, pa.float64()) for name in plan.metrics if not is_clock(name)]
@@ -55,7 +55,7 @@ def rows_schema(plan: Plan) -> pa.Schema:
 
 
 def clock_schema(plan: Plan) -> pa.Schema:
-    """clock.parquet: what a clock decided, row by row as in rows.parquet."""
+    """Describe clock.parquet: what a clock decided, row by row as in rows.parquet."""
     figures = [(name, pa.float64()) for name in plan.metrics if is_clock(name)]
     head = [
         ("index", pa.int64()),
@@ -67,7 +67,7 @@ def clock_schema(plan: Plan) -> pa.Schema:
 
 
 def column_type(values: Iterable[Any]) -> pa.DataType:
-    """Numbers, flags and texts as such; anything mixed or nested as the text of its JSON."""
+    """Store numbers, flags and texts as such; anything mixed or nested as the text of its JSON."""
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds:
         return pa.int64() if kinds == {int} else pa.float64()
@@ -75,7 +75,7 @@ def column_type(values: Iterable[Any]) -> pa.DataType:
 
 
 def record_table(records: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> pa.Table:
-    """Finished runs as a table of :func:`record_schema`; figures that are not finite become null."""
+    """Return finished runs as a table of :func:`record_schema`; figures that are not finite become null."""
     schema = record_schema(metrics)
     flat = [{**record, **record["figures"]} for record in records]
     return pa.table(
@@ -84,7 +84,7 @@ def record_table(records: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -
 
 
 def described(plan: Plan, indices: Sequence[int]) -> dict[str, list[Any]]:
-    """The columns that the plan knows, for some of its runs."""
+    """Return the columns that the plan knows, for some of its runs."""
     points = [plan.point(i) for i in indices]
     schema = rows_schema(plan)
     columns: dict[str, list[Any]] = {
@@ -130,7 +130,7 @@ def write_final(folder: Path, plan: Plan, blocks: Iterator[pa.Table]) -> None:
 
 @contextmanager
 def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table], None]]:
-    """A Parquet file that is there only once all of it is written; yields what writes one row group."""
+    """Make a Parquet file that is there only once all of it is written; yields what writes one row group."""
     name = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
     try:
         with open(name, "xb") as file:
@@ -146,7 +146,7 @@ def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table]
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
-    """A Parquet file of one row group, in memory."""
+    """Make a Parquet file of one row group, in memory."""
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
     data: bytes = sink.getvalue().to_pybytes()
@@ -154,7 +154,7 @@ def parquet_bytes(table: pa.Table) -> bytes:
 
 
 def read_shard(path: Path, digest: str) -> pa.Table:
-    """A table of records that was written whole, ``N-CRC.parquet``, for the sweep of this digest.
+    """Read a table of records that was written whole, ``N-CRC.parquet``, for the sweep of this digest.
 
     Raises:
         StoreError: damaged, of another sweep, or something else.
@@ -166,7 +166,7 @@ def read_shard(path: Path, digest: str) -> pa.Table:
 
 
 def shard_plan(path: Path) -> str:
-    """Digest of the sweep that a shard belongs to; StoreError where it is damaged."""
+    """Return the digest of the sweep that a shard belongs to; StoreError where it is damaged."""
     owner: bytes = _read(path).schema.metadata.get(PLAN_KEY, b"")
     return owner.decode(errors="replace")
 

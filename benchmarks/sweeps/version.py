@@ -14,7 +14,7 @@ SPARED = ("report", "__main__.py")  # what is shown of a run changes nothing in 
 
 @cache
 def code_version() -> str:
-    """The version of moc_opt and a hash of its source and data, as they were when first asked for."""
+    """Return the version of moc_opt and a hash of its source and data, as they were when first asked for."""
     root = Path(moc_opt.__file__).parent
     found = hashlib.sha256()
     for path in sorted(root.rglob("*")):

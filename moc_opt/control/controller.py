@@ -1,4 +1,4 @@
-"""The stack: tau = tau_tip + tau_rcm + tau_mu, with any solver in the third level."""
+"""The control law: tau = tau_tip + tau_rcm + tau_mu, with any solver in the third level."""
 
 from __future__ import annotations
 
@@ -6,39 +6,37 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numba import bool_, float64, int64
+from numba import float64
 from numpy.typing import NDArray
 
 from moc_opt.control import null_space as manipulability
 from moc_opt.control import tick
 from moc_opt.control.guide import Guide
+from moc_opt.control.law import law_of
 from moc_opt.control.observer import MomentumObserver
-from moc_opt.control.rcm import PROJECTORS
-from moc_opt.control.settings import ControlSettings, per_joint
+from moc_opt.control.session import check_references, start_session
+from moc_opt.control.settings import ControlSettings
 from moc_opt.control.supervisor import Fault, Supervisor
-from moc_opt.errors import ControlError, MocOptError, describe
+from moc_opt.errors import ControlError
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
+from moc_opt.qp.layout import offsets
 from moc_opt.qp.problem import NullSpaceQP, row_length
-from moc_opt.solvers.base import Session, Solution, Solver
+from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
 Array = NDArray[np.float64]
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
 
-_BEFORE_SOLVER = CompiledKernel(
-    tick.before_solver, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64, MATRIX, VECTOR, float64, MATRIX,
-    VECTOR, VECTOR,
-)  # fmt: skip
-_TRACKING_TORQUE = CompiledKernel(tick.tracking_torque, VECTOR, int64, MATRIX, MATRIX, VECTOR, int64, bool_, float64)
-_AFTER_SOLVER = CompiledKernel(
-    tick.after_solver, VECTOR, int64, MATRIX, VECTOR, VECTOR, VECTOR, float64, VECTOR, VECTOR, VECTOR
-)
+_TRACKING = CompiledKernel(tick.tracking_torque, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
+_PREPARE = CompiledKernel(tick.prepare_third_level, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR)
+_THIRD = CompiledKernel(tick.add_third_level, VECTOR, VECTOR, MATRIX, VECTOR, float64, VECTOR)
 
 
 class Controller:
-    """One arm, one law, one solver; ``start`` once, then ``tick`` every period.
+    """One arm, one law, one solver; call ``start`` once, then ``tick`` every period.
 
     After a tick, ``subproblem``, ``solution``, ``answer``, ``fault`` and ``solve_us`` say what the third
     level did (None and NaN under DCAC).
@@ -49,7 +47,7 @@ class Controller:
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times that replace the clock where a solve has a time budget.
-        guide: what the third level follows in place of the gradient of mu; needs rho and c2 above 0.
+        guide: what the third level follows in place of the gradient of mu; needs regularization and c2 above 0.
 
     Raises:
         ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
@@ -70,46 +68,27 @@ class Controller:
                 "'moc' needs one, 'dcac' takes none"
             )
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
-        gains = settings.resolve_gains(robot.data.gains, robot.n)
-        self._gains = np.array([gains.K_X, gains.D_X, gains.K_N, gains.D_N])
-        self._projector = PROJECTORS.index(settings.projector)
-        self._rcm_lambda = 0.0 if settings.rcm_lambda is None else settings.rcm_lambda
-        self._limits = manipulability.box_limits(
-            robot.q_min, robot.q_max, robot.v_max,
-            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
-        )  # fmt: skip
-        self._guide, self._pull_of_wish = guide, 0.0
+        self._law = law_of(settings, robot)
+        self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
         if guide is not None:
             settings.check_guided()
-            self._pull_of_wish = settings.regularization / settings.c2
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
-        self._weights = np.array([settings.c0, settings.c1, settings.c2, settings.regularization])
-        self._feedforward, self._k0 = settings.feedforward, settings.k0_per_s
-        self._pull, self._damping = gains.K_N2, gains.D_N2
-        if settings.law == "dcac":
-            self._damping = per_joint("[control] dcac_damping", settings.dcac_damping, robot.n)
-        self._tau_max = np.array(robot.tau_max) if settings.limit_torque else np.full(robot.n, np.inf)
-        self._row_length = row_length(robot.n)
-        self._observer = (
-            MomentumObserver(robot, settings.observer_gain_per_s, period)
-            if settings.observer_gain_per_s
-            else None
-        )
-        self._uses_null_space = solver is not None or settings.damps_dcac
-        self._started = False
+        gain = settings.observer_gain_per_s
+        self._observer = MomentumObserver(robot, gain, period) if gain else None
         self._session: Session | None = None
-        self._listens = False  # whether the session observes the measured velocity
+        self._observes = self._started = False
+        self._damps = solver is None and settings.damps_dcac
         self._rest = np.zeros(robot.n)
-        self._before_solver, self._after_solver = _BEFORE_SOLVER.code, _AFTER_SOLVER.code
-        self._tracking_torque = _TRACKING_TORQUE.code
+        self._tracking_torque, self._add_third_level = _TRACKING.code, _THIRD.code
+        self._prepare_third_level, self._row_length = _PREPARE.code, row_length(robot.n)
         self._supervisor = Supervisor(settings.supervisor, settings.fallback, robot.n, times_us)
         self._forget()
 
     def _forget(self) -> None:
         n = self.robot.n
-        self._share = 0.0  # of the third level
+        self._share = 0.0  # of the third level, while it fades in
         self._Z = np.zeros((0, n))
-        self._tau = _read_only(np.zeros(n))
+        self._tau = read_only(np.zeros(n))
         self._supervisor.forget()
         self.subproblem: NullSpaceQP | None = None
         self.solution: Solution | None = None
@@ -144,6 +123,16 @@ class Controller:
         """What the observer makes of the torque from outside (n,) [Nm], a copy; zero without one."""
         return (self._rest if self._observer is None else self._observer.external_torque).copy()
 
+    def warm_up(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
+        """Run one discarded tick on a copy, so that compilation is over before the loop.
+
+        Nothing of this controller changes, and no recorded solve time is used up. Arguments and errors as for
+        ``start``.
+        """
+        copy = Controller(self.robot, self.settings, self.solver, self._period)
+        copy.start(state, tip_ref, trocar)
+        copy.tick(state, tip_ref, trocar)
+
     def start(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
         """Forget the past and set up the solver for problems like the one at ``state``.
 
@@ -152,20 +141,23 @@ class Controller:
         """
         self._forget()
         self._Z = manipulability.null_space(state.A)
-        self._tau = _read_only(np.array(state.h))
+        self._tau = read_only(np.array(state.h))
         if self._guide is not None:
             self._guide.start()
         if self._observer is not None:
             self._observer.start(state)
         if self.solver is not None:
-            references = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
-            qp = self._build(state, *references)
-            self._session, self._listens = _started(self.solver, qp)
+            tip_ref, trocar = (np.ascontiguousarray(given, dtype=np.float64) for given in (tip_ref, trocar))
+            row = np.empty(self._row_length)
+            tick.fill_subproblem(state.record, self._law, tip_ref, trocar, row)
+            qp = NullSpaceQP.from_row(row)
+            self._session = start_session(self.solver, qp)
+            self._observes = isinstance(self._session, ObservingSession)
             self._supervisor.warm_up(qp, self._Z)
         self._started = True
 
     def tick(self, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] for this period.
+        """Compute the torque (n,) [Nm] of this period.
 
         Args:
             state: what the model makes of the measured q and v.
@@ -175,81 +167,45 @@ class Controller:
         Raises:
             ControlError: not started, or a reference of the wrong shape.
         """
-        if not self._started:
-            raise ControlError(
-                "tick before start: call start(state, tip_ref, trocar) once before the first tick"
-            )
-        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
-            raise ControlError(
-                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
-            )
-        # What is compiled takes kind and order of their memory for granted.
+        tip_ref, trocar = self._checked(tip_ref, trocar)
+        record, law, x, share = state.record, self._law, self._rest, 1.0
+        # r = K_o (p - integral(tau + C^T v - g + r)): friction and model error, from the last torque.
+        r = self._rest if self._observer is None else self._observer.update(state, self._tau)
+        # tau = tau_tip + tau_rcm - r
+        tau = self._tracking_torque(record, law, tip_ref, trocar, r)
+        if self._session is not None:
+            # x*: the subproblem's answer, or what the supervisor puts in its place.
+            x = self._solve(self._session, state, tip_ref, trocar)
+            self._share = share = min(1.0, self._share + self._fade)
+        elif self._damps:
+            self._follow_null_space(state)
+        # tau += M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), cut at tau_max
+        self._add_third_level(record, law, self._Z, x, share, tau)
+        self._tau = read_only(tau)
+        return tau
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
+        self._tau = read_only(np.array(tau, dtype=np.float64))
+
+    def _checked(self, tip_ref: Array, trocar: Array) -> tuple[Array, Array]:
+        """The references as contiguous float64: what is compiled takes that for granted."""
+        check_references(self._started, tip_ref, trocar)
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
         if trocar.strides != _ROWS or trocar.dtype is not _DOUBLE:
             trocar = np.ascontiguousarray(trocar, dtype=np.float64)
-        robot, record, gains = self.robot, state.record, self._gains
-        if self._session is not None:
-            tau, row = np.empty(robot.n), np.empty(self._row_length)
-            if not self._before_solver(
-                record,
-                robot.n,
-                tip_ref,
-                trocar,
-                gains,
-                self._projector,
-                self._feedforward,
-                self._rcm_lambda,
-                self._limits,
-                self._weights,
-                self._k0,
-                self._Z,
-                tau,
-                row,
-            ):
-                self._Z = manipulability.null_space(state.A, like=self._Z)
-            if self._guide is not None:  # in the place of grad mu
-                row[6 * robot.n + 6 : 7 * robot.n + 6] = self._pull_of_wish * self._guide.wish(state)
-            x = self._answer(self._session, NullSpaceQP.from_row(row), state)
-            self._share = min(1.0, self._share + self._fade)
-            share = self._share
-        else:
-            tau = self._tracking_torque(
-                record, robot.n, tip_ref, trocar, gains, self._projector, self._feedforward, self._rcm_lambda
-            )
-            if self._uses_null_space:
-                self._follow_null_space(state)
-            x, share = self._rest, 1.0
-        disturbance = self._rest if self._observer is None else self._observer.update(state, self._tau)
-        self._after_solver(
-            record, robot.n, self._Z, x, self._pull, self._damping, share, disturbance, self._tau_max, tau
-        )
-        tau.setflags(write=False)
-        self._tau = tau
-        return tau
+        return tip_ref, trocar
 
-    def set_applied_torque(self, tau: Array) -> None:
-        """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
-        self._tau = _read_only(np.array(tau, dtype=np.float64))
-
-    def _build(self, state: RobotState, tip_ref: Array, trocar: Array) -> NullSpaceQP:
+    def _solve(self, session: Session, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
+        """The x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
         row = np.empty(self._row_length)
-        tick.fill_subproblem(
-            state.record,
-            self.robot.n,
-            tip_ref,
-            trocar,
-            self._limits,
-            self._weights,
-            self.settings.k0_per_s,
-            row,
-        )
-        return NullSpaceQP.from_row(row)
-
-    def _answer(self, session: Session, qp: NullSpaceQP, state: RobotState) -> Array:
-        """The x that the arm follows: the solver's, or what stands in for it."""
-        self.subproblem = qp
-        v = state.v if self._listens else None
+        if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
+            self._Z = manipulability.null_space(state.A, like=self._Z)
+        if self._guide is not None:  # in the place of grad mu
+            row[self._gradient] = self.settings.regularization / self.settings.c2 * self._guide.wish(state)
+        self.subproblem = qp = NullSpaceQP.from_row(row)
+        v = state.v if self._observes else None
         self.solution, self.answer = self._supervisor.solve(session, qp, self._Z, v)
         return self.answer
 
@@ -257,33 +213,3 @@ class Controller:
         views = state_views.py_func(state.record, state.n)
         if not manipulability.follow_null_space(views.A, views.u, self._Z):
             self._Z = manipulability.null_space(state.A, like=self._Z)
-
-
-def _started(solver: Solver, qp: NullSpaceQP) -> tuple[Session, bool]:
-    """A session for problems like ``qp``, and whether it observes the measured velocity.
-
-    Raises:
-        ControlError: the solver does not take the problem or hands back no session, in its own words or in those of
-            what it raised. A MocOptError of its own passes.
-    """
-    name = "?"
-    try:
-        name = repr(solver.name)
-        reason = solver.supports(qp.copy())
-        if reason is None:
-            session = solver.start(qp.copy())
-            if callable(getattr(session, "solve", None)):
-                return session, hasattr(session, "observe")
-            reason = f"start returned a {type(session).__name__} without solve: return a Session"
-        elif not isinstance(reason, str):
-            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
-    except (KeyboardInterrupt, MocOptError):
-        raise
-    except BaseException as error:  # foreign code may raise anything
-        raise ControlError(f"solver {name} cannot run in this controller: {describe(error)}") from error
-    raise ControlError(f"solver {name} cannot run in this controller: {reason}")
-
-
-def _read_only(array: Array) -> Array:
-    array.setflags(write=False)
-    return array

@@ -12,9 +12,10 @@ wrist is left out: at the straight elbow itself it would take an infinite torque
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.control.rcm import shaft_turn
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import dot, forward_in_place
 from moc_opt.qp.equalities import directions_across
 
@@ -33,16 +34,11 @@ def desired_wrist_acceleration(
     trocar_velocity: Array,
     span: float,
 ) -> Array:
-    """ddN_d (3,) [m/s^2] of N_d = X + L e, the trocar's own acceleration left out.
+    """Compute ddN_d (3,) [m/s^2] of N_d = X + L e, the trocar's own acceleration left out.
 
     With r = P_t - X = |r| e:  e'' = (I - e e^T)(r'' - 2 |r|' e')/|r| - |e'|^2 e.
     """
-    r = trocar - tip
-    distance = np.sqrt(dot(r, r))
-    e = r / distance
-    slip = trocar_velocity - tip_velocity
-    closing = dot(e, slip)
-    turn = (slip - closing * e) / distance
+    distance, e, closing, turn = shaft_turn(tip, tip_velocity, trocar, trocar_velocity)
     pull = -tip_acceleration - 2.0 * closing * turn
     bend: Array = (pull - dot(e, pull) * e) / distance - dot(turn, turn) * e
     return tip_acceleration + span * bend

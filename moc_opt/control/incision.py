@@ -14,12 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import float64, njit
+from numba import float64
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
@@ -73,7 +75,7 @@ _BELOW, _ABOVE, _NO_READING = 0, 1, 2
 
 @njit(cache=True, nogil=True)
 def _take(
-    pose: Array, trocar: Array, wrench: Array, mass: float, length: float, share: float, lowest: Array, means: Array
+    mass: float, length: float, share: float, lowest: Array, means: Array, pose: Array, trocar: Array, wrench: Array
 ) -> int:
     """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number."""
     point = trocar[0]
@@ -85,7 +87,7 @@ def _take(
     return _BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else _ABOVE
 
 
-_TAKE = CompiledKernel(_take, MATRIX, MATRIX, VECTOR, float64, float64, float64, VECTOR, VECTOR)
+_TAKE = CompiledKernel(_take, float64, float64, float64, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
 
 
 @dataclass
@@ -139,7 +141,6 @@ class Incision:
     ) -> None:
         self._pose, self._tool, self._share, self._patience = tool_pose, tool, share, patience_ticks
         self._levels = (("the RCM error", "mm", 1e3, *rcm), ("the trocar's force", "N", 1.0, *force))
-        self._take = _TAKE.code
         self.forget()
 
     def forget(self) -> None:
@@ -147,6 +148,7 @@ class Incision:
         self._means, self._tick, self._unread, self._point = np.zeros(2), -1, 0, np.full(3, np.nan)
         self._watched = [Watched(*given) for given in self._levels]
         self._lowest = np.array([watched.lowest_square for watched in self._watched])
+        self._take = partial(_TAKE.code, *self._tool, self._share, self._lowest, self._means)
 
     def pressed(self, q: Array, wrench: Array) -> float:
         """Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number."""
@@ -162,7 +164,7 @@ class Incision:
         """
         self._tick += 1
         self._point = trocar[0]
-        found = self._take(self._pose(q), trocar, wrench, *self._tool, self._share, self._lowest, self._means)
+        found = self._take(self._pose(q), trocar, wrench)
         if found == _BELOW:
             self._unread = 0
             return ""

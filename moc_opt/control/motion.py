@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numba import float64, int64
 from numpy.typing import NDArray
@@ -16,14 +18,14 @@ from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 Array = NDArray[np.float64]
 
 _READINGS = CompiledKernel(
-    kernels.compare_readings, *[VECTOR] * 5, float64, int64, VECTOR, VECTOR, MATRIX, VECTOR
+    kernels.compare_readings, int64, VECTOR, VECTOR, MATRIX, *[VECTOR] * 6, float64
 )
 _REPLAYED = CompiledKernel(replays.count_replayed, VECTOR, VECTOR, VECTOR, MATRIX, VECTOR)
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 
 _AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
 _MOMENTUM = CompiledKernel(
-    kernels.compare_momentum, VECTOR, int64, VECTOR, int64, float64, int64, VECTOR, VECTOR, MATRIX
+    kernels.compare_momentum, int64, VECTOR, VECTOR, MATRIX, float64, VECTOR, VECTOR, int64
 )
 
 
@@ -90,7 +92,7 @@ class MotionMonitor:
         self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
         self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
-        self._age, self._readings, self._momentum = _AGE.code, _READINGS.code, _MOMENTUM.code
+        self._age = _AGE.code
         self._replayed, self._most_replayed = _REPLAYED.code, settings.repeat_whole_ticks
         self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
@@ -104,6 +106,9 @@ class MotionMonitor:
         self._memory[kernels.SHOWN], self._memory[kernels.PEAK], self._memory[kernels.REPEATS] = q, np.abs(v), -1.0
         self._still = np.zeros(12)
         self._seen, self._count = np.zeros((2, replays.SLOTS)), np.zeros(3)
+        fixed = (self._patience, self._tau_max, self._levels, self._memory)
+        self._readings = partial(_READINGS.code, *fixed, self._still)
+        self._momentum = partial(_MOMENTUM.code, *fixed, self._period)
         self._checked, self._ticks = 0, 0  # control periods since the last reading that was looked at
         self._tip = np.zeros(3)
 
@@ -125,10 +130,7 @@ class MotionMonitor:
         if not self._on:
             return ""
         wrench = self._no_wrench if wrench is None else wrench
-        found = self._readings(
-            q, v, tau, wrench, self._tip, self._period * max(1, self._ticks),
-            self._patience, self._tau_max, self._levels, self._memory, self._still,
-        )  # fmt: skip
+        found = self._readings(q, v, tau, wrench, self._tip, self._period * max(1, self._ticks))
         self._ticks = 0
         came_before = self._replayed(q, v, wrench, self._seen, self._count)
         if came_before > self._most_replayed and kernels.has_noise(self._still):
@@ -152,11 +154,7 @@ class MotionMonitor:
         if self._checked == 1:
             self._memory[kernels.INTEGRAL] = state.M @ state.v
             return ""
-        record = state.record
-        settled = int(self._checked > self._settling)
-        found = self._momentum(
-            record, self._n, tau, settled, self._period, self._patience, self._tau_max, self._levels, self._memory
-        )
+        found = self._momentum(state.record, tau, int(self._checked > self._settling))
         if found == kernels.NOTHING:
             return ""
         if found == kernels.STUCK:

@@ -12,11 +12,11 @@ Four signs, each of which a sound arm stays well below:
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.observer import momentum_residual
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 
@@ -69,26 +69,12 @@ def has_noise(still: Array) -> bool:
 
 @njit(cache=True, nogil=True)
 def compare_readings(
-    q: Array,
-    v: Array,
-    tau: Array,
-    wrench: Array,
-    tip: Array,
-    elapsed: float,
-    patience: int,
-    tau_max: Array,
-    levels: Array,
-    memory: Array,
-    still: Array,
-) -> int:
+    patience: int, tau_max: Array, levels: Array, memory: Array, still: Array,
+    q: Array, v: Array, tau: Array, wrench: Array, tip: Array, elapsed: float,
+) -> int:  # fmt: skip
     """Compare a new reading with its own velocity and with the last one.
 
     Args:
-        q, v: (n,) as the sensors show them [rad], [rad/s].
-        tau: (n,) the torque that went out last [Nm].
-        wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
-        tip: (3,) where the tip was told to be last [m].
-        elapsed: time since the reading before [s].
         patience: ticks.
         tau_max: (n,) [Nm].
         levels: as in ``MotionSettings.levels``.
@@ -96,6 +82,11 @@ def compare_readings(
         still: (12,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
             wrench, the ticks in a row in which it was the same, the first ticks counted, and whether the wrench ever
             repeated itself in them: where it never did its sensor has noise.
+        q, v: (n,) as the sensors show them [rad], [rad/s].
+        tau: (n,) the torque that went out last [Nm].
+        wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
+        tip: (3,) where the tip was told to be last [m].
+        elapsed: time since the reading before [s].
 
     Returns:
         NOTHING, RAN_AWAY, or REPEATED.
@@ -147,16 +138,9 @@ def compare_readings(
 
 @njit(cache=True, nogil=True)
 def compare_momentum(
-    record: Array,
-    n: int,
-    tau: Array,
-    settled: int,
-    period: float,
-    patience: int,
-    tau_max: Array,
-    levels: Array,
-    memory: Array,
-) -> int:
+    patience: int, tau_max: Array, levels: Array, memory: Array, period: float,
+    record: Array, tau: Array, settled: int,
+) -> int:  # fmt: skip
     """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
 
     Args are those of ``compare_readings``; record is the flat state of the measurement, period the control period [s],
@@ -165,6 +149,7 @@ def compare_momentum(
     Returns:
         NOTHING, STUCK or UNEXPLAINED.
     """
+    n = tau.shape[0]
     s = state_views(record, n)
     momentum_residual(
         s.M, s.energy_slope, s.gravity, s.v, tau, levels[9], period, memory[INTEGRAL], memory[RESIDUAL]

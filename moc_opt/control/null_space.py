@@ -9,11 +9,11 @@ Su et al. 2019 print as [(Z M Z^T) Z M]^T).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import independent_rows
 from moc_opt.errors import ControlError
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, solve_in_place, times, transpose_times
 from moc_opt.qp.residuals import ranks
 
@@ -21,16 +21,15 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
-def velocity_damper(
-    q: Array, q_min: Array, q_max: Array, v_max: Array, k0: float, lower: Array, upper: Array
-) -> None:
-    """The box on x [rad/s]: it closes towards a joint limit at rate k0 [1/s], and never crosses over.
+def velocity_damper(q: Array, limits: Array, k0: float, lower: Array, upper: Array) -> None:
+    """Write the box on x [rad/s] for limits (3, n) rows q_min, q_max, v_max: it closes at k0 [1/s] and never crosses.
 
     Beyond a limit the damper asks for a velocity back inside, at most v_max.
     """
     for i in range(q.shape[0]):
-        lower[i] = min(max(-v_max[i], -k0 * (q[i] - q_min[i])), v_max[i])
-        upper[i] = max(min(v_max[i], -k0 * (q[i] - q_max[i])), -v_max[i])
+        q_min, q_max, v_max = limits[0, i], limits[1, i], limits[2, i]
+        lower[i] = min(max(-v_max, -k0 * (q[i] - q_min)), v_max)
+        upper[i] = max(min(v_max, -k0 * (q[i] - q_max)), -v_max)
 
 
 def box_limits(

@@ -9,12 +9,13 @@ contact: force at the trocar is to be reported beside it.
 from __future__ import annotations
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64
 from numpy.typing import NDArray
 
 from moc_opt.errors import ControlError
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 
 Array = NDArray[np.float64]
@@ -22,16 +23,9 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def momentum_residual(
-    M: Array,
-    energy_slope: Array,
-    gravity: Array,
-    v: Array,
-    tau: Array,
-    gain: float,
-    period: float,
-    integral: Array,
-    r: Array,
-) -> None:
+    M: Array, energy_slope: Array, gravity: Array, v: Array, tau: Array, gain: float, period: float,
+    integral: Array, r: Array,
+) -> None:  # fmt: skip
     """One step of the observer, in place on integral (n,) and r (n,); C^T v is the slope of the kinetic energy."""
     for i in range(r.shape[0]):
         p = 0.0
@@ -42,15 +36,13 @@ def momentum_residual(
 
 
 @njit(cache=True, nogil=True)
-def observe(
-    record: Array, n: int, tau: Array, gain: float, period: float, integral: Array, r: Array
-) -> None:
+def observe(record: Array, tau: Array, gain: float, period: float, integral: Array, r: Array) -> None:
     """``momentum_residual`` on a flat state record."""
-    s = state_views(borrowed(record), n)
+    s = state_views(borrowed(record), r.shape[0])
     momentum_residual(s.M, s.energy_slope, s.gravity, s.v, tau, gain, period, integral, r)
 
 
-_OBSERVE = CompiledKernel(observe, VECTOR, int64, VECTOR, float64, float64, VECTOR, VECTOR)
+_OBSERVE = CompiledKernel(observe, VECTOR, VECTOR, float64, float64, VECTOR, VECTOR)
 
 
 class MomentumObserver:
@@ -78,5 +70,5 @@ class MomentumObserver:
 
     def update(self, state: RobotState, tau: Array) -> Array:
         """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
-        self._observe(state.record, state.n, tau, self._gain, self._period, self._integral, self.external_torque)
+        self._observe(state.record, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

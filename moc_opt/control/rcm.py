@@ -9,35 +9,46 @@ The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant l
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, transpose_times
 
 Array = NDArray[np.float64]
 
-PROJECTORS = ("dynamic", "static", "as_published")
+
+@njit(cache=True, nogil=True)
+def shaft_turn(
+    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array
+) -> tuple[float, Array, float, Array]:
+    """Compute how the line from tip to trocar lies and turns.
+
+    Returns:
+        |P_t - X| [m]; e (3,); its rate of change e^T (dP_t - dX) [m/s]; and
+        de/dt = (I - e e^T)(dP_t - dX)/|P_t - X| (3,) [1/s].
+    """
+    e, turn, square = np.empty(3), np.empty(3), 0.0
+    for i in range(3):
+        e[i], turn[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
+        square += e[i] * e[i]
+    distance = np.sqrt(square)
+    for i in range(3):
+        e[i] /= distance
+    closing = dot(e, turn)
+    for i in range(3):
+        turn[i] = (turn[i] - closing * e[i]) / distance
+    return distance, e, closing, turn
 
 
 @njit(cache=True, nogil=True)
 def desired_wrist(
     tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
 ) -> tuple[Array, Array]:
-    """Wrist centre that puts the shaft through the trocar, and its velocity, (3,) [m], [m/s].
-
-    dN_d = dX + L de/dt,  de/dt = (I - e e^T)(dP_t - dX)/|P_t - X|.
-    """
-    e, slip, square = np.empty(3), np.empty(3), 0.0
+    """Compute N_d = X + L e, which puts the shaft through the trocar, and dN_d = dX + L de/dt, (3,) [m], [m/s]."""
+    _, e, _, turn = shaft_turn(tip, tip_velocity, trocar, trocar_velocity)
     for i in range(3):
-        e[i], slip[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
-        square += e[i] * e[i]
-    distance = np.sqrt(square)
-    along = dot(e, slip) / square
-    wrist, velocity = np.empty(3), np.empty(3)
-    for i in range(3):
-        wrist[i] = tip[i] + span * e[i] / distance
-        velocity[i] = tip_velocity[i] + span * (slip[i] - along * e[i]) / distance
-    return wrist, velocity
+        e[i], turn[i] = tip[i] + span * e[i], tip_velocity[i] + span * turn[i]
+    return e, turn
 
 
 @njit(cache=True, nogil=True)

@@ -8,8 +8,9 @@ own velocities and with the model, so that no other sign of ``motion_kernels`` t
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 

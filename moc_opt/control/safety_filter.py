@@ -123,8 +123,7 @@ class SafetyFilter:
             settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
         ])  # fmt: skip
         self._jump = settings.jump_rad
-        self._per_tick = data.v_max * period
-        self._fastest = settings.speed_factor * data.v_max
+        self._bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
         self._step = settings.torque_rate_Nm_per_s * period
         self._unknown, self._rest = np.empty(0), np.zeros(data.n)
         self._gravity, self._state = gravity, state
@@ -181,7 +180,7 @@ class SafetyFilter:
         late = FRESH if stamp is None else self._motion.age(stamp)
         if late == OLD:
             self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
-        if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._per_tick, self._fastest):
+        if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._bounds):
             self._q, self._v, self._bad = q, v, 0
             wrong = self._motion.check_reading(q, v, applied, wrench) if applied is not None else ""
             if wrong:

@@ -1,10 +1,11 @@
-"""The compiled parts of the guard: torque limits, what a measurement may be, and the tip's squared error."""
+"""The compiled parts of the safety filter: torque limits, what a measurement may be, and the tip's squared error."""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 
@@ -64,10 +65,12 @@ def limit_torque(
 
 
 @njit(cache=True, nogil=True)
-def believable(
-    q: Array, v: Array, q_before: Array, jump: float, ticks: int, per_tick: Array, fastest: Array
-) -> bool:
-    """Whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest; NaN never is."""
+def believable(q: Array, v: Array, q_before: Array, jump: float, ticks: int, bounds: Array) -> bool:
+    """Say whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest.
+
+    ``bounds`` (2, n): rows per_tick and fastest. NaN is never believable.
+    """
+    per_tick, fastest = bounds[0], bounds[1]
     for i in range(q.shape[0]):
         if not (abs(q[i] - q_before[i]) <= jump + ticks * per_tick[i] and abs(v[i]) <= fastest[i]):
             return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ def _current_projector(value: Any) -> Any:
     return "as_published" if value == "printed" else value
 
 
+Projector = Literal["dynamic", "static", "as_published"]
+PROJECTORS: tuple[Projector, ...] = get_args(Projector)
 PRESETS = ("paper", "tuned", "robust")
 
 
@@ -116,7 +118,7 @@ class ControlSettings(Settings):
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
         default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
     )
-    projector: Annotated[Literal["dynamic", "static", "as_published"], BeforeValidator(_current_projector)] = Field(
+    projector: Annotated[Projector, BeforeValidator(_current_projector)] = Field(
         default="dynamic", description="of level 2: docs/errata.md has all three; 'printed' is the old name of the last"
     )
     feedforward: bool = Field(

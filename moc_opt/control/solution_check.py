@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import int64, njit
+from numba import int64
 from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import all_finite
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.dense import dot
 from moc_opt.qp.equalities import offsets

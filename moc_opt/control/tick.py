@@ -1,12 +1,15 @@
-"""The equations of one tick put together: state record in, torque out, no Python in between."""
+"""The equations of one tick: what lies before the solver and after it, compiled.
+
+X, N are tip and wrist, P_t the trocar; docs/method.md has the same equations in the same order.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
+from moc_opt.control.law import DYNAMIC, STATIC, law_views
 from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     follow_null_space,
@@ -21,182 +24,116 @@ from moc_opt.control.rcm import (
     published_share,
 )
 from moc_opt.control.tip_impedance import compliance_force, task_inertia
-from moc_opt.model.kinematics_kernels import StateViews, state_views
+from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
 from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
-DYNAMIC, STATIC, AS_PUBLISHED = 0, 1, 2
-
 
 @njit(cache=True, nogil=True)
-def tracking_torque(
-    record: Array,
-    n: int,
-    tip_ref: Array,
-    trocar: Array,
-    gains: Array,
-    projector: int,
-    feedforward: bool,
-    rcm_lambda: float = 0.0,
-) -> Array:
-    """Levels 1 and 2: tau_tip + tau_rcm, (n,) [Nm].
+def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, disturbance: Array) -> Array:
+    """Compute levels 1 and 2 less the disturbance r: tau_tip + tau_rcm - r, (n,) [Nm].
 
     Args:
         record: flat state record.
+        law: packed constants, see ``law.Law``.
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         trocar: (2, 3) rows P_t, dP_t.
-        gains: K_X, D_X, K_N, D_N, ...
-        projector: DYNAMIC, STATIC or AS_PUBLISHED.
-        feedforward: add the accelerations of tip and desired wrist.
-        rcm_lambda: constant lambda of the paper's |e_N1| = d / lambda; 0 takes |N_d - N| itself.
+        disturbance: (n,) what the observer makes of the torque from outside [Nm].
     """
-    return _tracking(state_views(record, n), tip_ref, trocar, gains, projector, feedforward, rcm_lambda)
-
-
-@njit(cache=True, nogil=True)
-def _tracking(
-    s: StateViews,
-    tip_ref: Array,
-    trocar: Array,
-    gains: Array,
-    projector: int,
-    feedforward: bool,
-    rcm_lambda: float,
-) -> Array:
-    J_tip, J_wrist = s.A[:3], s.A[3:]
-    tip_velocity, wrist_velocity = times(J_tip, s.v), times(J_wrist, s.v)
+    n = disturbance.shape[0]
+    s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
+    tip_ref, trocar, disturbance = borrowed(tip_ref), borrowed(trocar), borrowed(disturbance)
+    J_T, J_W, L = s.A[:3], s.A[3:], s.scalars[1]
+    dX, dN = times(J_T, s.v), times(J_W, s.v)
     M_factor = cholesky(s.M)
-    W, mobility = task_inertia(J_tip, M_factor)
+    W, mobility = task_inertia(J_T, M_factor)
 
-    force = compliance_force(gains[0], gains[1], tip_ref[0], tip_ref[1], s.tip, tip_velocity)
-    tau: Array = s.h + transpose_times(J_tip, force)
-    if feedforward:
-        bend = desired_wrist_acceleration(s.tip, tip_velocity, tip_ref[2], trocar[0], trocar[1], s.scalars[1])
-        tau += motion_feedforward(s.A, s.u, M_factor, s.drift, tip_ref[2], bend)
+    # Tip: tau = h + J_T^T F_T, F_T = K_X (X_d - X) + D_X (dX_d - dX); the paper's compliance law.
+    F_T = compliance_force(c.K_X, c.D_X, tip_ref[0], tip_ref[1], s.tip, dX)
+    tau: Array = s.h + transpose_times(J_T, F_T)
+    if c.feedforward != 0.0:
+        ddN_d = desired_wrist_acceleration(s.tip, dX, tip_ref[2], trocar[0], trocar[1], L)
+        tau += motion_feedforward(s.A, s.u, M_factor, s.drift, tip_ref[2], ddN_d)
 
-    wish, wish_velocity = desired_wrist(s.tip, tip_velocity, trocar[0], trocar[1], s.scalars[1])
-    if rcm_lambda > 0.0:
-        share = published_share(s.tip, s.wrist, trocar[0], s.scalars[1], rcm_lambda)
+    # RCM: N_d = X + L e, F_W = K_N (N_d - N) + D_N (dN_d - dN), tau += (I - J_T^T Jbar_T^T) J_W^T F_W.
+    N_d, dN_d = desired_wrist(s.tip, dX, trocar[0], trocar[1], L)
+    if c.rcm_lambda > 0.0:
+        share = published_share(s.tip, s.wrist, trocar[0], L, c.rcm_lambda)
         for i in range(3):
-            wish[i] = s.wrist[i] + share * (wish[i] - s.wrist[i])
-    turn = compliance_force(gains[2], gains[3], wish, wish_velocity, s.wrist, wrist_velocity)
-    tau_wrist = transpose_times(J_wrist, turn)
-    if projector == DYNAMIC:
-        tau += project_dynamic(J_tip, W, mobility, tau_wrist)
-    elif projector == STATIC:
-        tau += project_static(J_tip, tau_wrist)
+            N_d[i] = s.wrist[i] + share * (N_d[i] - s.wrist[i])
+    tau_W = transpose_times(J_W, compliance_force(c.K_N, c.D_N, N_d, dN_d, s.wrist, dN))
+    if c.projector == DYNAMIC:
+        tau += project_dynamic(J_T, W, mobility, tau_W)
+    elif c.projector == STATIC:
+        tau += project_static(J_T, tau_W)
     else:
-        tau += project_as_published(J_tip, tau_wrist)
+        tau += project_as_published(J_T, tau_W)
+    for i in range(n):
+        tau[i] -= disturbance[i]
     return tau
 
 
 @njit(cache=True, nogil=True)
-def fill_subproblem(
-    record: Array, n: int, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array
-) -> None:
-    """Write this tick's NullSpaceQP record (10 n + 10,).
+def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, row: Array) -> None:
+    """Write this tick's NullSpaceQP record (10 n + 10,); arguments as for ``tracking_torque``.
 
-    v_T = dX_d, and v_W is the velocity of the desired wrist for that tip velocity, made
-    consistent with the rigid tool. ``limits`` (3, n) rows q_min, q_max, v_max.
+    J_T x = v_T = dX_d and J_W x = v_W, where v_W is dN_d for a tip that moves at v_T, with u^T (v_T - v_W) = 0;
+    lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost.
     """
-    _fill(state_views(record, n), tip_ref, trocar, limits, weights, k0, row)
-
-
-@njit(cache=True, nogil=True)
-def _fill(s: StateViews, tip_ref: Array, trocar: Array, limits: Array, weights: Array, k0: float, row: Array) -> None:
-    n = s.q.shape[0]
+    n = (row.shape[0] - 10) // 10
+    s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
     at = offsets(n)
     for i in range(6):
         for j in range(n):
             row[i * n + j] = s.A[i, j]
-    v_tip = tip_ref[1]
-    _, v_wrist = desired_wrist(s.tip, v_tip, trocar[0], trocar[1], s.scalars[1])
-    consistent = consistent_wrist_velocity(v_tip, v_wrist, s.u)
+    v_T = tip_ref[1]
+    _, dN_d = desired_wrist(s.tip, v_T, trocar[0], trocar[1], s.scalars[1])
+    v_W = consistent_wrist_velocity(v_T, dN_d, s.u)
     for i in range(3):
-        row[at.b + i], row[at.b + 3 + i] = v_tip[i], consistent[i]
+        row[at.b + i], row[at.b + 3 + i] = v_T[i], v_W[i]
     for i in range(n):
         row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i], s.q[i]
     for i in range(4):
-        row[at.weights + i] = weights[i]
-    velocity_damper(
-        s.q,
-        limits[0],
-        limits[1],
-        limits[2],
-        k0,
-        row[at.lower : at.upper],
-        row[at.upper : at.weights],
-    )
+        row[at.weights + i] = c.weights[i]
+    velocity_damper(s.q, c.limits, c.k0, row[at.lower : at.upper], row[at.upper : at.weights])
 
 
 @njit(cache=True, nogil=True)
-def third_level(record: Array, n: int, Z: Array, x: Array, gain: Array, damping: Array, share: float) -> Array:
-    """tau_mu = share M Z^T (Z M Z^T)^-1 Z (gain * (x - v) - damping * v), (n,) [Nm].
+def prepare_third_level(record: Array, law: Array, tip_ref: Array, trocar: Array, Z: Array, row: Array) -> bool:
+    """``fill_subproblem``, and carry the basis Z (r, n) of ker A over to this state; False where that fails."""
+    record, Z, row = borrowed(record), borrowed(Z), borrowed(row)
+    fill_subproblem(record, law, borrowed(tip_ref), borrowed(trocar), row)
+    s = state_views(record, Z.shape[1])
+    return follow_null_space(s.A, s.u, Z)
 
-    gain and damping (n,) multiply joint by joint, before the projection.
+
+@njit(cache=True, nogil=True)
+def third_level(record: Array, law: Array, Z: Array, x: Array, share: float) -> Array:
+    """Compute tau_mu = share M Z^T (Z M Z^T)^-1 Z (K_N2 (x - v) - D_N2 v), (n,) [Nm].
+
+    K_N2 and D_N2 multiply joint by joint, before the projection.
     """
-    s = state_views(record, n)
+    n = x.shape[0]
+    s, c = state_views(record, n), law_views(law, n)
     push = np.empty(n)
     for i in range(n):
-        push[i] = share * (gain[i] * (x[i] - s.v[i]) - damping[i] * s.v[i])
+        push[i] = share * (c.K_N2[i] * (x[i] - s.v[i]) - c.D_N2[i] * s.v[i])
     torque: Array = self_motion_torque(s.M, Z, push)
     return torque
 
 
 @njit(cache=True, nogil=True)
-def before_solver(
-    record: Array,
-    n: int,
-    tip_ref: Array,
-    trocar: Array,
-    gains: Array,
-    projector: int,
-    feedforward: bool,
-    rcm_lambda: float,
-    limits: Array,
-    weights: Array,
-    k0: float,
-    Z: Array,
-    tau: Array,
-    row: Array,
-) -> bool:
-    """All that a tick can do before its solver is asked, in one call: levels 1 and 2, subproblem, null space.
-
-    Args are those of ``tracking_torque`` and ``fill_subproblem``; tau (n,) and row (10 n + 10,) are written,
-    Z (r, n) follows. Returns False where Z could not follow.
-    """
-    s, Z, tau, row = state_views(borrowed(record), n), borrowed(Z), borrowed(tau), borrowed(row)
-    tip_ref, trocar, gains = borrowed(tip_ref), borrowed(trocar), borrowed(gains)
-    limits, weights = borrowed(limits), borrowed(weights)
-    found = _tracking(s, tip_ref, trocar, gains, projector, feedforward, rcm_lambda)
-    for i in range(n):
-        tau[i] = found[i]
-    _fill(s, tip_ref, trocar, limits, weights, k0, row)
-    return follow_null_space(s.A, s.u, Z)
-
-
-@njit(cache=True, nogil=True)
-def after_solver(
-    record: Array,
-    n: int,
-    Z: Array,
-    x: Array,
-    gain: Array,
-    damping: Array,
-    share: float,
-    disturbance: Array,
-    tau_max: Array,
-    tau: Array,
-) -> None:
-    """Add the third level's share to tau (n,), take the observer's disturbance (n,) out, and cut at tau_max (n,)."""
-    record, Z, x, tau = borrowed(record), borrowed(Z), borrowed(x), borrowed(tau)
-    gain, damping, disturbance, tau_max = borrowed(gain), borrowed(damping), borrowed(disturbance), borrowed(tau_max)
-    third = third_level(record, n, Z, x, gain, damping, share)
-    for i in range(n):
-        tau[i] = tau[i] + third[i] - disturbance[i]
+def add_third_level(record: Array, law: Array, Z: Array, x: Array, share: float, tau: Array) -> None:
+    """Add ``third_level`` to tau (n,), and cut the sum at tau_max."""
+    record, law, Z, x, tau = borrowed(record), borrowed(law), borrowed(Z), borrowed(x), borrowed(tau)
+    third = third_level(record, law, Z, x, share)
+    tau_max = law_views(law, tau.shape[0]).tau_max
+    for i in range(tau.shape[0]):
+        tau[i] += third[i]
         if tau[i] > tau_max[i]:  # a NaN passes: the plant refuses it by name
             tau[i] = tau_max[i]
         elif tau[i] < -tau_max[i]:

@@ -10,6 +10,6 @@ from moc_opt.embedded.compiler import CompilerError
 from moc_opt.embedded.export import export, record
 from moc_opt.embedded.native import NativeController
 from moc_opt.embedded.source import Recording
-from moc_opt.embedded.support import check_supported
+from moc_opt.embedded.support import TickSpec, check_supported
 
-__all__ = ["CompilerError", "NativeController", "Recording", "check_supported", "export", "record"]
+__all__ = ["CompilerError", "NativeController", "Recording", "TickSpec", "check_supported", "export", "record"]

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-
-import numpy as np
-
 from moc_opt.control import ControlSettings
 from moc_opt.control.motion import SETTLED
 from moc_opt.control.safety_filter import PRESS_PER_S, SafetyFilterSettings
 from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
+from moc_opt.embedded.source import number, render
+from moc_opt.embedded.support import TickSpec
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
@@ -20,31 +18,10 @@ LATE = ("hold", "zero", "iterate")
 FALLBACKS = ("damping", "hold", "least-violation")
 DEFAULT_SAFETY_FILTER = SafetyFilterSettings()
 
-_HEADER = """\
-/* Generated: the settings as numbers, SI units. Change the scenario and export again instead of editing. */
-#ifndef MOC_CONSTANTS_H
-#define MOC_CONSTANTS_H
 
-#include <math.h>
-
-{macros}
-
-/* Of every joint: limits [rad], [rad/s], [Nm], and K_N2, D_N2 [N m s/rad]. */
-{arrays}
-
-#endif
-"""
-
-
-def constants(
-    tick: Tick,
-    robot: RobotModel,
-    control: ControlSettings,
-    solver: Solver | None,
-    period: float,
-    guard: SafetyFilterSettings,
-) -> dict[str, str]:
-    """Both files as text, by name."""
+def constants(tick: Tick, spec: TickSpec, guard: SafetyFilterSettings) -> dict[str, str]:
+    """Write both files, text by name."""
+    robot, control, solver, period = spec
     macros = _law(tick, control, solver, period) | _supervisor(control) | _guard(robot, guard, period)
     macros["MOC_OPERATIONS"] = f"{worst_path(tick)['in all']} /* floating-point operations of the longest step */"
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
@@ -57,22 +34,13 @@ def constants(
         "moc_warning": (guard.rcm_warning_m, guard.trocar_force_warning_N),
         "moc_limit": (guard.rcm_error_m, guard.trocar_force_N),
     }
-    declared = [f"extern const double {name}[MOC_N];" for name in arrays]
-    declared += ["/* Root mean squares of RCM error [m] and trocar force [N]. */"]
-    declared += [f"extern const double {name}[2];" for name in levels]
-    defined = [
-        f"const double {name}[{len(values)}] = {{{', '.join(map(number, values))}}};"
-        for name, values in (arrays | levels).items()
-    ]
+    defined = arrays | levels
     return {
-        "moc_constants.h": _HEADER.format(macros=_lines(macros), arrays="\n".join(declared)),
-        "moc_constants.c": "\n".join(['#include "moc_constants.h"', "", *defined, ""]),
+        "moc_constants.h": render(
+            "moc_constants.h", macros=macros, width=max(map(len, macros)), arrays=arrays, levels=levels
+        ),
+        "moc_constants.c": render("moc_constants.c", defined=defined),
     }
-
-
-def number(value: float | None) -> str:
-    """The value to the last bit; None is no level, or no limit, at all."""
-    return "HUGE_VAL" if value is None or np.isinf(value) else repr(float(value))
 
 
 def _law(tick: Tick, control: ControlSettings, solver: Solver | None, period: float) -> dict[str, str]:
@@ -156,8 +124,3 @@ def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
         "MOC_SETTLING_TICKS": str(round(SETTLED / (guard.residual_rate_per_s * period))),
     }
 
-
-def _lines(macros: Mapping[str, str]) -> str:
-    width = max(map(len, macros))
-    aligned: Iterable[str] = (f"#define {name.ljust(width)} {value}" for name, value in macros.items())
-    return "\n".join(aligned)

@@ -16,7 +16,7 @@ from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER, constants
 from moc_opt.embedded.source import Recording, SafeRecording
-from moc_opt.embedded.support import check_safety_filter
+from moc_opt.embedded.support import TickSpec, check_safety_filter
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
@@ -25,24 +25,15 @@ from moc_opt.solvers.base import Solver
 Array = NDArray[np.float64]
 
 
-def record(
-    robot: RobotModel,
-    settings: ControlSettings,
-    solver: Solver | None,
-    period: float,
-    q: Array,
-    v: Array,
-    tip_ref: Array,
-    trocar: Array,
-) -> Recording:
+def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Recording:
     """Let the Python controller answer k consecutive ticks.
 
     Args:
-        robot, settings, solver, period: as for `Controller`.
+        spec: what the tick is made from.
         q, v: (k,n) measured [rad], [rad/s].
         tip_ref: (k,3,3) rows X_d, dX_d, ddX_d; trocar: (k,2,3) rows P_t, dP_t.
     """
-    controller = Controller(robot, settings, solver, period)
+    robot, controller = spec.robot, Controller(*spec)
     controller.start(robot.state(q[0], v[0]), tip_ref[0], trocar[0])
     ticks = zip(q, v, tip_ref, trocar, strict=True)
     tau = [controller.tick(robot.state(*seen), reference, port) for *seen, reference, port in ticks]
@@ -50,33 +41,25 @@ def record(
 
 
 def c_files(
-    robot: RobotModel,
-    settings: ControlSettings,
-    solver: Solver | None,
-    period: float,
-    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
+    spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
 ) -> tuple[Tick, dict[str, str]]:
     """The tick, and the C files of the bare tick as text by file name.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for.
     """
-    tick = build_tick(robot, settings, solver, period)
-    title = f"Control tick ({settings.law.upper()}) of the arm {robot.data.name!r}"
+    tick = build_tick(spec)
+    title = f"Control tick ({spec.settings.law.upper()}) of the arm {spec.robot.data.name!r}"
     texts = {
-        "moc_tick.h": source.header(tick, title, _constants(robot, settings, solver, period)),
+        "moc_tick.h": source.header(tick, title, _constants(*spec)),
         "moc_tick.c": source.implementation(tick),
     }
-    texts |= constants(tick, robot, settings, solver, period, guard)
+    texts |= constants(tick, spec, guard)
     return tick, texts | program.bare(tick)
 
 
 def safe_files(
-    robot: RobotModel,
-    settings: ControlSettings,
-    solver: Solver | None,
-    period: float,
-    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
+    spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
 ) -> tuple[Tick, dict[str, str]]:
     """The tick, and the C files of the whole controller: the bare tick, its supervisor and its guard.
 
@@ -84,15 +67,12 @@ def safe_files(
         ControlError: the C code cannot do what a setting asks for.
     """
     check_safety_filter(guard)
-    tick, texts = c_files(robot, settings, solver, period, guard)
+    tick, texts = c_files(spec, guard)
     return tick, texts | {"moc_arm.c": source.arm(tick)} | program.guarded(tick)
 
 
 def export(
-    robot: RobotModel,
-    settings: ControlSettings,
-    solver: Solver | None,
-    period: float,
+    spec: TickSpec,
     recording: Recording,
     out: str | os.PathLike[str],
     guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
@@ -101,7 +81,7 @@ def export(
     """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.
 
     Args:
-        robot, settings, solver, period: as for `Controller`.
+        spec: what the tick is made from.
         recording: ticks that main.c compares the bare tick with.
         out: made if need be.
         guard: the limits that are compiled in.
@@ -110,12 +90,11 @@ def export(
     Raises:
         ControlError: the generated code cannot do what a setting asks for, or `out` cannot be written.
     """
-    tick, texts = safe_files(robot, settings, solver, period, guard)
-    texts |= {"main.c": source.self_test(tick), "recording.h": source.recording(recording)}
-    texts |= program.read("extremes.c")
+    _, texts = safe_files(spec, guard)
+    texts |= program.read("main.c", "extremes.c") | {"recording.h": source.recording(recording)}
     if safe_recording is not None:
         texts |= program.read("safe_test.c") | {"safe_recording.h": source.safe_recording(safe_recording)}
-    texts["Makefile"] = program.makefile(texts, " ".join(FLAGS), safe_recording is not None)
+    texts["Makefile"] = source.makefile(texts, " ".join(FLAGS), safe_recording is not None)
     folder, written = Path(out), []
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from moc_opt.embedded import program
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER
 from moc_opt.embedded.export import safe_files
+from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
@@ -52,7 +53,7 @@ class GuardedController:
         period: float = 0.002,
         guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
     ) -> None:
-        _, texts = safe_files(robot, settings, solver, period, guard)
+        _, texts = safe_files(TickSpec(robot, settings, solver, period), guard)
         self._n = robot.n
         self.library = found = ctypes.PyDLL(str(compile_library(texts | program.read("access.c"))))
         found.moc_state_size.restype = ctypes.c_ulong

@@ -25,6 +25,21 @@ class Field(NamedTuple):
         """Number of doubles."""
         return math.prod(self.shape)
 
+    @property
+    def declared(self) -> str:
+        """Its declaration in C, without the type."""
+        return f"{self.name}[{self.length}]" if self.shape else self.name
+
+    @property
+    def argument(self) -> str:
+        """Its declaration as an argument that is read."""
+        return f"const double {self.name}[{self.length}]"
+
+    @property
+    def described(self) -> str:
+        """Shape and meaning, for a comment."""
+        return f"{self.shape} ".replace(" ", "") + " " + self.meaning if self.shape else self.meaning
+
 
 class Layout(NamedTuple):
     """The arguments of one law on one arm."""
@@ -51,7 +66,7 @@ def layout(n: int, law: str, rows: int) -> Layout:
     state = (
         Field("momentum", (n,), "integral of the momentum observer [Nm s]"),
         Field("external_torque", (n,), "what the observer makes of the torque from outside [Nm]"),
-        Field("torque", (n,), "torque of the last tick [Nm]; overwrite it if another one was sent"),
+        Field("torque", (n,), "torque of the last tick [Nm]; overwrite it if another one was applied"),
         Field("held_x", (n,), "last answer of the subproblem [rad/s]"),
         Field("share", (), "of the third level that is let through, growing to 1 over ramp_s"),
     )

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.session import check_references
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.export import c_files
 from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
+from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP
@@ -28,7 +30,7 @@ _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
 class NativeController:
-    """`Controller` in C, with the interface that the loop asks of its brain (`sim.loop.LoggedController`).
+    """`Controller` in C, as the closed loop calls it (`sim.protocols.LoggedController`).
 
     Same torque to rounding, and the same columns in the trace except ``solve_us``: inside the compiled tick
     the solver has no clock of its own. Where the rows of tip and wrist lose rank, `exact` may still find an
@@ -91,14 +93,7 @@ class NativeController:
             RobotError, ControlError: an input or the torque is not finite; the controller's state is as before.
             ControlError: not started, or a reference of the wrong shape.
         """
-        if not self._started:
-            raise ControlError(
-                "tick before start: call start(q, v, tip_ref, trocar) once before the first tick"
-            )
-        if tip_ref.shape != (3, 3) or trocar.shape != (2, 3):
-            raise ControlError(
-                f"tip_ref has shape {tip_ref.shape}, trocar {trocar.shape}: give (3, 3) and (2, 3), a row a derivative"
-            )
+        check_references(self._started, tip_ref, trocar)
         self._q[:] = q
         self._v[:] = v
         self._tip_ref[:] = tip_ref
@@ -190,7 +185,7 @@ class NativeController:
 def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
     """Layout and C files of (robot data, settings, solver, period): the second run of a law need not write it again."""
     data, settings, solver, period = pickle.loads(pickled)
-    tick, texts = c_files(RobotModel(data), settings, solver, period)
+    tick, texts = c_files(TickSpec(RobotModel(data), settings, solver, period))
     return tick.layout, texts
 
 

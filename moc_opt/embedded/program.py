@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from importlib.resources import files
 
 from moc_opt.embedded.symbolic import Tick
@@ -39,14 +38,3 @@ def guarded(tick: Tick) -> dict[str, str]:
     """Supervisor, guard and what they stand on, for the law of this tick."""
     return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))
 
-
-def makefile(names: Iterable[str], flags: str, tested: bool) -> str:
-    """The Makefile for files of these names; `tested`: with the recorded run of the whole controller."""
-    names = sorted(names)
-    parts = [name for name in names if name.startswith("moc_") and name.endswith(".c")]
-    headers = [name for name in names if name.startswith("moc_") and name.endswith(".h")]
-    tests = ["moc_tick_test", *(["moc_safe_test"] if tested else [])]
-    text = read("Makefile.in")["Makefile.in"]
-    for place, words in (("flags", [flags]), ("parts", parts), ("headers", headers), ("tests", tests)):
-        text = text.replace(f"@{place}@", " ".join(words))
-    return text

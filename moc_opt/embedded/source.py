@@ -1,16 +1,17 @@
-"""The C text around CasADi's generated functions: header, thin readable interface, self-test, Makefile."""
+"""Fill the templates of the C files in ``c/``: header, interface around CasADi's functions, recordings, Makefile."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
-from moc_opt.embedded import templates
-from moc_opt.embedded.layout import OBSERVED, Field
+from moc_opt.embedded.layout import OBSERVED
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.inputs.names import in_comment
 
@@ -36,10 +37,10 @@ class Recording(NamedTuple):
 
 
 class SafeRecording(NamedTuple):
-    """Consecutive ticks of a controller in its guard: what was measured, and the torque that was sent."""
+    """Consecutive ticks of a controller behind its safety filter: measurements, and torques that were applied."""
 
     q: Array
-    """(k,n) [rad]; may hold what is no number"""
+    """(k,n) [rad]; may be NaN"""
     v: Array
     """(k,n) [rad/s]"""
     stamp: Array
@@ -54,111 +55,95 @@ class SafeRecording(NamedTuple):
     """(k,) time of the solver [us]; zero where it was not asked"""
     tau: Array
     """(k,n) [Nm]"""
-    sent: Array
+    applied: Array
     """(n,) torque before the first tick [Nm]"""
     stopped_at: int
-    """the tick at which the guard stopped the arm; -1: it did not"""
+    """the tick at which the safety filter stopped the arm; -1: it did not"""
 
 
 def header(tick: Tick, title: str, constants: Mapping[str, Any]) -> str:
-    """moc_tick.h. `title` and `constants` say in a comment what the numbers in the code came from.
+    """Write moc_tick.h. `title` and `constants` say in a comment what the numbers in the code came from.
 
     They may hold names from files and the text of any setting: nothing of it leaves the comment.
     """
-    return templates.HEADER.substitute(
-        n=tick.n,
-        title=in_comment(title),
-        constants="\n".join(f" *   {in_comment(f'{name} = {value}')}" for name, value in constants.items()),
-        state=_members(tick.layout.state),
-        report=_members(tick.layout.report),
-        inputs="\n".join(f" *   {field.name}: {_meaning(field)}" for field in tick.layout.inputs),
-        arguments=_arguments(tick.layout.inputs),
-        start_arguments=_arguments(tick.layout.inputs[:2]),
-        bad_input=BAD_INPUT,
-    )
+    lines = [in_comment(f"{name} = {value}") for name, value in constants.items()]
+    return render("moc_tick.h", **_interface(tick), title=in_comment(title), constants=lines, bad_input=BAD_INPUT)
 
 
 def implementation(tick: Tick) -> str:
-    """moc_tick.c: CasADi's functions, kept static, and the interface around them."""
-    names, state, report = tick.layout
-    inputs = [field.name for field in names]
-    follow = "solver" if any(field.name == "x" for field in report) else "damping" if tick.rows else "levels"
-    return templates.IMPLEMENTATION.substitute(
-        n=tick.n,
-        **_generated(tick.start, tick.tick),
-        arguments=_arguments(tick.layout.inputs),
-        start_arguments=_arguments(tick.layout.inputs[:2]),
-        start_given=", ".join(inputs[:2]),
-        start_results=", ".join(_address("state->", field) for field in state),
-        inputs=", ".join(inputs),
-        given=", ".join([*inputs, *(_address("state->", field) for field in state[: OBSERVED + 1])]),
-        results=", ".join(_address("next.", field) for field in state[:OBSERVED]),
-        reported=",\n        ".join(_address("report->", field) for field in report),
-        bad=" || ".join(f"!moc_all_finite({field.length}, {field.name})" for field in names),
-        follow=templates.FOLLOW[follow],
-    )
-
-
-def arm(tick: Tick) -> str:
-    """moc_arm.c: gravity torque and tool pose, for the guard."""
-    return templates.ARM.substitute(_generated(tick.gravity, tick.tool_pose))
-
-
-def _generated(*functions: Any) -> dict[str, str]:
-    generator = ca.CodeGenerator("moc_casadi", {"with_mem": False})
-    for function in functions:
-        generator.add(function)
-    return {
-        "generated": generator.dump().strip(), "prologue": templates.PROLOGUE, "epilogue": templates.EPILOGUE,
-    }  # fmt: skip
-
-
-def self_test(tick: Tick) -> str:
-    """main.c: compares with the recording and times itself."""
-    return templates.MAIN.substitute(n=tick.n)
-
-
-def recording(rows: Recording) -> str:
-    """recording.h: the recorded ticks as one table."""
-    table, lines = _table(rows)
-    return templates.RECORDING.substitute(ticks=len(table), width=table.shape[1], rows=lines)
-
-
-def safe_recording(rows: SafeRecording) -> str:
-    """safe_recording.h: the same for the controller in its guard."""
-    table, lines = _table(rows[:-2])
-    return templates.SAFE_RECORDING.substitute(
-        ticks=len(table), width=table.shape[1], rows=lines, stopped_at=rows.stopped_at, n=len(rows.sent),
-        sent=", ".join(map(_number, rows.sent)),
+    """Write moc_tick.c: CasADi's functions, kept static, and the interface around them."""
+    return render(
+        "moc_tick.c", **_interface(tick), rows=tick.rows, solves=any(field.name == "x" for field in tick.layout.report),
+        observed=OBSERVED, generated=_generated(tick.start, tick.tick),
     )  # fmt: skip
 
 
-def _table(columns: tuple[Array, ...]) -> tuple[Array, str]:
-    table = np.hstack([np.asarray(part).reshape(len(columns[0]), -1) for part in columns])
-    return table, ",\n".join("    {" + ", ".join(map(_number, row)) + "}" for row in table)
+def arm(tick: Tick) -> str:
+    """Write moc_arm.c: gravity torque and tool pose, for the safety filter."""
+    return render("moc_arm.c", generated=_generated(tick.gravity, tick.tool_pose))
 
 
-def _number(value: float) -> str:
+def recording(rows: Recording) -> str:
+    """Write recording.h: the recorded ticks as one table."""
+    return render("recording.h", table=_table(rows))
+
+
+def safe_recording(rows: SafeRecording) -> str:
+    """Write safe_recording.h: the same for the controller behind its safety filter."""
+    return render(
+        "safe_recording.h", table=_table(rows[:-2]), applied=rows.applied.tolist(), stopped_at=rows.stopped_at
+    )
+
+
+def makefile(names: Iterable[str], flags: str, tested: bool) -> str:
+    """Write the Makefile for files of these names; `tested`: with the recorded run of the whole controller."""
+    parts, headers = (sorted(n for n in names if n.startswith("moc_") and n.endswith(end)) for end in (".c", ".h"))
+    tests = ["moc_tick_test", *(["moc_safe_test"] if tested else [])]
+    return render("Makefile", flags=flags, parts=parts, headers=headers, tests=tests)
+
+
+def number(value: float | None) -> str:
+    """Write a number to the last bit; None is no level, or no limit, at all."""
+    if value is None:
+        return "HUGE_VAL"
     if np.isnan(value):
         return "NAN"
     return repr(float(value)) if np.isfinite(value) else "HUGE_VAL" if value > 0.0 else "-HUGE_VAL"
 
 
-def _meaning(field: Field) -> str:
-    shape = f"{field.shape} ".replace(" ", "") + " " if field.shape else ""
-    return shape + field.meaning
+def render(name: str, **values: Any) -> str:
+    """Fill the template ``c/NAME.in``; a value that it asks for and is not given is an error."""
+    return _environment().get_template(f"{name}.in").render(**values)
 
 
-def _members(fields: tuple[Field, ...]) -> str:
-    return "\n".join(
-        f"    double {field.name}{f'[{field.length}]' if field.shape else ''}; /* {_meaning(field)} */"
-        for field in fields
-    )
+@cache
+def _environment() -> Environment:
+    # {{ }} would clash with C's braces.
+    environment = Environment(
+        loader=PackageLoader("moc_opt.embedded", "c"), undefined=StrictUndefined, keep_trailing_newline=True,
+        trim_blocks=True, lstrip_blocks=True, variable_start_string="@{", variable_end_string="}",
+    )  # fmt: skip
+    environment.filters |= {
+        "number": number,
+        "numbers": lambda values: ", ".join(map(number, values)),
+        "address": lambda field, owner: f"{'' if field.shape else '&'}{owner}{field.name}",
+    }
+    return environment
 
 
-def _address(owner: str, field: Field) -> str:
-    return f"{'' if field.shape else '&'}{owner}{field.name}"
+def _interface(tick: Tick) -> dict[str, Any]:
+    names = [field.name for field in tick.layout.inputs]
+    return {"n": tick.n, "names": names, **tick.layout._asdict()}
 
 
-def _arguments(fields: tuple[Field, ...]) -> str:
-    return ", ".join(f"const double {field.name}[{field.length}]" for field in fields)
+def _generated(*functions: Any) -> str:
+    generator = ca.CodeGenerator("moc_casadi", {"with_mem": False})
+    for function in functions:
+        generator.add(function)
+    text: str = generator.dump()
+    return text.strip()
+
+
+def _table(columns: tuple[Array, ...]) -> list[list[float]]:
+    rows: list[list[float]] = np.hstack([np.asarray(part).reshape(len(columns[0]), -1) for part in columns]).tolist()
+    return rows

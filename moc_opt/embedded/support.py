@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.errors import ControlError
@@ -9,6 +11,16 @@ from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.solver import Exact
+
+
+class TickSpec(NamedTuple):
+    """What a compiled tick is made from: the arguments of `Controller`; C contains the solver ``exact`` only."""
+
+    robot: RobotModel
+    settings: ControlSettings
+    solver: Solver | None
+    period: float
+
 
 # Every field of ControlSettings that the generated tick follows, `backend` being the choice of C itself; the fields of
 # `supervisor` are below.
@@ -36,7 +48,7 @@ SUPERVISED = frozenset((
 
 
 def check_safety_filter(guard: SafetyFilterSettings) -> None:
-    """Say no to limits that the C guard does not hold.
+    """Refuse limits that the C code does not hold.
 
     Raises:
         ControlError: naming the setting, its value and the cure.
@@ -51,14 +63,13 @@ def _refuse_unknown(settings: Settings, known: frozenset[str]) -> None:
             raise ControlError(f"{settings.KIND} {name} = {value!r} is not known to generated C: leave it out")
 
 
-def check_supported(
-    robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float
-) -> None:
-    """Say no before anything is generated.
+def check_supported(spec: TickSpec) -> None:
+    """Refuse what cannot be generated.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for; the message names field and cure.
     """
+    robot, settings, solver, period = spec
     moc = settings.law == "moc"
     if moc and not isinstance(solver, Exact):
         name = getattr(solver, "name", None)

@@ -85,16 +85,9 @@ def null_vector(triangle: Triangle) -> SX:
 
 
 def solve(
-    triangle: Triangle,
-    z: SX,
-    b: SX,
-    gradient: SX,
-    box: Box,
-    active: list[int],
-    c2: float,
-    rho: float,
-    tolerance: float,
-) -> Answer:
+    triangle: Triangle, z: SX, b: SX, gradient: SX, box: Box, active: list[int], *,
+    c2: float, rho: float, tolerance: float,
+) -> Answer:  # fmt: skip
     """max c2 gradient . x - rho/2 |x|^2 on A x = b inside the box.
 
     Args:

@@ -13,13 +13,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.control import ControlSettings
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
-from moc_opt.embedded.support import check_supported
+from moc_opt.embedded.support import TickSpec, check_supported
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.elimination import OK, STUCK
@@ -47,20 +46,21 @@ class Tick:
     """q -> (4,3) the tool's axes x, y, z and its tip [m], as `RobotModel.tool_pose`"""
 
 
-def build_tick(robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float) -> Tick:
-    """Write out the tick of `Controller(robot, settings, solver, period)`.
+def build_tick(spec: TickSpec) -> Tick:
+    """Write out the tick of `Controller(*spec)`.
 
     Raises:
         ControlError: the generated code cannot do what this setting asks for; the message names it.
     """
-    check_supported(robot, settings, solver, period)
+    check_supported(spec)
+    robot, settings = spec.robot, spec.settings
     active = int(robot.moves.any(axis=0).sum())
     rows = robot.n - active + 1 if settings.law == "moc" or settings.damps_dcac else 0
     names = layout(robot.n, settings.law, rows)
     # of the state, what the observer keeps, and the torque that acted since
     observed = names.state[: OBSERVED + 1]
     symbols = {field.name: ca.SX.sym(field.name, field.length) for field in (*names.inputs, *observed)}
-    law = _Law(robot, settings, solver, period, symbols)
+    law = _Law(spec, symbols)
     begin = {"momentum": law.p, "torque": law.h}
     start = [begin.get(field.name, ca.SX.zeros(field.length)) for field in names.state]
     results = [law.results[field.name] for field in (*observed[:OBSERVED], *names.report)]
@@ -79,14 +79,8 @@ def build_tick(robot: RobotModel, settings: ControlSettings, solver: Solver | No
 class _Law:
     """The expressions, level by level; `s` holds the symbols and `results` the values, both by field name."""
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        settings: ControlSettings,
-        solver: Solver | None,
-        period: float,
-        s: dict[str, SX],
-    ) -> None:
+    def __init__(self, spec: TickSpec, s: dict[str, SX]) -> None:
+        robot, settings, solver, period = spec
         self.robot, self.settings, self.s = robot, settings, s
         self.gains = settings.resolve_gains(robot.data.gains, robot.n)
         self.arm = arm = Arm.of(robot)
@@ -112,14 +106,18 @@ class _Law:
             residual = settings.observer_gain_per_s * (self.p - integral)
             self.results |= {"momentum": integral, "external_torque": residual}
 
-    def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
-        """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
-        trocar, trocar_velocity = self.s["trocar"][:3], self.s["trocar"][3:]
-        to_trocar = trocar - self.at.tip
+    def _shaft_turn(self, tip_velocity: SX) -> tuple[SX, SX, SX, SX]:
+        """|P_t - X|, e, its closing speed and de/dt, see `moc_opt.control.rcm.shaft_turn`."""
+        to_trocar = self.s["trocar"][:3] - self.at.tip
         distance = ca.norm_2(to_trocar)
         e = to_trocar / distance
-        slip = trocar_velocity - tip_velocity
-        turn = (slip - ca.dot(e, slip) * e) / distance
+        slip = self.s["trocar"][3:] - tip_velocity
+        closing = ca.dot(e, slip)
+        return distance, e, closing, (slip - closing * e) / distance
+
+    def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
+        """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
+        _, e, _, turn = self._shaft_turn(tip_velocity)
         return self.at.tip + self.span * e, tip_velocity + self.span * turn
 
     def _tip_and_rcm(self) -> SX:
@@ -134,9 +132,8 @@ class _Law:
         force = gains.K_X * (X_d - self.at.tip) + gains.D_X * (dX_d - dX)
         N_d, dN_d = self._desired_wrist(dX)
         if self.settings.rcm_lambda is not None:
-            e = self.s["trocar"][:3] - self.at.tip
-            distance = ca.norm_2(e)
-            along = ca.dot(e, self.at.wrist - self.at.tip) / (distance * self.span)
+            distance, e, *_ = self._shaft_turn(dX)
+            along = ca.dot(e, self.at.wrist - self.at.tip) / self.span
             true_lambda = distance / self.span * ca.sqrt(ca.fmax(0, 0.5 * (1 + along)))
             N_d = self.at.wrist + true_lambda / self.settings.rcm_lambda * (N_d - self.at.wrist)
         tau_wrist = J_wrist.T @ (gains.K_N * (N_d - self.at.wrist) + gains.D_N * (dN_d - dN))
@@ -152,12 +149,7 @@ class _Law:
     def _feedforward(self, factor: SX, dX: SX, ddX_d: SX) -> SX:
         """Accelerations of tip and desired wrist, see `moc_opt.control.feedforward`."""
         at, v = self.at, self.s["v"]
-        to_trocar = self.s["trocar"][:3] - at.tip
-        distance = ca.norm_2(to_trocar)
-        e = to_trocar / distance
-        slip = self.s["trocar"][3:] - dX
-        closing = ca.dot(e, slip)
-        turn = (slip - closing * e) / distance
+        distance, e, closing, turn = self._shaft_turn(dX)
         pull = -ddX_d - 2 * closing * turn
         ddN_d = ddX_d + self.span * ((pull - ca.dot(e, pull) * e) / distance - ca.dot(turn, turn) * e)
         across = ca.vertcat(
@@ -213,8 +205,8 @@ class _Law:
             ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max),
         )
         answer = swivel.solve(
-            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active, settings.c2, settings.regularization,
-            tolerance,
+            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active,
+            c2=settings.c2, rho=settings.regularization, tolerance=tolerance,
         )  # fmt: skip
         self.status = answer.status
         on_tip = (answer.dual[4] * b1 - answer.dual[3] * b2) / self.span

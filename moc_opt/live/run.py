@@ -247,9 +247,10 @@ class LiveRun:
     def _show(self, tip_ref: Array, trocar: Array, t: float = 0.0, state: RobotState | None = None) -> None:
         used = self._in_use.used
         solution, state = used.controller.solution, self._in_use.state if state is None else state
+        status = "none" if solution is None else solution.status.label
         moment = Moment(
-            t, state.q, state.tip, np.array(tip_ref), np.array(trocar), state.J_tip, state.mu, used.solver,
-            "none" if solution is None else solution.status.label, self._stopped,
+            t_s=t, q=state.q, tip=state.tip, tip_ref=np.array(tip_ref), trocar=np.array(trocar), J_tip=state.J_tip,
+            mu=state.mu, solver=used.solver, status=status, stopped=self._stopped,
         )  # fmt: skip
         with self._lock:
             self._moment = moment

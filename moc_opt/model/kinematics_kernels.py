@@ -11,10 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.model.dynamics_kernels import energy_slope, gravity_torque
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
 
 Array = NDArray[np.float64]

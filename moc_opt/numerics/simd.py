@@ -13,11 +13,13 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import float64, int64, njit, types
+from numba import float64, int64, types
 from numba.core import cgutils
 from numba.core.typeconv import Conversion
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model, type_callable
 from numba.np.arrayobj import populate_array
+
+from moc_opt.numerics.cache import njit
 
 COUNT = 8
 _EIGHT, _INDEX, _BYTE = ir.VectorType(ir.DoubleType(), COUNT), ir.IntType(64), ir.IntType(8)

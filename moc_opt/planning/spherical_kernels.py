@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 TURN = 2.0 * math.pi

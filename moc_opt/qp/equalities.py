@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.qp import layout, reduction
 from moc_opt.qp.layout import C0, C1, C2, RHO
 from moc_opt.qp.problem import NullSpaceQP

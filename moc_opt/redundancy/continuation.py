@@ -10,10 +10,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import manipulability, point_in_world, point_jacobian
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 

@@ -1,21 +1,17 @@
 """A validated scenario, and its run: the only room that puts solver, controller and plant together.
 
 Read first: ``config`` (``Scenario``: every key of the TOML), then ``setup`` (``Setup`` builds the objects,
-``run`` makes a trace). ``layout`` lays the task out from a start, ``adapter`` joins controller and loop,
+``run`` makes a trace). ``parts`` makes solver and safety filter, ``derived`` the columns that follow from a run's;
+``layout`` lays the task out from a start, ``adapter`` joins controller and loop,
 ``agreement`` compares the two engines, ``rows`` prepares references by the block, ``exported`` writes the
 controller as C. Imported by live, the command line and benchmarks.
 """
 
-from moc_opt.scenario.setup import (
-    MocOptError,
-    RunAway,
-    Scenario,
-    Setup,
-    make_safety_filter,
-    make_solver,
-    make_stop,
-    run,
-)  # fmt: skip
+from moc_opt.errors import MocOptError
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop
+from moc_opt.scenario.setup import Setup, run
+from moc_opt.sim.loop import RunAway
 
 __all__ = [
     "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",

@@ -38,19 +38,18 @@ class ControllerAdapter:
         return self.controller.faults
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """See ``sim.loop.LoggedController``; run one discarded tick, so that compilation is over before the loop."""
+        """Warm the controller up and start it; see ``sim.protocols``."""
         state = self._robot.state(q, v)
-        self.controller.start(state, tip_ref, trocar)
-        self.controller.tick(state, tip_ref, trocar)
+        self.controller.warm_up(state, tip_ref, trocar)
         self.controller.start(state, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.loop.LoggedController``."""
+        """See ``sim.protocols``."""
         self._state = state = self._robot.state(q, v)
         return self.controller.tick(state, tip_ref, trocar)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """See ``sim.loop.LoggedController``."""
+        """See ``sim.protocols``."""
         self.controller.set_applied_torque(tau)
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
@@ -69,7 +68,7 @@ class ControllerAdapter:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """See ``sim.loop.LoggedController``."""
+        """See ``sim.protocols``."""
         solution, qp = self.controller.solution, self.controller.subproblem
         if solution is None or qp is None:
             return

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
-from moc_opt.embedded import check_supported, export, record
+from moc_opt.embedded import TickSpec, check_supported, export, record
 from moc_opt.embedded.export import safe_files
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import SafeRecording
@@ -49,8 +49,8 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
     setup = Setup(
         scenario.change(judge=False, bound_samples=0, control={"backend": "python"}, faults={"solver": "none"})
     )
-    law = (setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
-    check_supported(*law)
+    law = TickSpec(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
+    check_supported(law)
     check_safety_filter(scenario.guard)
     trace, t = setup.trace(), setup.times()
     begin = min(len(trace), len(t)) // 2
@@ -59,10 +59,10 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
     q, v = trace.q_rad[part], trace.v_rad_per_s[part]
     tip_ref, trocar = tip_ref[: len(q)], trocar[: len(q)]
     wrench = np.hstack([trace.columns["force_N"], trace.columns["torque_Nm"]])[part]
-    recording = record(*law, q, v, tip_ref, trocar)
+    recording = record(law, q, v, tip_ref, trocar)
     safe = record_with_faults(setup, q, v, tip_ref, trocar, wrench)
-    files = export(*law, recording, out, scenario.guard, safe)
-    return Exported(files, worst_path(safe_files(*law, scenario.guard)[0]))
+    files = export(law, recording, out, scenario.guard, safe)
+    return Exported(files, worst_path(safe_files(law, scenario.guard)[0]))
 
 
 def record_with_faults(
@@ -87,8 +87,8 @@ def record_with_faults(
     v[4 * k // 5, -1] = 2.0 * setup.robot.v_max[-1]
     q[9 * k // 10 :] = np.nan
     controller = Controller(setup.robot, scenario.control, setup.solver(), scenario.plant.period_s)
-    sent = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
-    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), sent)
+    applied = np.clip(setup.robot.gravity(q[0]), -setup.robot.tau_max, setup.robot.tau_max)
+    loop = FilteredController(ControllerAdapter(controller), make_safety_filter(setup.robot, scenario), applied)
     tau, solve_us, stopped_at = np.empty_like(q), np.zeros(k), -1
     stamp = np.arange(float(k))
     stamp[3 * k // 10] -= min(borne, 1)  # a packet comes again
@@ -97,4 +97,7 @@ def record_with_faults(
         tau[i] = loop.tick(Measurement(q[i], v[i], wrench[i], int(stamp[i])), tip_ref[i], trocar[i])
         solve_us[i] = 0.0 if np.isnan(controller.solve_us) else controller.solve_us
         stopped_at = i if loop.stop_reason and stopped_at < 0 else stopped_at
-    return SafeRecording(q, v, stamp, tip_ref, trocar, wrench, solve_us, tau, sent, stopped_at)
+    return SafeRecording(
+        q=q, v=v, stamp=stamp, tip_ref=tip_ref, trocar=trocar, wrench=wrench, solve_us=solve_us, tau=tau,
+        applied=applied, stopped_at=stopped_at,
+    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""How a scenario is put together and run: the only place that knows every room."""
+"""Build the objects of a scenario, and run it."""
 
 from __future__ import annotations
 
@@ -11,40 +11,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt import solvers
 from moc_opt.control import Controller
-from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import MocOptError, RobotError, ScenarioError, describe
-from moc_opt.inputs.files import read_arrays
-from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import compute_residuals
-from moc_opt.qp.residuals import Residuals
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.errors import ScenarioError, describe
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
 from moc_opt.scenario.layout import breathing, lay_out
+from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
 from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
-from moc_opt.sim.closed_loop import ClosedLoop, Stop
+from moc_opt.sim.closed_loop import ClosedLoop
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Sink, TaskOffset
 from moc_opt.sim.loop import BLOCK, RunAway, simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import LoggedController, TorqueController
-from moc_opt.solvers.base import Solver, Status
+from moc_opt.solvers.base import Solver
 from moc_opt.solvers.faulty import Faulty, draw
-from moc_opt.solvers.registry import accepts
 from moc_opt.tasks import Trocar
-from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.writer import TraceWriter
 
 Array = NDArray[np.float64]
-
-JUDGED = 5000
-"""Answers that are judged together."""
 
 
 class Setup:
@@ -73,7 +63,7 @@ class Setup:
         entry = layout.trocar + self.offset.trocar
         self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
         self._fault_seed = fault_seed
-        self._replayed_us = _recorded_times(scenario)
+        self._replayed_us = recorded_times(scenario)
 
     def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
         """Lay the task where the arm's own tip is; ``entry`` (3,) [m] is where its model puts the incision.
@@ -98,7 +88,8 @@ class Setup:
 
     def controller(self) -> Controller:
         """The law and solver that the scenario asks for."""
-        settings, times = self.scenario.control, self._replay()
+        settings, replayed = self.scenario.control, self._replayed_us
+        times: Iterator[float] | None = None if replayed is None else itertools.cycle(replayed)
         if self.scenario.faults.solver == "hang" and settings.law == "moc":
             # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
             watch = settings.supervisor
@@ -106,16 +97,10 @@ class Setup:
             settings = settings.model_copy(
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
-            # one more in front, for the discarded tick before the loop
-            times = itertools.chain([0.0], np.where(self.fault_mask(), 10.0 * budget, 0.0))
+            times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
         guided = settings.law == "moc" and settings.third_level == "planned"
         guide = follower(self.scenario, self.robot, self.layout) if guided else None
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
-
-    def _replay(self) -> Iterator[float] | None:
-        """The recorded solve times from the start, their first one twice: one tick before the loop is discarded."""
-        times = self._replayed_us
-        return None if times is None else itertools.chain(times[:1], itertools.cycle(times))
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """At which ticks the solver's answer is replaced by a fault, (N,)."""
@@ -181,7 +166,7 @@ class Setup:
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        return trace.with_columns(mu_bound=self._mu_bound(trace.q_rad))
+        return trace.with_columns(mu_bound=self._largest_mu(trace))
 
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
@@ -224,108 +209,24 @@ class Setup:
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
             run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
-            writer.finish(run.meta, {"mu_bound": self._mu_bound(run.q_rad)})
+            writer.finish(run.meta, {"mu_bound": self._largest_mu(run)})
         trace = Trace.open(to)
         if broken is not None:
             raise RunAway(str(broken), trace) from broken
         return trace
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]], first: int = 0) -> dict[str, NDArray[Any]]:
-        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, judgement."""
+        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, residuals."""
         found: dict[str, NDArray[Any]] = {}
         rows = len(columns["t_s"])
         if self.scenario.faults.solver != "none":
             found["injected"] = self.fault_mask()[first : first + rows]
-        found |= self._model_error(columns)
+        found |= model_errors(columns, self.robot, self.plant, self.offset)
         found["mu"] = self.robot.mu_along(columns["q_rad"])
-        return found | self._judged(columns)
+        return found | (residual_columns(columns) if self.scenario.judge else {})
 
-    def _model_error(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        """Tip and RCM error as the robot's own kinematics have them; none where its encoders see no links."""
-        plant = self.scenario.plant
-        if plant.elastic and plant.encoder_side == "motor":
-            return {}
-        if not self.plant.mismatch.displaces:
-            return {
-                "tip_error_model_m": columns["tip_error_m"],
-                "rcm_error_model_m": columns["rcm_error_registered_m"],
-            }
-        tips, wrists = self.robot.tool_along(columns["q_rad"] + self.plant.mismatch.encoder_bias)
-        told = columns["trocar_registered_m"] - self.offset.trocar
-        return {
-            "tip_error_model_m": np.linalg.norm(columns["tip_ref_m"] - tips, axis=1),
-            "rcm_error_model_m": shaft_distance(tips, wrists, told),
-        }
-
-    def _mu_bound(self, poses: Array) -> Array:
-        """Largest mu on the feasible self-motion, at evenly spaced ticks; NaN between them and where q is singular."""
-        bound = np.full(len(poses), np.nan)
-        samples = min(self.scenario.bound_samples, len(poses))
-        for k in np.linspace(0, len(poses) - 1, samples).astype(int):
-            inside = np.clip(poses[k], self.robot.q_min, self.robot.q_max)
-            try:
-                bound[k] = self_motion(self.robot, inside).mu_best
-            except RobotError:
-                continue  # no single curve leads through a singular pose
-        return bound
-
-    def _judged(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-        if "subproblem" not in columns or not self.scenario.judge:
-            return {}
-        x = columns["x_rad_per_s"]
-        parts = [slice(first, first + JUDGED) for first in range(0, len(x), JUDGED)]
-        judged = [compute_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
-        found = Residuals(*map(np.concatenate, zip(*judged, strict=True)))
-        silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
-        figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
-        return {"verified": found.verified(), **figures}
-
-
-def _recorded_times(scenario: Scenario) -> list[float] | None:
-    """The times of ``[solver] replay_us``, read and checked; None where the clock decides.
-
-    Raises:
-        ScenarioError: a file that holds no such times, or a controller that cannot take them.
-    """
-    given = scenario.solver.replay_us
-    if given is None:
-        return None
-    if scenario.control.backend == "c":
-        raise ScenarioError(
-            "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
-        )
-    try:
-        if isinstance(given, str):
-            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
-        else:
-            times = np.asarray(given, dtype=float)
-    except (TypeError, ValueError) as error:
-        if isinstance(error, ScenarioError):
-            raise
-        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
-    if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
-        raise ScenarioError(
-            f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
-        )
-    return [float(time) for time in times]
-
-
-def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
-    """Create a solver, giving it the arm's kinematics where it can use them."""
-    if "kinematics" not in settings and accepts(name, "kinematics"):
-        settings = {**settings, "kinematics": robot.kinematics()}
-    return solvers.create(name, **settings)
-
-
-def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
-    """The guard of an arm in its incision, with all that it can know."""
-    period_s = scenario.plant.period_s
-    return SafetyFilter(robot.data, scenario.guard, period_s, robot.gravity, robot.tool_pose, robot.state)
-
-
-def make_stop(scenario: Scenario) -> Stop:
-    """How the guard's settings break a run off."""
-    return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
+    def _largest_mu(self, trace: Trace) -> Array:
+        return largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
 
 
 def run(
@@ -337,8 +238,3 @@ def run(
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
     """
     return Setup(scenario).trace(watch, to)
-
-
-__all__ = [
-    "MocOptError", "RunAway", "Scenario", "Setup", "make_safety_filter", "make_solver", "make_stop", "run",
-]  # fmt: skip

@@ -11,10 +11,10 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError, UnknownNameError
+from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
 

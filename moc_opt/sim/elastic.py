@@ -15,10 +15,11 @@ import math
 
 import mujoco
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import read_only
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
 
@@ -63,9 +64,7 @@ class Mismatch:
         turn = settings.calibration_tilt_rad * _directions(of_axes, data.n)
         bias = settings.encoder_bias_rad * of_encoders.standard_normal(data.n)
         phase = of_ripple.uniform(0.0, 2.0 * np.pi, data.n)
-        arrays = viscous, coulomb, offset, shift, turn, bias, phase
-        for array in arrays:
-            array.flags.writeable = False
+        arrays = map(read_only, (viscous, coulomb, offset, shift, turn, bias, phase))
         scales = {link: float(factor) for link, factor in zip(links, masses, strict=True)}
         return cls(MappingProxyType(scales), *arrays)
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64, njit
+from numba import float64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import read_only, read_only_copy
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
@@ -59,16 +62,9 @@ class _Noise:
 
 @njit(cache=True)
 def _read(
-    q: Array,
-    bias: Array,
-    noise: Array,
-    resolution: float,
-    gain: float,
-    period: float,
-    last: Array,
-    estimate: Array,
-    reading: Array,
-) -> None:
+    bias: Array, resolution: float, period: float, last: Array, estimate: Array,
+    q: Array, noise: Array, gain: float, reading: Array,
+) -> None:  # fmt: skip
     position, velocity = reading[0], reading[1]
     for i in range(q.size):
         position[i] = q[i] + bias[i] + noise[i]
@@ -78,7 +74,7 @@ def _read(
         velocity[i], last[i] = estimate[i], position[i]
 
 
-_READ = CompiledKernel(_read, VECTOR, VECTOR, VECTOR, float64, float64, float64, VECTOR, VECTOR, MATRIX)
+_READ = CompiledKernel(_read, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR, VECTOR, float64, MATRIX)
 
 
 class Encoders:
@@ -101,13 +97,12 @@ class Encoders:
         bias: Array | None = None,
     ) -> None:
         """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
-        self._read = _READ.code
-        self._period, self._resolution = period_s, resolution_rad
         self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
         self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
         self._noise = _Noise(rng, np.full(n, noise_rad))
         self._bias = np.zeros(n) if bias is None else np.array(bias, dtype=np.float64)
-        self._last, self._velocity = np.zeros(n), np.zeros(n)
+        last, self._velocity = np.zeros(n), np.zeros(n)
+        self._read = partial(_READ.code, self._bias, resolution_rad, period_s, last, self._velocity)
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
@@ -125,21 +120,20 @@ class Encoders:
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """First reading at (q, v), each (n,): the velocity estimate begins at v."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), read_only_copy(v)
         self._velocity[:] = v
         return self._sample(q, 0.0)
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         if self._exact:
-            return _sealed(q + self._bias), _frozen(v)
+            return read_only(q + self._bias), read_only_copy(v)
         return self._sample(q, self._gain)
 
     def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
         reading = np.empty((2, q.size))
-        noise = self._noise.row()
-        self._read(q, self._bias, noise, self._resolution, gain, self._period, self._last, self._velocity, reading)
-        reading.setflags(write=False)
+        self._read(q, self._noise.row(), gain, reading)
+        read_only(reading)
         return reading[0], reading[1]
 
 
@@ -162,9 +156,7 @@ class WrenchSensor:
 
         The sensor shows the reaction to that: its negative.
         """
-        wrench: Array = self._noise.row() - held
-        wrench.setflags(write=False)
-        return wrench
+        return read_only(self._noise.row() - held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,13 +249,4 @@ def _vector(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != shape or not np.isfinite(array).all():
         raise PlantError(f"{name} must be finite and of shape {shape}: it is {array.tolist()!r:.100}")
-    return _sealed(array)
-
-
-def _frozen(array: Array) -> Array:
-    return _sealed(array.copy())
-
-
-def _sealed(array: Array) -> Array:
-    array.flags.writeable = False
-    return array
+    return read_only(array)

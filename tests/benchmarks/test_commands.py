@@ -12,7 +12,7 @@ import benchmarks
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
-USERS = ("solvers", "paper", "speed", "faults", "fuzz", "plant", "sweep", "testsets", "export")
+USERS = ("solvers", "paper", "speed", "faults", "fuzz", "plan", "plant", "sweep", "testsets", "export")
 MAINTAINERS = ("readme", "pictures", "errata", "tune", "mutation", "sweep_speed", "sweep_memory")
 
 

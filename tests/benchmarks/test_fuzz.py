@@ -18,8 +18,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import fuzz
-from benchmarks.reliability import fuzz_c, fuzz_checks, fuzz_files, limits
-from benchmarks.reliability.fuzz_inputs import STRATEGIES, good_trace
+from benchmarks.reliability import fuzz_c, fuzz_case, fuzz_checks, limits
+from benchmarks.reliability.fuzz_case import ARM_TOML, ARM_URDF
+from benchmarks.reliability.fuzz_traces import good_trace
 from moc_opt.__main__ import main
 from moc_opt.errors import MocOptError, PlantError, RobotError, ScenarioError, SubproblemError, TraceError
 from moc_opt.model.robot_model import load_robot
@@ -84,11 +85,11 @@ def test_a_case_that_kills_or_stops_the_process_is_a_failure(kind, verdicts, fai
     ("change", "what"),
     [
         (lambda case: 1 / 0, "ZeroDivisionError"),
-        (lambda case: (_ for _ in ()).throw(fuzz_checks.Wrong("not true")), "Wrong"),
+        (lambda case: (_ for _ in ()).throw(fuzz_case.Wrong("not true")), "Wrong"),
     ],
 )
 def test_a_failure_is_found(change, what, monkeypatch):
-    monkeypatch.setattr(fuzz_checks, "subproblem", change)
+    monkeypatch.setitem(fuzz_checks.KINDS, "subproblem", fuzz_checks.KINDS["subproblem"]._replace(check=change))
     _, failures = fuzz.explore("subproblem", 5, 0, lambda: None)
     assert failures
     assert all(failure.startswith(what) for failure in failures)
@@ -106,13 +107,13 @@ def test_a_wrong_torque_in_c_is_found(monkeypatch):
 
 def test_a_hang_is_found():
     def stubborn():
-        with fuzz_checks.time_limit(1):
+        with fuzz_case.time_limit(1):
             while True:
                 with contextlib.suppress(Exception):  # nothing that catches exceptions may swallow it
                     while True:
                         pass
 
-    with pytest.raises(fuzz_checks.Hang):
+    with pytest.raises(fuzz_case.Hang):
         stubborn()
     assert signal.alarm(0) == 0
 
@@ -123,10 +124,10 @@ def test_the_command(tmp_path, capsys, monkeypatch):
         == 0
     )
     assert set(json.loads(capsys.readouterr().out)) == {"record_file", "subproblem"}
-    assert set(fuzz.KINDS) >= {*STRATEGIES, *fuzz_files.STRATEGIES}
-    assert all(callable(fuzz.lookup(kind)[0]) for kind in fuzz.KINDS)
+    assert all(callable(fuzz.lookup(kind).check) for kind in fuzz.KINDS)
     monkeypatch.setattr(fuzz, "limited", lambda explore, *of: explore(*of[:-1]))  # here, where it can be changed
-    monkeypatch.setattr(fuzz_checks, "record_file", lambda case: 1 / 0)
+    spoilt = fuzz_checks.KINDS["record_file"]._replace(check=lambda case: 1 / 0)
+    monkeypatch.setitem(fuzz_checks.KINDS, "record_file", spoilt)
     assert fuzz.main(["--cases", "3", "--out", str(tmp_path), "--only", "record_file"]) == 1
     assert "ZeroDivisionError" in capsys.readouterr().out
 
@@ -292,11 +293,8 @@ def test_toml_is_data(tmp_path):
     "entity", ['<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>', "<!ENTITY a 'b'>"]
 )
 def test_a_urdf_reads_no_other_file(entity, tmp_path):
-    from benchmarks.reliability.fuzz_inputs import ROBOTS
-
-    toml = (ROBOTS / "lwr4.toml").read_text().replace("lwr4.urdf", "arm.urdf")
-    (tmp_path / "arm.toml").write_text(toml)
-    (tmp_path / "arm.urdf").write_text(entity + (ROBOTS / "lwr4.urdf").read_text())
+    (tmp_path / "arm.toml").write_text(ARM_TOML)
+    (tmp_path / "arm.urdf").write_text(entity + ARM_URDF)
     with pytest.raises(RobotError, match="entities"):
         load_robot(tmp_path / "arm.toml")
 

@@ -25,7 +25,7 @@ from benchmarks.paper_experiment.trials import (
     trials,
     variant,
 )
-from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, judge_claim
+from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, claim_verdict
 from benchmarks.statistics import Interval
 from moc_opt import scenario
 from moc_opt.errors import BrowserError, PlantError, ScenarioError, UnknownNameError
@@ -240,7 +240,7 @@ UP, DOWN, NONE = (
     ],
 )
 def test_verdict_on_an_error(own, matched, wanted):
-    assert judge_claim(CLAIMS[1], own, matched) == wanted
+    assert claim_verdict(CLAIMS[1], own, matched) == wanted
 
 
 def test_manipulability_must_rise_by_more_than_seven_percent_with_its_whole_interval():

@@ -6,8 +6,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import plant
+from benchmarks.markdown import SectionError
 from benchmarks.output import default_config
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt import scenario
+from moc_opt.errors import MocOptError
 from moc_opt.scenario import run
 
 TINY = """
@@ -81,7 +83,7 @@ def test_what_is_wrong_is_said(tmp_path, capsys):
 
 def test_a_run_that_breaks_off_is_counted(monkeypatch, results):
     config, _ = results
-    monkeypatch.setattr(plant.scenario, "run", lambda case: (_ for _ in ()).throw(MocOptError("gone")))
+    monkeypatch.setattr(scenario, "run", lambda case: (_ for _ in ()).throw(MocOptError("gone")))
     rows = [row for job in config.jobs() for row in plant.run_job(job)]
     assert {row["ended"] for row in rows} == {"MocOptError: gone"}
     assert plant.summarise(config, rows)["tuned"]["bias, exact"] == {"runs": 1, "broke_off": 1}
@@ -89,7 +91,7 @@ def test_a_run_that_breaks_off_is_counted(monkeypatch, results):
 
 def test_the_page_keeps_its_words(results, tmp_path):
     config, out = results
-    text = plant.markdown(json.loads((out / "summary.json").read_text()), config)
+    text = plant.page_text(json.loads((out / "summary.json").read_text()), config)
     page = tmp_path / "plant.md"
     page.write_text("before\n<!-- plant -->\nold\n<!-- /plant -->\nafter\n")
     plant.write_page(text, page)
@@ -98,5 +100,5 @@ def test_the_page_keeps_its_words(results, tmp_path):
     assert "old" not in lines
     assert sum(line.startswith("| bias | ") for line in lines) == 2
     page.write_text("no marks")
-    with pytest.raises(ScenarioError, match="put <!-- plant -->"):
+    with pytest.raises(SectionError, match="no lines <!-- plant -->"):
         plant.write_page(text, page)

@@ -21,9 +21,9 @@ from benchmarks.latency import setup as speed_setup
 from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
-from benchmarks.latency.goals import GOALS, judge_goals
+from benchmarks.latency.goals import GOALS, goal_verdicts
 from benchmarks.latency.report import headline, report, tables
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
@@ -229,7 +229,7 @@ def test_what_is_not_finite_has_not_done_the_job(robot, work):
 def test_unknown_peers_and_missing_packages(robot, monkeypatch):
     with pytest.raises(UnknownNameError, match=r"peer 'tsit'.*'tsid'"):
         peers.create("tsit", robot, 0.002)
-    entry = peers.Entry("benchmarks.baselines.nobody", "Nobody", "a_package_that_nobody_has", "pip install it")
+    entry = peers.Library("benchmarks.baselines.nobody", "Nobody", "a_package_that_nobody_has", "pip install it")
     monkeypatch.setitem(peers.PEERS, "nobody", entry)
     assert peers.missing("nobody") == "package 'a_package_that_nobody_has' is not installed: pip install it"
     monkeypatch.setitem(peers.PEERS, "crash", entry._replace(package="numpy"))
@@ -272,7 +272,7 @@ def made_up(**changes):
         "not_run": {},
         **changes,
     }  # fmt: skip
-    summary["goals"] = judge_goals(summary)
+    summary["goals"] = goal_verdicts(summary)
     return summary
 
 
@@ -435,6 +435,5 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
     assert "Goals" in capsys.readouterr().out
 
 
-def test_errors_are_of_the_package():
-    assert issubclass(peers.PeerError, MocOptError)
+def test_settings_of_the_adapters_are_dataclasses():
     assert all(dataclasses.is_dataclass(create(name)) for name in INSTALLED)

@@ -14,7 +14,6 @@ from benchmarks.timing import (
     interleaved,
     percentiles,
     ratios,
-    side_by_side,
 )
 
 
@@ -110,20 +109,6 @@ def test_interleaved_prepares_each_item():
     prepared = []
     interleaved({"a": Timed(lambda item: None, range(6), prepared.append)}, rounds=1, chunk=3)
     assert prepared == [*range(6)] * 2
-
-
-def test_side_by_side_goes_through_all_items_each_round():
-    counts = {"a": 0, "b": 0}
-
-    def counted(name):
-        def call(item):
-            counts[name] += item
-
-        return call
-
-    times = side_by_side({name: counted(name) for name in counts}, [1] * 60, rounds=3)
-    assert {name: found.shape for name, found in times.items()} == {"a": (3, 60), "b": (3, 60)}
-    assert counts == {"a": 230, "b": 230}  # 50 to warm up, three rounds of 60
 
 
 def test_percentiles_leave_out_what_has_no_time():

@@ -7,10 +7,13 @@ import pytest
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings, tick
+from moc_opt.control.law import packed
 from moc_opt.control.null_space import least_violation, null_space
+from moc_opt.control.supervisor import Fault, SupervisorSettings
 from moc_opt.errors import ControlError
 from moc_opt.sim import Plant, PlantSettings
 from moc_opt.solvers import Solution, Status
+from tests.control.torques import of, subproblem, third, tracking
 
 EXACT = solvers.create("exact")
 QUIET = {
@@ -63,7 +66,7 @@ def test_torque_is_the_sum_of_the_levels(robot, regular_poses):
         controller, _, tip_ref, trocar = started(robot, state=state, **QUIET)
         tau = controller.tick(state, tip_ref, trocar)
         gains = np.array([3000.0, 80.0, 800.0, 60.0])
-        low = tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, False)
+        low = tracking(state, tip_ref, trocar, gains=gains)
         x = EXACT.start(controller.subproblem).solve(controller.subproblem).x
         Z = null_space(state.A)
         top = state.M @ Z.T @ np.linalg.inv(Z @ state.M @ Z.T) @ Z @ (80.0 * (x - state.v) - state.v)
@@ -98,9 +101,7 @@ def test_dcac_is_the_two_lower_levels(robot):
     controller, state, tip_ref, trocar = started(robot, solver=None, **QUIET)
     tau = controller.tick(state, tip_ref, trocar)
     gains = np.array([3000.0, 80.0, 800.0, 60.0])
-    np.testing.assert_array_equal(
-        tau, tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, False)
-    )
+    np.testing.assert_array_equal(tau, tracking(state, tip_ref, trocar, gains=gains))
     assert controller.solution is None
     assert controller.subproblem is None
     assert np.isnan(controller.solve_us)
@@ -124,9 +125,7 @@ def test_projector_is_a_setting(projector, robot):
     controller, _, tip_ref, trocar = started(robot, None, state, projector=projector, **QUIET)
     trocar = trocar + np.array([[0.01, 0.0, 0.0], np.zeros(3)])
     number = ("dynamic", "static", "as_published").index(projector)
-    wanted = tick.tracking_torque(
-        state.record, 7, tip_ref, trocar, np.array([3000.0, 80.0, 800.0, 60.0]), number, False
-    )
+    wanted = tracking(state, tip_ref, trocar, gains=(3000.0, 80.0, 800.0, 60.0), projector=number)
     np.testing.assert_array_equal(controller.tick(state, tip_ref, trocar), wanted)
 
 
@@ -189,30 +188,82 @@ def test_a_margin_that_leaves_no_room_is_refused(robot):
 
 
 @pytest.mark.parametrize("form", ["compiled", "plain"])
-def test_the_two_halves_of_a_tick_are_their_parts(robot, regular_poses, form):
-    before, after = (k if form == "compiled" else k.py_func for k in (tick.before_solver, tick.after_solver))
+def test_the_compiled_parts_of_a_tick_are_their_equations(robot, regular_poses, form):
+    """The disturbance is taken out, the basis follows, and the sum is cut at tau_max."""
     rng = np.random.default_rng(1)
-    gains, weights = np.array([3000.0, 80.0, 800.0, 60.0]), np.array([0.01, 0.01, 0.001, 1e-5])
     box = np.array([robot.q_min, robot.q_max, robot.v_max])
+    parts = {
+        "gains": (3000.0, 80.0, 800.0, 60.0), "feedforward": True, "rcm_lambda": 0.4, "limits": box, "k0": 2.0,
+        "weights": (0.01, 0.01, 0.001, 1e-5), "K_N2": rng.uniform(10.0, 120.0, 7), "D_N2": rng.uniform(0.0, 5.0, 7),
+    }
+    law = packed(7, **parts, tau_max=np.full(7, 10.0))
     for q in regular_poses(3):
         state = robot.state(q, rng.uniform(-0.2, 0.2, 7))
         tip_ref, trocar = reference(state)
-        Z, tau, row, wanted = null_space(state.A), np.empty(7), np.empty(80), np.empty(80)
+        Z, row, x, r = null_space(state.A), np.empty(80), rng.normal(size=7), rng.normal(size=7)
         kept = Z.copy()
-        assert before(
-            state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True, 0.4, box, weights, 2.0, Z, tau, row
-        )
-        low = tick.tracking_torque(state.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, True, 0.4)
-        tick.fill_subproblem(state.record, 7, tip_ref, trocar, box, weights, 2.0, wanted)
+        tau = of(tick.tracking_torque, form)(state.record, law, tip_ref, trocar, r)
+        low = tracking(state, tip_ref, trocar, **parts) - r
         np.testing.assert_allclose(tau, low, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(row, wanted, rtol=1e-9, atol=1e-12)
+        assert of(tick.prepare_third_level, form)(state.record, law, tip_ref, trocar, Z, row)
+        np.testing.assert_allclose(row, subproblem(state, tip_ref, trocar, **parts), rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(Z, kept, atol=1e-12)
-        x, disturbance, limit = rng.normal(size=7), rng.normal(size=7), np.full(7, 10.0)
-        third = (rng.uniform(10.0, 120.0, 7), rng.uniform(0.0, 5.0, 7), 0.6)
-        after(state.record, 7, Z, x, *third, disturbance, limit, tau)
-        free = low + tick.third_level(state.record, 7, Z, x, *third) - disturbance
+        of(tick.add_third_level, form)(state.record, law, Z, x, 0.6, tau)
+        free = low + third(state, Z, x, parts["K_N2"], parts["D_N2"], 0.6)
         assert (np.abs(free) > 10.0).any()
         np.testing.assert_allclose(tau, np.clip(free, -10.0, 10.0), rtol=1e-9, atol=1e-8)
+
+
+def test_a_warm_up_changes_nothing(robot):
+    """Between two ticks, with recorded solve times: what follows is the same to the bit, and no time is used up."""
+    state = robot.state(robot.data.q_home, np.linspace(-0.2, 0.2, 7))
+    tip_ref, trocar = reference(state)
+    seen = []
+    for warm in (False, True):
+        times, sessions = iter([30.0, 10.0, 30.0, 10.0, 30.0]), []
+        solver = Counting(sessions)
+        watch = SupervisorSettings(budget_us=20.0)
+        controller = Controller(robot, ControlSettings(supervisor=watch), solver, times_us=times)
+        controller.start(state, tip_ref, trocar)
+        rows = []
+        for k in range(4):
+            if warm:
+                controller.warm_up(robot.state(robot.data.q_home + 0.1), tip_ref, trocar)
+            rows.append((controller.tick(state, tip_ref + 1e-3 * k, trocar), controller.solve_us, controller.fault))
+            rows[-1] += (controller.null_space, controller.external_torque, controller.answer.copy())
+        seen.append((rows, list(times), sessions[0].solved, controller.faults))
+    (cold, left, solved, faults), (warmed, *others) = seen
+    assert others == [left, solved, faults]
+    assert (left, solved) == ([30.0], 4)
+    assert [row[2] for row in cold] == [Fault.LATE, Fault.NONE] * 2
+    for one, other in zip(cold, warmed, strict=True):
+        for a, b in zip(one, other, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+class Counting:
+    """`exact`; its sessions count their answers."""
+
+    name = "counting"
+
+    def __init__(self, sessions):
+        self.sessions = sessions
+
+    def supports(self, qp):
+        return None
+
+    def start(self, qp):
+        inner = EXACT.start(qp)
+
+        class Session:
+            solved = 0
+
+            def solve(self, qp):
+                self.solved += 1
+                return inner.solve(qp)
+
+        self.sessions.append(Session())
+        return self.sessions[-1]
 
 
 def test_answer_belongs_to_the_tick(robot):

@@ -8,22 +8,18 @@ from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
 from moc_opt.control import null_space as level3
-from moc_opt.control import tick
 from moc_opt.errors import ControlError, ScenarioError
-from moc_opt.qp.problem import NullSpaceQP, row_length
+from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
+from tests.control.torques import of, subproblem, third
 
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-def of(kernel, form):
-    return kernel if form == "compiled" else kernel.py_func
-
-
 def damper(q, q_min, q_max, v_max, k0, form="compiled"):
     lower, upper = np.empty(len(q)), np.empty(len(q))
-    of(level3.velocity_damper, form)(q, q_min, q_max, v_max, k0, lower, upper)
+    of(level3.velocity_damper, form)(q, np.array([q_min, q_max, v_max]), k0, lower, upper)
     return lower, upper
 
 
@@ -152,9 +148,7 @@ def test_subproblem_of_a_tick(form, robot, regular_poses):
         trocar = np.array(
             [s.tip - 0.15 * s.tool_direction + rng.normal(size=3) * 1e-3, rng.normal(size=3) * 0.01]
         )
-        row = np.empty(row_length(7))
-        of(tick.fill_subproblem, form)(s.record, 7, tip_ref, trocar, box, weights, 2.0, row)
-        found = NullSpaceQP.from_row(row)
+        found = NullSpaceQP.from_row(subproblem(s, tip_ref, trocar, form, limits=box, weights=weights, k0=2.0))
 
         to = trocar[0] - s.tip
         e = to / np.linalg.norm(to)
@@ -333,7 +327,7 @@ def test_torque_against_numpy(form, robot, regular_poses):
     for q in regular_poses(8):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         Z, x = level3.null_space(s.A), rng.normal(size=7)
-        found = of(tick.third_level, form)(s.record, 7, Z, x, K_N2, D_N2, 0.7)
+        found = third(s, Z, x, K_N2, D_N2, 0.7, form)
         M = s.M
         wanted = 0.7 * M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ (np.diag(K_N2) @ (x - s.v) - np.diag(D_N2) @ s.v)
         np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10)
@@ -348,9 +342,8 @@ def test_level_three_moves_neither_tip_nor_wrist(robot, seed, gain, damping):
     """Whatever the gains of the joints are: they act before the projection."""
     rng = np.random.default_rng(seed)
     s = robot.state(robot.random_regular_pose(rng), rng.uniform(-1.0, 1.0, 7))
-    gains = (np.array(gain), np.array(damping))
-    tau = tick.third_level(s.record, 7, level3.null_space(s.A), rng.normal(size=7), *gains, 1.0)
-    scale = np.linalg.norm(s.A @ np.linalg.inv(s.M), 2) * (np.linalg.norm(tau) + np.abs(gains).max())
+    tau = third(s, level3.null_space(s.A), rng.normal(size=7), gain, damping)
+    scale = np.linalg.norm(s.A @ np.linalg.inv(s.M), 2) * (np.linalg.norm(tau) + max(*gain, *damping))
     assert np.linalg.norm(s.A @ np.linalg.solve(s.M, tau)) <= 1e-10 * scale
 
 
@@ -358,7 +351,7 @@ def test_level_three_gives_more_than_rounding(robot, regular_poses):
     rng = np.random.default_rng(7)
     for q in regular_poses(30):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
-        tau = tick.third_level(s.record, 7, level3.null_space(s.A), rng.normal(size=7), K_N2, D_N2, 1.0)
+        tau = third(s, level3.null_space(s.A), rng.normal(size=7), K_N2, D_N2)
         assert np.linalg.norm(tau) > 1.0
 
 
@@ -376,9 +369,9 @@ def test_answer_is_followed_along_the_self_motion(robot, regular_poses):
     for q in regular_poses(10):
         s = robot.state(q, rng.uniform(-0.5, 0.5, 7))
         Z, x = level3.null_space(s.A), rng.normal(size=7)
-        gain = tick.third_level(s.record, 7, Z, x, np.full(7, 80.0), np.zeros(7), 1.0)
+        gain = third(s, Z, x, 80.0, 0.0)
         assert (Z @ np.linalg.solve(s.M, gain)) @ (Z @ (x - s.v)) > 0.0
-        slow = tick.third_level(s.record, 7, Z, np.array(s.v), np.full(7, 80.0), np.full(7, 5.0), 1.0)
+        slow = third(s, Z, np.array(s.v), 80.0, 5.0)
         assert (Z @ np.linalg.solve(s.M, slow)) @ (Z @ s.v) < 0.0
 
 

@@ -5,18 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control import rcm, tick
+from moc_opt.control import law, rcm
 from moc_opt.control.tip_impedance import task_inertia
 from moc_opt.numerics.dense import cholesky
 from moc_opt.tasks import Trocar, shaft_distance
+from tests.control.torques import of, tracking
 
 NO_TIP = np.array([0.0, 0.0, 800.0, 60.0])  # K_X, D_X, K_N, D_N
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def of(kernel, form):
-    return kernel if form == "compiled" else kernel.py_func
 
 
 def project(name, state, tau, form="compiled"):
@@ -36,7 +33,7 @@ def matrix(name, state):
 def level_two(state, trocar, projector):
     """tau_rcm alone: levels 1 and 2 without tip gains, less the arm's own dynamics."""
     tip_ref = np.zeros((3, 3))
-    return tick.tracking_torque(state.record, state.n, tip_ref, trocar, NO_TIP, projector, False) - state.h
+    return tracking(state, tip_ref, trocar, gains=NO_TIP, projector=projector) - state.h
 
 
 def shifted_trocar(state, rng, offset=0.01):
@@ -63,7 +60,7 @@ def test_projectors_against_numpy(form, robot, regular_poses):
             "static": (np.eye(7) - J.T @ np.linalg.pinv(J).T) @ tau,
             "as_published": (np.eye(7) - J.T @ J) @ tau,
         }
-        assert set(wanted) == set(rcm.PROJECTORS)
+        assert set(wanted) == set(law.PROJECTORS)
         for name, value in wanted.items():
             np.testing.assert_allclose(project(name, s, tau, form), value, rtol=1e-9, atol=1e-9)
 
@@ -79,11 +76,11 @@ def test_consistent_projectors_are_idempotent(name, robot, regular_poses):
 def test_level_two_moves_no_tip(robot, regular_poses):
     """J_T M^-1 tau_rcm = 0 for the dynamic projector, and only for it."""
     rng = np.random.default_rng(1)
-    leak = {name: [] for name in rcm.PROJECTORS}
+    leak = {name: [] for name in law.PROJECTORS}
     for q in regular_poses(30):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         trocar = shifted_trocar(s, rng)
-        for number, name in enumerate(rcm.PROJECTORS):
+        for number, name in enumerate(law.PROJECTORS):
             tau = level_two(s, trocar, number)
             free = np.linalg.norm(s.J_tip @ np.linalg.inv(s.M), 2) * np.linalg.norm(tau)
             leak[name].append(np.linalg.norm(s.J_tip @ np.linalg.solve(s.M, tau)) / free)
@@ -101,17 +98,17 @@ def test_static_projector_carries_no_tip_force(robot, regular_poses):
         np.testing.assert_allclose(np.linalg.pinv(s.J_tip).T @ tau, 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", rcm.PROJECTORS)
+@pytest.mark.parametrize("name", law.PROJECTORS)
 @BOTH
 def test_level_two_against_numpy(form, name, robot, regular_poses):
-    number = {"dynamic": tick.DYNAMIC, "static": tick.STATIC, "as_published": tick.AS_PUBLISHED}[name]
-    assert rcm.PROJECTORS.index(name) == number
+    number = {"dynamic": law.DYNAMIC, "static": law.STATIC, "as_published": law.AS_PUBLISHED}[name]
+    assert law.PROJECTORS.index(name) == number
     rng = np.random.default_rng(3)
     for q in regular_poses(10):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         trocar = shifted_trocar(s, rng)
         gains, tip_ref = np.array([0.0, 0.0, 700.0, 50.0]), np.zeros((3, 3))
-        found = of(tick.tracking_torque, form)(s.record, 7, tip_ref, trocar, gains, number, False) - s.h
+        found = tracking(s, tip_ref, trocar, form, gains=gains, projector=number) - s.h
 
         L, dX = np.linalg.norm(s.tip - s.wrist), s.J_tip @ s.v
         to = trocar[0] - s.tip
@@ -184,8 +181,7 @@ def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
     for q in regular_poses(10):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         trocar = shifted_trocar(s, rng)
-        torque = of(tick.tracking_torque, form)
-        found = torque(s.record, 7, tip_ref, trocar, gains, tick.DYNAMIC, False, rcm_lambda) - s.h
+        found = tracking(s, tip_ref, trocar, form, gains=gains, rcm_lambda=rcm_lambda) - s.h
         wish, speed = rcm.desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
         d = np.linalg.norm(np.cross(trocar[0] - s.tip, s.tool_direction))
         force = 800.0 * d / rcm_lambda * (wish - s.wrist) / np.linalg.norm(wish - s.wrist)
@@ -201,7 +197,7 @@ def test_published_error_is_ours_where_lambda_is_the_true_one(robot):
     true = float(shaft_distance(s.tip, s.wrist, trocar[0])) / np.linalg.norm(s.wrist - wish)
     for number in range(3):
         ours, theirs = (
-            tick.tracking_torque(s.record, 7, np.zeros((3, 3)), trocar, NO_TIP, number, False, value)
+            tracking(s, np.zeros((3, 3)), trocar, gains=NO_TIP, projector=number, rcm_lambda=value)
             for value in (0.0, true)
         )
         np.testing.assert_allclose(theirs, ours, rtol=1e-9, atol=1e-9)
@@ -214,7 +210,7 @@ def test_wrist_is_accelerated_towards_where_it_belongs(robot, regular_poses):
         trocar = shifted_trocar(s, rng)
         trocar[1] = 0.0
         wish, _ = rcm.desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
-        tau = level_two(s, trocar, tick.DYNAMIC)
+        tau = level_two(s, trocar, law.DYNAMIC)
         acceleration = s.J_wrist @ np.linalg.solve(s.M, tau)
         assert acceleration @ (wish - s.wrist) > 0.0
 

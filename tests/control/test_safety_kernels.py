@@ -90,15 +90,15 @@ def test_a_brake_starts_from_the_arms_weight(robot):
 @pytest.mark.parametrize("ticks", [1, 2, 4])
 def test_a_step_is_believed_up_to_the_jump_and_what_v_max_explains(j, sign, ticks):
     q, v, per_tick, fastest = np.arange(7.0), np.zeros(N), np.linspace(0.01, 0.07, N), np.linspace(1.0, 7.0, N)
-    unit = np.eye(N)[j] * sign
+    unit, bounds = np.eye(N)[j] * sign, np.array([per_tick, fastest])
     for share, sound in ((0.999, True), (1.001, False)):
         moved = q + share * (0.05 + ticks * per_tick[j]) * unit
-        assert believable(moved, v, q, 0.05, ticks, per_tick, fastest) == sound
-        assert believable(q, share * fastest[j] * unit, q, 0.05, ticks, per_tick, fastest) == sound
-    assert believable(q, fastest[j] * unit, q, 0.05, ticks, per_tick, fastest)
+        assert believable(moved, v, q, 0.05, ticks, bounds) == sound
+        assert believable(q, share * fastest[j] * unit, q, 0.05, ticks, bounds) == sound
+    assert believable(q, fastest[j] * unit, q, 0.05, ticks, bounds)
     for bad in (np.nan, np.inf):
-        assert not believable(q + np.where(unit, bad, 0.0), v, q, 0.05, ticks, per_tick, fastest)
-        assert not believable(q, np.where(unit, bad, 0.0), q, 0.05, ticks, per_tick, fastest)
+        assert not believable(q + np.where(unit, bad, 0.0), v, q, 0.05, ticks, bounds)
+        assert not believable(q, np.where(unit, bad, 0.0), q, 0.05, ticks, bounds)
 
 
 def test_limits_of_belief_grow_with_the_gap(robot):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.law import law_views
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers import create
 from moc_opt.solvers.neural.projection import RNNPrinted
@@ -27,54 +28,35 @@ def given(robot):
     return state, tip_ref, trocar
 
 
-class Noted:
-    """A compiled part of the tick that keeps a copy of what it was last called with."""
-
-    def __init__(self, kernel):
-        self.kernel, self.given = kernel, ()
-
-    def __call__(self, *values):
-        self.given = tuple(np.array(value) for value in values)
-        return self.kernel(*values)
-
-
 def inputs(robot, given, law, solver=None):
-    """One tick; what its kernels were called with."""
+    """A controller of the preset after one tick, and the constants that its compiled parts are given."""
     controller = Controller(robot, ControlSettings.preset("paper", law=law), solver)
-    parts = {}
-    for name in ("_before_solver", "_tracking_torque", "_after_solver"):
-        parts[name] = Noted(getattr(controller, name))
-        setattr(controller, name, parts[name])
     controller.start(*given)
     controller.tick(*given)
-    return controller, {name: part.given for name, part in parts.items()}
+    return controller, law_views.py_func(controller._law, robot.n)
 
 
 def test_dcac(robot, given):
-    controller, parts = inputs(robot, given, "dcac")
-    _, _, _, _, gains, _, feedforward, rcm_lambda = parts["_tracking_torque"]
-    assert gains.tolist() == TRACKING["dcac"]
-    assert (rcm_lambda, bool(feedforward)) == (LAMBDA, False)
-    assert not parts["_before_solver"]
-    gain, damping = parts["_after_solver"][4:6]
-    assert not gain.any()  # tau_d = tau_T + tau_N1
-    assert not damping.any()
+    controller, law = inputs(robot, given, "dcac")
+    assert list(law[:4]) == TRACKING["dcac"]
+    assert (law.rcm_lambda, law.feedforward) == (LAMBDA, 0.0)
+    assert controller.subproblem is None
+    assert not law.K_N2.any()  # tau_d = tau_T + tau_N1
+    assert not law.D_N2.any()
     assert not controller.external_torque.any()
 
 
 @pytest.mark.parametrize("name", ["exact", "rnn-printed"])
 def test_moc(robot, given, name):
-    controller, parts = inputs(robot, given, "moc", create(name))
-    _, _, _, _, gains, _, feedforward, rcm_lambda, limits, weights, k0 = parts["_before_solver"][:11]
-    assert gains.tolist() == TRACKING["moc"]
-    assert (rcm_lambda, bool(feedforward), k0) == (LAMBDA, False, K_0)
-    assert weights.tolist() == [C_0, C_1, C_2, 0.0]
+    controller, law = inputs(robot, given, "moc", create(name))
+    assert list(law[:4]) == TRACKING["moc"]
+    assert (law.rcm_lambda, law.feedforward, law.k0) == (LAMBDA, 0.0, K_0)
+    assert law.weights.tolist() == [C_0, C_1, C_2, 0.0]
     assert controller.subproblem.row[6 * 7 + 6 + 21 : 6 * 7 + 10 + 21].tolist() == [C_0, C_1, C_2, 0.0]
-    np.testing.assert_array_equal(limits, [robot.q_min, robot.q_max, robot.v_max])
-    gain, damping, share = parts["_after_solver"][4:7]
-    assert gain.tolist() == K_N2
-    assert damping.tolist() == K_D2
-    assert share == 1.0
+    np.testing.assert_array_equal(law.limits, [robot.q_min, robot.q_max, robot.v_max])
+    assert law.K_N2.tolist() == K_N2
+    assert law.D_N2.tolist() == K_D2
+    assert controller._share == 1.0
 
 
 def test_the_printed_network_starts_at_zero_and_has_the_printed_gain(robot, given):

@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 
-from moc_opt.control import tick
 from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.numerics.dense import cholesky
+from tests.control.torques import of, tracking
 
-GAINS = np.array([3000.0, 80.0, 0.0, 0.0, 80.0, 1.0])  # no level 2
+GAINS = (3000.0, 80.0, 0.0, 0.0)  # no level 2
 BOTH = pytest.mark.parametrize("form", ["compiled", "plain"])
-
-
-def of(kernel, form):
-    return kernel if form == "compiled" else kernel.py_func
 
 
 def moving_states(robot, poses, seed=1):
@@ -57,7 +53,7 @@ def test_torque_of_the_level(form, robot, regular_poses):
     rng = np.random.default_rng(2)
     for s in moving_states(robot, regular_poses(10)):
         tip_ref, trocar = references(rng, s)
-        found = of(tick.tracking_torque, form)(s.record, robot.n, tip_ref, trocar, GAINS, tick.DYNAMIC, False)
+        found = tracking(s, tip_ref, trocar, form, gains=GAINS)
         J = s.J_tip
         force = 3000.0 * (tip_ref[0] - s.tip) + 80.0 * (tip_ref[1] - J @ s.v)
         np.testing.assert_allclose(found, s.h + J.T @ force, rtol=1e-10, atol=1e-9)
@@ -69,7 +65,7 @@ def test_at_rest_on_the_reference_only_gravity_is_carried(robot, regular_poses):
         tip_ref = np.array([s.tip, np.zeros(3), np.zeros(3)])
         trocar = np.array([s.tip - 0.1 * s.tool_direction, np.zeros(3)])
         gains = np.array([3000.0, 80.0, 800.0, 60.0])
-        tau = tick.tracking_torque(s.record, robot.n, tip_ref, trocar, gains, tick.DYNAMIC, False)
+        tau = tracking(s, tip_ref, trocar, gains=gains)
         np.testing.assert_allclose(tau, robot.gravity(q), atol=1e-10)
 
 
@@ -81,7 +77,7 @@ def test_feedforward_gives_the_tip_its_acceleration(robot, regular_poses):
         tip_ref = np.array([s.tip, s.J_tip @ s.v, rng.normal(size=3)])
         accelerations = []
         for feedforward in (True, False):
-            tau = tick.tracking_torque(s.record, robot.n, tip_ref, trocar, GAINS, tick.DYNAMIC, feedforward)
+            tau = tracking(s, tip_ref, trocar, gains=GAINS, feedforward=feedforward)
             qdd = np.linalg.solve(s.M, tau - s.h)
             accelerations.append(s.J_tip @ qdd + s.drift_tip)
         np.testing.assert_allclose(accelerations[0], tip_ref[2], atol=1e-9)
@@ -95,6 +91,6 @@ def test_spring_pulls_the_tip_back(robot, regular_poses):
         offset = np.array([1e-3, -2e-3, 1e-3])
         tip_ref = np.array([s.tip + offset, np.zeros(3), np.zeros(3)])
         trocar = np.array([s.tip - 0.1 * s.tool_direction, np.zeros(3)])
-        tau = tick.tracking_torque(s.record, robot.n, tip_ref, trocar, GAINS, tick.DYNAMIC, False)
+        tau = tracking(s, tip_ref, trocar, gains=GAINS)
         acceleration = s.J_tip @ np.linalg.solve(s.M, tau - s.h)
         assert acceleration @ offset > 0.0

@@ -23,7 +23,16 @@ from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.control.settings import PAPER
 from moc_opt.control.supervisor import SupervisorSettings
-from moc_opt.embedded import CompilerError, NativeController, Recording, dynamics, export, record, swivel
+from moc_opt.embedded import (
+    CompilerError,
+    NativeController,
+    Recording,
+    TickSpec,
+    dynamics,
+    export,
+    record,
+    swivel,
+)
 from moc_opt.embedded.arm import Arm
 from moc_opt.embedded.compiler import FLAGS, cache_directory, compile_library
 from moc_opt.embedded.layout import layout
@@ -194,7 +203,7 @@ def test_settings_that_c_cannot_do_are_refused(
 ) -> None:
     made = None if solver is None else solvers.create(solver)
     with pytest.raises(ControlError, match=words):
-        build_tick(robot, ControlSettings(**changes), made, PERIOD)
+        build_tick(TickSpec(robot, ControlSettings(**changes), made, PERIOD))
 
 
 def test_an_arm_with_two_freedoms_is_refused_where_the_null_space_is_used(odd_robot: RobotModel) -> None:
@@ -202,8 +211,8 @@ def test_an_arm_with_two_freedoms_is_refused_where_the_null_space_is_used(odd_ro
     robot = RobotModel(replace(odd_robot.data, gains={"default": gains}))
     for control in (ControlSettings(), ControlSettings(law="dcac", dcac_damping=1.0)):
         with pytest.raises(ControlError, match=r"\[robot\] name = 'odd': 7 joints"):
-            build_tick(robot, control, solver_of(control), PERIOD)
-    assert build_tick(robot, ControlSettings(law="dcac"), None, PERIOD).n == 7
+            build_tick(TickSpec(robot, control, solver_of(control), PERIOD))
+    assert build_tick(TickSpec(robot, ControlSettings(law="dcac"), None, PERIOD)).n == 7
 
 
 def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) -> None:
@@ -213,9 +222,9 @@ def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) ->
     class Later(ControlSettings):
         sharpness: float = 0.0
 
-    build_tick(robot, Later(), Exact(), PERIOD)
+    build_tick(TickSpec(robot, Later(), Exact(), PERIOD))
     with pytest.raises(ControlError, match=r"sharpness = 2.0 is not known"):
-        build_tick(robot, Later(sharpness=2.0), Exact(), PERIOD)
+        build_tick(TickSpec(robot, Later(sharpness=2.0), Exact(), PERIOD))
 
 
 def test_every_setting_of_guard_and_supervisor_is_either_obeyed_or_refused() -> None:
@@ -372,9 +381,9 @@ def exported(robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Pat
     ticks = seeded_ticks(robot, [robot.data.q_home] * 20)
     v = np.tile(rng.normal(scale=0.1, size=robot.n), (20, 1))
     q = robot.data.q_home + PERIOD * np.cumsum(v, axis=0)
-    recording = record(robot, ControlSettings(), Exact(), PERIOD, q, v, ticks.tip_ref, ticks.trocar)
+    recording = record(TickSpec(robot, ControlSettings(), Exact(), PERIOD), q, v, ticks.tip_ref, ticks.trocar)
     out = tmp_path_factory.mktemp("exported")
-    written = export(robot, ControlSettings(), Exact(), PERIOD, recording, out)
+    written = export(TickSpec(robot, ControlSettings(), Exact(), PERIOD), recording, out)
     assert sorted(path.name for path in written) == sorted(path.name for path in out.iterdir())
     return out
 
@@ -399,11 +408,11 @@ def test_the_header_tells_all(exported: Path) -> None:
 
 def test_the_same_law_gives_the_same_text(exported: Path, robot: RobotModel, tmp_path: Path) -> None:
     recording = Recording(*(np.zeros((1, *shape)) for shape in ((7,), (7,), (3, 3), (2, 3), (7,))))
-    export(robot, ControlSettings(), Exact(), PERIOD, recording, tmp_path)
+    export(TickSpec(robot, ControlSettings(), Exact(), PERIOD), recording, tmp_path)
     for name in ("moc_tick.c", "moc_tick.h", "moc_arm.c", "moc_constants.c", "main.c", "Makefile"):
         assert (tmp_path / name).read_text() == (exported / name).read_text()
     with pytest.raises(ControlError, match="cannot be written"):
-        export(robot, ControlSettings(), Exact(), PERIOD, recording, tmp_path / "Makefile")
+        export(TickSpec(robot, ControlSettings(), Exact(), PERIOD), recording, tmp_path / "Makefile")
 
 
 @needs_compiler

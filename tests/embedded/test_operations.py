@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.embedded import guarded, operations
+from moc_opt.embedded import TickSpec, guarded, operations
 from moc_opt.embedded.guarded import GuardedController
 from moc_opt.embedded.symbolic import build_tick
 from moc_opt.model.robot_model import RobotModel
@@ -73,7 +73,7 @@ def test_no_step_does_more_than_is_stated(
 ) -> None:
     settings = ControlSettings(**control)
     controller, library = counting(settings)
-    tick = build_tick(robot, settings, Exact() if settings.law == "moc" else None, 0.002)
+    tick = build_tick(TickSpec(robot, settings, Exact() if settings.law == "moc" else None, 0.002))
     stated, rng, most, least = operations.worst_path(tick)["in all"], np.random.default_rng(0), 0, 10**9
     count, faults = counter(library), set()
     for k in range(400):
@@ -167,7 +167,7 @@ def test_the_straight_elbow_is_counted_from_above(counting: Callable[..., Any], 
 def test_the_number_is_in_the_header_and_that_of_its_parts(robot: RobotModel) -> None:
     from moc_opt.embedded.export import safe_files
 
-    tick, texts = safe_files(robot, ControlSettings(), Exact(), 0.002)
+    tick, texts = safe_files(TickSpec(robot, ControlSettings(), Exact(), 0.002))
     found = operations.worst_path(tick)
     assert found["in all"] == sum(value for part, value in found.items() if part != "in all")
     assert f"#define MOC_OPERATIONS {found['in all']}" in " ".join(texts["moc_constants.h"].split())

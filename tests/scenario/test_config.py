@@ -13,6 +13,7 @@ from moc_opt.errors import (
 )
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario, Setup, run
+from moc_opt.scenario.derived import largest_mu
 from moc_opt.sim import PlantSettings
 from moc_opt.tasks import shaft_distance
 from moc_opt.trace.metrics import summarize
@@ -464,7 +465,7 @@ def test_a_singular_pose_has_no_bound():
     trace = made.trace()
     poses = trace.q_rad.copy()
     poses[0] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0]
-    bound = made._mu_bound(poses)
+    bound = largest_mu(poses, made.robot, 5)
     assert np.isnan(bound[0])
     assert np.isfinite(bound[1:]).all()
 

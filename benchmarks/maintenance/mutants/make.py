@@ -55,7 +55,7 @@ class Mutant:
     source: str
 
     def row(self) -> dict[str, Any]:
-        """What a summary says of it."""
+        """Return what a summary says of it."""
         return {"line": self.line, "operator": self.operator, "before": self.before, "after": self.after}
 
 
@@ -125,7 +125,7 @@ def _operator(name: str) -> Any:
 
 
 def _lines(text: str, name: str) -> list[int]:
-    """The line of each of the operator's places."""
+    """Return the line of each of the operator's places."""
     operator = _operator(name)
     return [start[0] for node in _nodes(text) for start, _ in operator.mutation_positions(node)]
 
@@ -138,7 +138,7 @@ def _nodes(text: str) -> list[Any]:
 
 
 def _augmented(text: str) -> list[str]:
-    """``+=`` into ``-=`` and the like, which cosmic-ray leaves alone."""
+    """Return ``+=`` into ``-=`` and the like, which cosmic-ray leaves alone."""
     lines, found = text.splitlines(keepends=True), []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.AugAssign):
@@ -161,8 +161,9 @@ def _made(place: Place, text: str, code: str | None) -> Mutant | None:
         return None
     old, new = text.splitlines(), code.splitlines()
     line = next(k for k, (a, b) in enumerate(zip(old, new, strict=False)) if a != b)
+    before, after = old[line].strip(), new[line].strip()
     return Mutant(
-        place.module, place.operator, place.occurrence, line + 1, old[line].strip(), new[line].strip(), code
+        place.module, place.operator, place.occurrence, line=line + 1, before=before, after=after, source=code
     )
 
 

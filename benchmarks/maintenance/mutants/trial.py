@@ -48,7 +48,7 @@ class Outcome:
 
 @cache
 def dependents(root: Path, module: str) -> frozenset[str]:
-    """The module, and every module of the project that imports it, over any number of steps."""
+    """Return the module, and every module of the project that imports it, over any number of steps."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
@@ -64,7 +64,7 @@ def dependents(root: Path, module: str) -> frozenset[str]:
 
 
 def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
-    """Modules whose compiled kernels may hold what stands in that line of a module.
+    """Return the modules whose compiled kernels may hold what stands in that line of a module.
 
     All that ``dependents`` finds; none where a module without numba has the line in a function: a kernel takes
     constants and kernels from other modules, and compiles no plain function.
@@ -80,7 +80,7 @@ def may_hold(root: Path, module: str, line: int) -> frozenset[str]:
 
 
 def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
-    """Modules of ours that a module names in an import: of `from a import b`, a.b where that is one, else a."""
+    """Return our modules that a module names in an import: of `from a import b`, a.b where that is one, else a."""
     found: set[str] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -91,7 +91,7 @@ def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
     return found
 
 
-def judge(
+def run_tests(
     root: Path,
     module: str,
     source: str | None,

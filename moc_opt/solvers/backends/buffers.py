@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import float64, int64, njit, typeof
+from numba import float64, int64, typeof
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.equalities import assemble, assembled, offsets
 from moc_opt.qp.problem import NullSpaceQP

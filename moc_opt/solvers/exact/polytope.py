@@ -15,9 +15,9 @@ as in ``moc_opt.solvers.exact.elimination``; the proximal point iteration is not
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.simd import (
     above,
     first,

@@ -7,9 +7,9 @@ Below the rows that are named here come Pi (n rows from PI on) and an orthogonal
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.simd import load, store, total, unit, zeros
 
 Array = NDArray[np.float64]

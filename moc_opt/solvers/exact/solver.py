@@ -12,14 +12,14 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from sys import getrefcount
 from typing import ClassVar
 
 import numpy as np
-from numba import float64, int64, njit
+from numba import float64, int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.simd import larger, load, magnitude, stack, stack_indices, store, width, zeros
 from moc_opt.qp.equalities import offsets
@@ -47,7 +47,6 @@ from moc_opt.solvers.exact.polytope import maximise_over_box
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9  # of the largest entry of grad_mu
-ANOTHER_SIZE = 3
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -111,13 +110,8 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, m: int) -> in
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_row(row: Array, tolerance: float, x: Array, y: Array) -> int:
-    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK.
-
-    A record of another length than x asks for is left alone: ANOTHER_SIZE.
-    """
+    """Solve one flat record (10 n + 10,) into x (n,) and y (6,); returns OK, EMPTY (infeasible) or STUCK."""
     n = x.shape[0]
-    if row.shape[0] != offsets(n).end:
-        return ANOTHER_SIZE
     row, x, y = borrowed(row), borrowed(x), borrowed(y)
     # int64(8) is a constant to LLVM alone; numba would compile everything once more for 8.
     if n <= 8:
@@ -135,6 +129,7 @@ def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArra
 
 
 _SOLVE = CompiledKernel(solve_row, VECTOR, float64, VECTOR, VECTOR)
+_empty, _solution, _SOLVED = np.empty, Solution._make, Status.SOLVED  # looked up once: the loop does it at every tick
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 
 
@@ -162,7 +157,7 @@ class Exact:
 
     def start(self, qp: NullSpaceQP) -> ExactSession:
         """A session; there is nothing to warm up but the compiler."""
-        session = ExactSession(self.tolerance, qp.n)
+        session = ExactSession(self.tolerance)
         session.solve(qp)
         return session
 
@@ -207,40 +202,16 @@ class Exact:
 
 
 class ExactSession:
-    """Keeps nothing between ticks but memory: warm equals cold.
+    """Keeps nothing between ticks: warm equals cold."""
 
-    An answer that nobody holds any more is written again two calls later: to make and to free two arrays and a
-    tuple costs as much as to solve.
-    """
+    __slots__ = ("_kernel", "tolerance")
 
-    __slots__ = ("_kernel", "_last", "_spare", "_unheld", "tolerance")
-
-    def __init__(self, tolerance: float, n: int) -> None:
+    def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
         self._kernel = _SOLVE.code
-        self._last, self._spare = _blank(n), _blank(n)
-        self._unheld = self._count()
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem."""
-        entry = self._spare
-        answer, x, y = entry
-        if getrefcount(answer) + getrefcount(x) + getrefcount(y) != self._unheld:
-            entry = answer, x, y = _blank(qp.n)
-        self._spare, self._last = self._last, entry
+        """Answer one subproblem; the answer's arrays are the caller's."""
+        x, y = _empty(qp.n), _empty(6)
         code = self._kernel(qp.row, self.tolerance, x, y)
-        if code == ANOTHER_SIZE:
-            self._last = answer, x, y = _blank(qp.n)
-            code = self._kernel(qp.row, self.tolerance, x, y)
-        return answer if code == OK else no_answer(qp.n, _STATUS[code])
-
-    def _count(self) -> int:
-        # The same steps as in `solve`: how many references they take themselves differs between Python versions.
-        entry = self._spare
-        answer, x, y = entry
-        return getrefcount(answer) + getrefcount(x) + getrefcount(y)
-
-
-def _blank(n: int) -> tuple[Solution, Array, Array]:
-    x, y = np.empty(n), np.empty(6)
-    return Solution(x, y, Status.SOLVED, 0), x, y
+        return _solution((x, y, _SOLVED, 0)) if code == OK else no_answer(qp.n, _STATUS[code])

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.numerics.cache import njit
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks

@@ -8,6 +8,7 @@ import pytest
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
+from moc_opt.control.law import packed
 from moc_opt.control.null_space import (
     consistent_wrist_velocity,
     null_space,
@@ -35,7 +36,7 @@ def states(robot, regular_poses):
 def subproblem(robot, state, v=None, c2=PAPER.c2, rho=PAPER.regularization, speed=0.0, weight=1.0):
     """The paper's subproblem at a state; ``weight`` scales all four weights together."""
     lower, upper = np.empty(7), np.empty(7)
-    velocity_damper(state.q, robot.q_min, robot.q_max, robot.v_max, PAPER.k0_per_s, lower, upper)
+    velocity_damper(state.q, np.array([robot.q_min, robot.q_max, robot.v_max]), PAPER.k0_per_s, lower, upper)
     v_tip = np.array([speed, 0.0, 0.0])
     v_wrist = consistent_wrist_velocity(v_tip, v_tip, state.tool_direction)
     weights = (PAPER.c0 * weight, PAPER.c1 * weight, c2 * weight, rho * weight)
@@ -244,7 +245,7 @@ def test_torque_of_the_printed_network_cannot_act(robot, states):
                 session = printed.start(qp)
                 session.observe(v)
                 x = session.solve(qp).x
-                torques.append(tick.third_level(s.record, 7, null_space(s.A), x, K_N2, np.zeros(7), 1.0))
+                torques.append(tick.third_level(s.record, packed(7, K_N2=K_N2), null_space(s.A), x, 1.0))
             share.append(np.abs(torques[0] - torques[1]).max())
         whole = K_N2 * K * PAPER.c2 * rest.grad_mu  # where no bound is in the way
         free.append(np.abs(self_motion_torque(rest.M, null_space(rest.A), whole)).max())

@@ -30,7 +30,7 @@ def plain():
 
 
 def judge(source, plain, limit_s=240.0):
-    return trial.judge(ROOT, DENSE, source, plain, TESTS, limit_s)
+    return trial.run_tests(ROOT, DENSE, source, plain, TESTS, limit_s)
 
 
 def changed(old, new):

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.maintenance import readme
+from benchmarks.markdown import fill_section
 
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
@@ -168,4 +169,4 @@ def test_what_is_wrong_is_said_and_the_readme_stays(folder, break_it, said, caps
 def test_this_readme_has_both_places():
     text = (Path(__file__).resolve().parents[3] / "README.md").read_text()
     for name in ("solvers", "paper"):
-        assert readme.filled(text, name, "new") != text
+        assert fill_section(text, name, "new", "README") != text

@@ -7,7 +7,7 @@ from benchmarks.output import default_config
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.ablation import ALL, Ablation, Case
 from benchmarks.paper_experiment.config import Config
-from benchmarks.paper_experiment.report import ablation_table
+from benchmarks.paper_experiment.tables import ablation_table
 from benchmarks.paper_experiment.trials import DAMPED, MATCHED, Measurement, variant
 from benchmarks.paper_experiment.verdict import CLAIMS
 from moc_opt import scenario

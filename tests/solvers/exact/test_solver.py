@@ -201,14 +201,6 @@ def test_what_is_held_of_an_answer_is_never_written_again(hold):
         assert qp.residuals(*session.solve(qp)[:2]).verified()
 
 
-def test_an_answer_that_nobody_holds_is_written_again():
-    rng = np.random.default_rng(5)
-    problems = [random_problem(rng) for _ in range(8)]
-    session = Exact().start(problems[0])
-    assert len({id(session.solve(qp)) for qp in problems}) == 2
-    assert len({id(session.solve(qp).x) for qp in problems}) == 2
-
-
 def test_one_session_takes_arms_of_any_size():
     rng = np.random.default_rng(6)
     session = Exact().start(random_problem(rng, 7))

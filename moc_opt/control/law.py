@@ -1,0 +1,95 @@
+"""The constants of a control law, packed into one array for the compiled parts of a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moc_opt.control.null_space import box_limits
+from moc_opt.control.settings import PROJECTORS, ControlSettings, per_joint
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.cache import njit
+
+Array = NDArray[np.float64]
+
+DYNAMIC, STATIC, AS_PUBLISHED = range(len(PROJECTORS))
+_SCALARS, _ROWS = 12, 6
+
+
+class Law(NamedTuple):
+    """Named views of a packed law (12 + 6 n,); the order here is the layout."""
+
+    K_X: float
+    D_X: float
+    K_N: float
+    D_N: float
+    rcm_lambda: float
+    """constant lambda of the paper's |e_N1| = d / lambda; 0 takes |N_d - N| itself"""
+    projector: float
+    """DYNAMIC, STATIC or AS_PUBLISHED"""
+    feedforward: float
+    """1: add the accelerations of tip and desired wrist"""
+    k0: float
+    """velocity damper [1/s]"""
+    weights: Array
+    """(4,) c0, c1, c2, rho"""
+    limits: Array
+    """(3, n) q_min, q_max [rad], v_max [rad/s] of the box"""
+    K_N2: Array
+    """(n,) [N m s/rad]"""
+    D_N2: Array
+    """(n,) [N m s/rad]"""
+    tau_max: Array
+    """(n,) [Nm]"""
+
+
+@njit(cache=True, nogil=True)
+def law_views(law: Array, n: int) -> Law:
+    """Name the parts of a packed law; for use inside other kernels, and in Python through `.py_func`."""
+    rows = law[12:].reshape((6, n))
+    return Law(
+        law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7],
+        law[8:12], rows[:3], rows[3], rows[4], rows[5],
+    )  # fmt: skip
+
+
+def packed(
+    n: int, *, gains: Sequence[float] = (0.0, 0.0, 0.0, 0.0), rcm_lambda: float = 0.0, projector: int = DYNAMIC,
+    feedforward: bool = False, k0: float = 0.0, weights: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    limits: ArrayLike = 0.0, K_N2: ArrayLike = 0.0, D_N2: ArrayLike = 0.0, tau_max: ArrayLike = np.inf,
+) -> Array:  # fmt: skip
+    """Pack the parts of a law for n joints, (12 + 6 n,); ``gains`` are K_X, D_X, K_N, D_N, the rest as in ``Law``."""
+    rows = np.empty((_ROWS, n))
+    rows[:3], rows[3], rows[4], rows[5] = limits, K_N2, D_N2, tau_max
+    return np.concatenate([gains, [rcm_lambda, projector, feedforward, k0], weights, rows.ravel()])
+
+
+def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
+    """Pack the law that the settings ask for on this arm.
+
+    Raises:
+        ControlError, UnknownNameError: a gain is missing, or the box leaves a joint no room.
+    """
+    gains = settings.resolve_gains(robot.data.gains, robot.n)
+    damping = gains.D_N2
+    if settings.law == "dcac":
+        damping = per_joint("[control] dcac_damping", settings.dcac_damping, robot.n)
+    return packed(
+        robot.n,
+        gains=gains[:4],
+        rcm_lambda=settings.rcm_lambda or 0.0,
+        projector=PROJECTORS.index(settings.projector),
+        feedforward=settings.feedforward,
+        k0=settings.k0_per_s,
+        weights=(settings.c0, settings.c1, settings.c2, settings.regularization),
+        limits=box_limits(
+            robot.q_min, robot.q_max, robot.v_max,
+            margin=settings.limit_margin_rad, speed_fraction=settings.speed_fraction,
+        ),
+        K_N2=gains.K_N2,
+        D_N2=damping,
+        tau_max=robot.tau_max if settings.limit_torque else np.inf,
+    )  # fmt: skip

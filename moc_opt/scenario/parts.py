@@ -1,0 +1,64 @@
+"""The parts of a run that a scenario asks for: solver, safety filter, stop, recorded solve times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from moc_opt import solvers
+from moc_opt.control.safety_filter import SafetyFilter
+from moc_opt.errors import ScenarioError
+from moc_opt.inputs.files import read_arrays
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.scenario.config import Scenario
+from moc_opt.sim.closed_loop import Stop
+from moc_opt.solvers.base import Solver
+from moc_opt.solvers.registry import accepts
+
+
+def recorded_times(scenario: Scenario) -> list[float] | None:
+    """Read and check the times [us] of ``[solver] replay_us``; None where the clock decides.
+
+    Raises:
+        ScenarioError: a file that holds no such times, or a controller that cannot take them.
+    """
+    given = scenario.solver.replay_us
+    if given is None:
+        return None
+    if scenario.control.backend == "c":
+        raise ScenarioError(
+            "[solver] replay_us: the compiled tick takes no recorded times; take backend 'python'"
+        )
+    try:
+        if isinstance(given, str):
+            times = read_arrays(given, "[solver] replay_us", ScenarioError).get("", np.empty(0)).astype(float)
+        else:
+            times = np.asarray(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ScenarioError):
+            raise
+        raise ScenarioError(f"[solver] replay_us = {given!r}: no .npy file of numbers: {error}") from error
+    if times.ndim != 1 or times.size == 0 or not (np.isfinite(times) & (times >= 0.0)).all():
+        raise ScenarioError(
+            f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
+        )
+    return [float(time) for time in times]
+
+
+def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
+    """Create a solver, giving it the arm's kinematics where it can use them."""
+    if "kinematics" not in settings and accepts(name, "kinematics"):
+        settings = {**settings, "kinematics": robot.kinematics()}
+    return solvers.create(name, **settings)
+
+
+def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
+    """Make the safety filter of an arm in its incision, with everything it can check."""
+    period_s = scenario.plant.period_s
+    return SafetyFilter(robot.data, scenario.guard, period_s, robot.gravity, robot.tool_pose, robot.state)
+
+
+def make_stop(scenario: Scenario) -> Stop:
+    """Return how the settings of the safety filter stop an arm."""
+    return Stop(scenario.guard.stop_damping_Nm_s_per_rad, scenario.guard.stop_s)
