@@ -33,7 +33,7 @@ class Arm:
         return len(self.axes)
 
     def jacobians(self, q: Array) -> tuple[Array, Array]:
-        """J_tip and J_wrist, (3, n) each [m/rad]."""
+        """Return J_tip and J_wrist, (3, n) each [m/rad]."""
         R, t = np.eye(3), np.zeros(3)
         axes, points = np.empty_like(self.axes), np.empty_like(self.points)
         for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
@@ -44,17 +44,17 @@ class Arm:
         return np.cross(axes, tip - points).T, np.cross(axes, wrist - points).T
 
     def mu(self, q: Array) -> float:
-        """Manipulability sqrt(det(J_T J_T^T))."""
+        """Return the manipulability sqrt(det(J_T J_T^T))."""
         J = self.jacobians(q)[0]
         return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
 
     def grad_mu(self, q: Array, step: float = 1e-5) -> Array:
-        """Gradient of mu, (n,), by central differences."""
+        """Return the gradient of mu, (n,), by central differences."""
         steps = step * np.eye(self.n)
         return np.array([self.mu(q + d) - self.mu(q - d) for d in steps]) / (2.0 * step)
 
     def kinematics(self) -> Any:
-        """The same arm as CasADi functions tip(q), wrist(q), mu(q), for the NLP solvers."""
+        """Return the same arm as CasADi functions tip(q), wrist(q), mu(q), for the NLP solvers."""
         import casadi as ca
 
         q = ca.SX.sym("q", self.n)
@@ -90,13 +90,13 @@ def rotation(axis: Array, angle: float) -> Array:
 
 
 def unit(rng: np.random.Generator) -> Array:
-    """A random direction."""
+    """Return a random direction."""
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
 
 
 def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) -> Arm:
-    """Random axes through points within about half a metre of the wrist.
+    """Return random axes through points within about half a metre of the wrist.
 
     structured (n = 7): joints 5 to 7 pass through the wrist and the tool lies along joint 7, so that
     three wrist columns vanish and joint 7 moves neither point.
@@ -110,10 +110,8 @@ def random_arm(rng: np.random.Generator, n: int = 7, structured: bool = True) ->
     return Arm(axes, points, TOOL * tool, np.zeros(3))
 
 
-def problem_of(
-    arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float
-) -> NullSpaceQP:
-    """The subproblem of ``arm`` at q whose references are met by ``x_inside``."""
+def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, **weights: float) -> NullSpaceQP:
+    """Return the subproblem of ``arm`` at q whose references are met by ``x_inside``."""
     J_tip, J_wrist = arm.jacobians(q)
     return NullSpaceQP(
         J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower, upper, q=q, **weights
@@ -121,7 +119,7 @@ def problem_of(
 
 
 def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
-    """Bounds of 0.3 to 3 rad/s on either side of zero."""
+    """Return bounds of 0.3 to 3 rad/s on either side of zero."""
     return -rng.uniform(0.3, 3.0, n), rng.uniform(0.3, 3.0, n)
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
 from benchmarks.output import default_config, environment
-from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError
 from moc_opt.inputs.files import read_toml
 from moc_opt.inputs.settings import Settings
+from moc_opt.solvers import available
 
 
 class Configuration(Settings):
@@ -50,3 +52,25 @@ class Configuration(Settings):
     def environment(self, given: Namespace, **remarks: Any) -> dict[str, Any]:
         """Return what environment.json holds after a run with this configuration."""
         return environment(self.model_dump(mode="json"), self.seed, given.argv) | remarks
+
+
+def runnable(wanted: Literal["all"] | Sequence[str], *beside: str) -> list[str]:
+    """Name the solvers of a benchmark; "all" are those that can run here.
+
+    Args:
+        wanted: what the configuration asks for.
+        beside: further names, such as that of a baseline.
+
+    Raises:
+        UnknownNameError: no such solver.
+        SolverError: one that is asked for by name cannot run here, and why.
+    """
+    found = {**dict.fromkeys(beside), **available()}
+    if wanted == "all":
+        return [name for name, why in found.items() if why is None]
+    for name in wanted:
+        if name not in found:
+            raise UnknownNameError("solver", name, found)
+        if found[name] is not None:
+            raise SolverError(f"solver {name!r} cannot run here: {found[name]}")
+    return list(wanted)

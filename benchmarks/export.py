@@ -74,9 +74,7 @@ def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
         kept = TestSet.load(name)
         for index in range(0, len(kept.rows), every):
             if kept.feasible[index]:
-                found[f"{name.replace('-', '_').upper()}_{index:03d}"] = NullSpaceQP.from_row(
-                    kept.rows[index].copy()
-                )
+                found[f"{name.replace('-', '_').upper()}_{index:03d}"] = NullSpaceQP.from_row(kept.rows[index].copy())
     return found
 
 
@@ -101,9 +99,7 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         A, b = (qp.A, qp.b) if rows == 6 else qp.reduced()[:2]
         values = {"P": qp.P, "q": qp.p, "A": A, "b": b, "lb": qp.lower, "ub": qp.upper}
         for key in table:
-            table[key].append(
-                name if key == "name" else np.ravel(values[key]).tolist() if key in values else None
-            )
+            table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     kinds = {key: pa.string() if key == "name" else pa.list_(pa.float64()) for key in table}
     sink = pa.BufferOutputStream()
     columns = {key: pa.array(column, kinds[key]) for key, column in table.items()}
@@ -201,9 +197,7 @@ def _succeeds(row: Mapping[str, str], limit: float) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write a test set; see `cli.run` for the exit status."""
-    options = argparse.ArgumentParser(
-        prog="python -m benchmarks.export", description="The test sets for others."
-    )
+    options = argparse.ArgumentParser(prog="python -m benchmarks.export", description="The test sets for others.")
     options.add_argument("format", choices=["qpbenchmark"])
     options.add_argument("--out", type=Path, required=True, help="folder for the files")
     options.add_argument("--sets", nargs="+", metavar="NAME", default=list(SETS), help="test sets")

@@ -12,35 +12,19 @@ from argparse import Namespace
 from collections.abc import Sequence
 
 from benchmarks import cli
+from benchmarks.config import runnable
 from benchmarks.crew import run_parallel
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
 from benchmarks.reliability.report import headline, report, tables
 from benchmarks.reliability.runs import jobs, run_job
 from benchmarks.reliability.summary import goals, summarise
-from moc_opt.errors import MocOptError, UnknownNameError
-from moc_opt.solvers import available
-
-
-def check_solvers(config: Config) -> None:
-    """Every solver must be there before the first run.
-
-    Raises:
-        UnknownNameError: no such solver.
-        MocOptError: it cannot run here, and why.
-    """
-    found = available()
-    for name in config.solvers:
-        if name not in found:
-            raise UnknownNameError("solver", name, found)
-        if found[name] is not None:
-            raise MocOptError(f"solver {name!r} cannot run here: {found[name]}")
 
 
 def inject(given: Namespace) -> cli.Results:
     """Inject every fault; with ``--page`` write docs/reliability.md."""
     config = Config.chosen(given, "faults")
-    check_solvers(config)
+    runnable(config.solvers)
     work = jobs(config)
     with cli.steps("faults", len(work)) as step:
         outcomes = run_parallel(run_job, work, config.processes, step)

@@ -132,9 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--cases", type=int, default=10_000, help="in all")
     options.add_argument("--seed", type=cli.seed_number, default=0)
     options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
-    options.add_argument(
-        "--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}"
-    )
+    options.add_argument("--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}")
     return cli.run(options, send, arguments)
 
 

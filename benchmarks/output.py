@@ -122,9 +122,7 @@ def _commit() -> str | None:
     """Return the commit of this checkout, marked where files differ from it; None outside a checkout."""
     where = Path(__file__).parent
     try:
-        head = subprocess.run(
-            ["git", "rev-parse", "HEAD"], cwd=where, capture_output=True, text=True, check=True
-        )
+        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=where, capture_output=True, text=True, check=True)
         dirty = subprocess.run(
             ["git", "status", "--porcelain", "-uno"], cwd=where, capture_output=True, text=True, check=True
         )

@@ -72,7 +72,7 @@ def summarise(
         }
     each = [(group, solver) for group in config.groups for solver in config.solvers]
     summary["verdict"] = [row for pair in each for row in verdict.verdicts(found, *pair)]
-    summary["phases"] = [row for pair in each for row in verdict.travelling(found, *pair)]
+    summary["phases"] = [row for pair in each for row in verdict.phase_changes(found, *pair)]
     summary["goals"] = verdict.goals(found, config.best, config.best_solver)
     if config.elsewhere is not None:
         summary["goals_elsewhere"] = verdict.goals(found, config.elsewhere, config.best_solver)
@@ -111,9 +111,7 @@ def experiment(given: Namespace) -> cli.Results:
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
     measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
-    environment = config.environment(
-        given, timing=f"none: {config.processes} processes at a time shared the machine"
-    )
+    environment = config.environment(given, timing=f"none: {config.processes} processes at a time shared the machine")
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     try:
         figures.save(drawn, out / "figures")

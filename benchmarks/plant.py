@@ -36,17 +36,11 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "plant.md"
 FIGURES = {
     "mu_gain_percent": Column("mu_gain_percent", "mu", unit="%", format="+.1f", help="above DCAC on the same trials"),
     "tip_error_mean_mm": Column("tip_error_mean_mm", "tip, absolute", unit="mm", format=".3f"),
-    "tip_error_registered_mean_mm": Column(
-        "tip_error_registered_mean_mm", "tip, registered", unit="mm", format=".3f"
-    ),
-    "tip_error_model_mean_mm": Column(
-        "tip_error_model_mean_mm", "tip, own kinematics", unit="mm", format=".3f"
-    ),
+    "tip_error_registered_mean_mm": Column("tip_error_registered_mean_mm", "tip, registered", unit="mm", format=".3f"),
+    "tip_error_model_mean_mm": Column("tip_error_model_mean_mm", "tip, own kinematics", unit="mm", format=".3f"),
     "rcm_error_mean_mm": Column("rcm_error_mean_mm", "RCM, true", unit="mm", format=".3f"),
     "rcm_error_model_mean_mm": Column("rcm_error_model_mean_mm", "RCM, own kinematics", unit="mm", format=".3f"),
-    "rcm_error_registered_mean_mm": Column(
-        "rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"
-    ),
+    "rcm_error_registered_mean_mm": Column("rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"),
     "trocar_force_mean_N": Column("trocar_force_mean_N", "force", unit="N", format=".3f"),
     "torque_rate_rms_Nm_per_s": Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f"),
 }

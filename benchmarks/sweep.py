@@ -62,9 +62,7 @@ def sweep(config: Config, out: Path, pool: Pool, work: Work = execute) -> dict[i
                     bar.at(plan.point(index).solver)
 
                 limit = config.run_limit_s
-                lost |= run_all(
-                    pool, todo, lambda i: plan.scenario(i).model_dump(mode="json"), keep, limit, work
-                )
+                lost |= run_all(pool, todo, lambda i: plan.scenario(i).model_dump(mode="json"), keep, limit, work)
             if again := store.verify():  # a disk may spoil what it has taken
                 said.print(f"damaged, set aside: {again} runs are done again")
         for index, why in lost.items():
@@ -110,12 +108,8 @@ def report(config: Config, given: Namespace, lost: dict[int, str]) -> cli.Result
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sweep; see `cli.run` for the exit status."""
     options = cli.parser("sweep", "Vary any field of a scenario, over solvers and seeds.")
-    options.add_argument(
-        "--workers", type=int, help="processes here (one for each core), or Dask workers to wait for"
-    )
-    options.add_argument(
-        "--scheduler", metavar="ADDRESS", help="of a Dask scheduler: the runs are done there"
-    )
+    options.add_argument("--workers", type=int, help="processes here (one for each core), or Dask workers to wait for")
+    options.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask scheduler: the runs are done there")
     left = "stopped; what is finished is in {out}: the same command goes on from there"
     return cli.run(options, study, arguments, left)
 

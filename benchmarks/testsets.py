@@ -55,7 +55,7 @@ class TestSet:
     feasible: NDArray[np.bool_]
 
     def problems(self) -> list[NullSpaceQP]:
-        """The subproblems, in order: in a sequence neighbours are 2 ms apart."""
+        """Return the subproblems, in order: in a sequence neighbours are 2 ms apart."""
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
     def judged(self) -> Array:
@@ -67,7 +67,7 @@ class TestSet:
         return np.array([straightened(qp).row for qp in self.problems()])
 
     def to_bytes(self) -> bytes:
-        """The .npz file."""
+        """Return the .npz file."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, rows=self.rows, x=self.x, feasible=self.feasible)
         return buffer.getvalue()
@@ -81,9 +81,7 @@ class TestSet:
         """
         path = folder / f"{name}.npz"
         if not path.exists():
-            raise CertificateError(
-                f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets"
-            )
+            raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")
         arrays = read_arrays(path, f"test set {name!r}:", CertificateError)
         try:
             return cls(name, arrays["rows"], arrays["x"], arrays["feasible"])
@@ -94,7 +92,7 @@ class TestSet:
 def at_pose(
     robot: RobotModel, q: Array, v_tip: Array, *, regularization: float = 1e-5, k0: float = 2.0, depth: float = 0.15
 ) -> NullSpaceQP:
-    """The subproblem of an arm at q whose shaft passes the trocar ``depth`` above the tip, for a tip velocity."""
+    """Build the subproblem of an arm at q whose shaft passes the trocar ``depth`` above the tip, for a tip velocity."""
     state = robot.state(q)
     trocar = state.tip - depth * state.tool_direction
     _, v_wrist = desired_wrist(state.tip, v_tip, trocar, np.zeros(3), state.tool_span)
@@ -125,19 +123,19 @@ def sequence(task: str, regularization: float) -> Callable[[RobotModel, Rng], It
 
 
 def tip_velocity(rng: Rng, speed: float) -> Array:
-    """A random direction at a random speed up to ``speed`` [m/s]."""
+    """Return a random direction at a random speed up to ``speed`` [m/s]."""
     v = rng.normal(size=3)
     return np.asarray(v * speed * rng.uniform() / np.linalg.norm(v))
 
 
 def random_poses(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Regular poses all over the workspace."""
+    """Yield problems at regular poses all over the workspace."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
 
 
 def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """The elbow from 0.1 rad to 1e-8 rad short of straight: ker A grows from two dimensions to three."""
+    """Yield problems with the elbow 0.1 rad to 1e-8 rad short of straight: ker A grows from dimension two to three."""
     for bend in np.logspace(-1, -8, SIZE):
         q = robot.random_regular_pose(rng)
         q[3] = bend
@@ -156,7 +154,7 @@ def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """The paper's k0 = 0.1 and fast references: half a step inside the box's reach, or beyond it."""
+    """Yield problems with the paper's k0 = 0.1 and fast references, near the border of feasibility on both sides."""
     while True:
         yield at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.1), k0=0.1)
 
@@ -227,7 +225,7 @@ def certify(name: str, problems: Sequence[NullSpaceQP]) -> TestSet:
 
 
 def straightened(qp: NullSpaceQP) -> NullSpaceQP:
-    """The same subproblem with the wrist's reference along the shaft moved to the tip's."""
+    """Return the same subproblem with the wrist's reference along the shaft moved to the tip's."""
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
@@ -237,7 +235,7 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
-    """What is missing along the shaft for the wrist to follow the tip, (3,) [m/s]."""
+    """Return what is missing along the shaft for the wrist to follow the tip, (3,) [m/s]."""
     u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
     return np.asarray(u * (u @ (b[:3] - b[3:])))
 

@@ -62,9 +62,7 @@ class Timed(NamedTuple):
     prepare: Callable[[Any], Any] | None = None
 
 
-def interleaved(
-    entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100
-) -> dict[str, Array]:
+def interleaved(entries: Mapping[str, Timed], rounds: int = 3, chunk: int = 100) -> dict[str, Array]:
     """Time several calls side by side: each goes through its own items, ``chunk`` of them at a time, in turn.
 
     Whatever the machine does meanwhile hits all alike, so ratios of what is found chunk by chunk are steadier than
@@ -120,7 +118,4 @@ def percentiles(times: Array, prefix: str) -> dict[str, float]:
     times = times[np.isfinite(times)]
     if times.size == 0:
         return {}
-    return {
-        f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q))
-        for name, q in PERCENTILES.items()
-    }
+    return {f"{prefix}_{name.replace('.', '_')}_us": float(np.percentile(times, q)) for name, q in PERCENTILES.items()}

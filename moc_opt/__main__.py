@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; 0, 2 with a message where the input is wrong, 3 where a run did not end "completed"."""
+    """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
     parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser(
@@ -47,9 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
     replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     replay.add_argument("--out", type=Path, default=Path("replay.html"))
-    chart = commands.add_parser(
-        "map", help="saved traces of one path on the manipulability map, as one HTML file"
-    )
+    chart = commands.add_parser("map", help="saved traces of one path on the manipulability map, as one HTML file")
     chart.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
     chart.add_argument("--out", type=Path, default=Path("map.html"))
     chart.add_argument("--figures", action="store_true", help="also as SVG and PDF, in a folder beside it")
@@ -57,9 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     live.add_argument("--host", default="127.0.0.1", help="a loopback address")
     live.add_argument("--port", type=int, default=8642)
-    live.add_argument(
-        "--i-know-this-is-public", action="store_true", dest="public", help="allow any other host"
-    )
+    live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
     given = parser.parse_args(arguments)
     try:
         if given.command == "export-c":
@@ -103,9 +99,7 @@ def _one_line(error: BaseException) -> str:
     return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
-def run_scenario(
-    path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool
-) -> int:
+def run_scenario(path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
@@ -179,7 +173,7 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -
 
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
-    """The page first: it is there even where no browser can draw the files."""
+    """Write the page, then the figures: the page is there even where no browser can draw the files."""
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 

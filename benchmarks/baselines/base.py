@@ -41,9 +41,7 @@ class Peer(Protocol):
 
 
 @njit(cache=True)
-def _gradient(
-    axes: Array, rotation_t: Array, origin: Array, offsets: Array, moves: NDArray[np.bool_]
-) -> Array:
+def _gradient(axes: Array, rotation_t: Array, origin: Array, offsets: Array, moves: NDArray[np.bool_]) -> Array:
     n = axes.shape[0]
     tip, jacobian, grad = np.empty(3), np.empty((3, n)), np.empty(n)
     point_in_world(rotation_t, origin, offsets[0], tip)

@@ -63,15 +63,14 @@ def job(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> J
     path = make_path("circle", start, normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0), radius=0.03)
     t = PERIOD_S * np.arange(round(duration_s / PERIOD_S))
     trocar = Trocar(state.tip - 0.15 * state.tool_direction)
-    return Job(
-        state.q.copy(),
-        np.stack(Reference(path, 0.05, 0.2).at(t), axis=1),
-        np.stack(trocar.at(t), axis=1),
-    )
+    return Job(state.q.copy(), np.stack(Reference(path, 0.05, 0.2).at(t), axis=1), np.stack(trocar.at(t), axis=1))
 
 
 def perform(peer: Peer, robot: RobotModel, work: Job) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given."""
+    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given.
+
+    No plant and no safety filter: most peers answer with velocities, which the closed loop's step does not take.
+    """
     q, v = work.q_start.copy(), np.zeros(robot.n)
     poses, given = np.empty((len(work.tip_refs), robot.n)), []
     for k in range(len(poses)):

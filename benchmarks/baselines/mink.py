@@ -25,11 +25,7 @@ class _Climb(mink.tasks.BaseTask):  # type: ignore[misc]
     """A linear cost along the gradient of the manipulability; the solver's damping bounds it."""
 
     def __init__(self, robot: RobotModel, period_s: float) -> None:
-        self._gradient, self._step, self._zero = (
-            TipGradient(robot),
-            CLIMB * period_s,
-            np.zeros((robot.n, robot.n)),
-        )
+        self._gradient, self._step, self._zero = (TipGradient(robot), CLIMB * period_s, np.zeros((robot.n, robot.n)))
 
     def compute_qp_objective(self, configuration: Any) -> Any:
         """Return H (n, n) and c (n,)."""

@@ -22,9 +22,7 @@ from moc_opt.scenario.adapter import ControllerAdapter
 Array = NDArray[np.float64]
 
 SOLVER = "exact"
-_SAID = re.compile(
-    r"mean ([\d.]+) us; with the clock: median ([\d.]+) us, p99\.9 ([\d.]+) us, max ([\d.]+) us"
-)
+_SAID = re.compile(r"mean ([\d.]+) us; with the clock: median ([\d.]+) us, p99\.9 ([\d.]+) us, max ([\d.]+) us")
 _COMPARED = re.compile(r"largest difference from the recorded torque ([\d.e+-]+) Nm")
 
 
@@ -51,9 +49,7 @@ def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: 
     return max(float(np.abs(brain.tick(*given) - driver.tick(*given)).max()) for given in inputs)
 
 
-def own_main(
-    robot: RobotModel, settings: ControlSettings, period_s: float, inputs: list[Inputs]
-) -> dict[str, float]:
+def own_main(robot: RobotModel, settings: ControlSettings, period_s: float, inputs: list[Inputs]) -> dict[str, float]:
     """Return what the exported program says of itself: ``make`` in a folder of its own, then run it.
 
     Raises:
@@ -66,18 +62,11 @@ def own_main(
     with tempfile.TemporaryDirectory() as folder:
         export(spec, recording, folder)
         done = subprocess.run(
-            ["make", "--silent", "test"],
-            cwd=Path(folder),
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=120,
+            ["make", "--silent", "test"], cwd=Path(folder), capture_output=True, text=True, check=True, timeout=120
         )
     said, compared = _SAID.search(done.stdout), _COMPARED.search(done.stdout)
     if said is None or compared is None:
-        raise subprocess.SubprocessError(
-            f"the exported program said {done.stdout!r:.200}: its times are not in it"
-        )
+        raise subprocess.SubprocessError(f"the exported program said {done.stdout!r:.200}: its times are not in it")
     mean, median, late, longest = map(float, said.groups())
     return {
         "own_mean_us": mean, "own_p50_us": median, "own_p99_9_us": late, "own_max_us": longest,

@@ -92,9 +92,7 @@ def _work(scenario: Scenario, runs: int) -> float:
     return perf_counter()
 
 
-def two_processes(
-    scenario: Scenario, runs: int, rounds: int, advance: Callable[[str], None]
-) -> dict[str, float]:
+def two_processes(scenario: Scenario, runs: int, rounds: int, advance: Callable[[str], None]) -> dict[str, float]:
     """Return the throughput of two processes over that of one, both on the same number of runs a process.
 
     The processes are spawned, warmed up, and then used for both; rounds with one and with two alternate.
@@ -148,9 +146,7 @@ def memory(scenario: Scenario, short_s: float, long_s: float) -> dict[str, float
             trace = setup.trace(watch)
             held = tracemalloc.get_traced_memory()[0] - before
             kept[name] = held - sum(column.nbytes for column in trace.columns.values())
-            found["growth_bytes_per_tick"] = (marks["late"] - marks["early"]) / max(
-                1, 9 * ticks // 10 - ticks // 10
-            )
+            found["growth_bytes_per_tick"] = (marks["late"] - marks["early"]) / max(1, 9 * ticks // 10 - ticks // 10)
             found["trace_bytes_per_tick"] = sum(column.nbytes for column in trace.columns.values()) / ticks
             del trace, setup
     finally:

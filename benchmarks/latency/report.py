@@ -33,13 +33,7 @@ TICKS = [
     Column("tick_p99_us", "p99", unit="us", format=".1f", better="low"),
     Column("tick_p99_9_us", "p99.9", unit="us", format=".1f", better="low"),
     *_WORST,
-    Column(
-        "beyond_us",
-        "beyond",
-        unit="us",
-        format=".1f",
-        help="beyond our own part and the library driven by hand",
-    ),
+    Column("beyond_us", "beyond", unit="us", format=".1f", help="beyond our own part and the library driven by hand"),
 ]
 PARTS_COLUMNS = [
     Column("name", "part"),
@@ -56,15 +50,9 @@ PEERS = [
     *_WORST,
     Column("times_ours", "over ours", format=".2f", help="its median over that of our tick in Python"),
     Column("times_c", "over ours in C", format=".2f"),
-    Column(
-        "tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"
-    ),
-    Column(
-        "rcm_error_max_mm", "shaft", unit="mm", help="largest distance of the shaft from the trocar, likewise"
-    ),
-    Column(
-        "mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"
-    ),
+    Column("tip_error_max_mm", "tip", unit="mm", help="largest tip error on an ideal arm, after half a second"),
+    Column("rcm_error_max_mm", "shaft", unit="mm", help="largest distance of the shaft from the trocar, likewise"),
+    Column("mu_rise_percent", "mu", unit="%", format="+.1f", help="rise of the manipulability in that second"),
 ]
 EXACT = [
     Column("name", "subproblems"),
@@ -82,13 +70,7 @@ EXACT = [
 ADAPTERS = [
     Column("name", "adapter"),
     Column("adapter_p50_us", "adapter", unit="us", format=".2f", better="low"),
-    Column(
-        "by_hand_p50_us",
-        "by hand",
-        unit="us",
-        format=".2f",
-        help="load the numbers and solve, in a bare loop",
-    ),
+    Column("by_hand_p50_us", "by hand", unit="us", format=".2f", help="load the numbers and solve, in a bare loop"),
     Column("library_p50_us", "library", unit="us", format=".2f", help="update and solve alone"),
     Column("ratio", "adapter / by hand", format=".3f", better="low", help="median over the chunks"),
     Column("ratio_low", "from", format=".3f", help="lower quartile of the chunks"),
@@ -100,9 +82,7 @@ LOOP = [
     Column("factor", "real time", unit="times", format=".1f", better="high"),
     Column("factor_cpu", "of its own processor time", unit="times", format=".1f", better="high"),
     Column("factor_best", "best run", unit="times", format=".1f"),
-    Column(
-        "us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"
-    ),
+    Column("us_per_tick", "all of a tick", unit="us", format=".1f", help="plant, trace and references included"),
     Column("tick_p50_us", "controller p50", unit="us", format=".1f"),
     Column("tick_p99_us", "p99", unit="us", format=".1f"),
     Column("tick_p99_9_us", "p99.9", unit="us", format=".1f"),
@@ -110,10 +90,7 @@ LOOP = [
 FACTS = [Column("what", "what"), Column("value", "value"), Column("unit", "unit")]
 OTHER = {
     ("loop", "two processes", "speed_up"): ("two processes over one", ""),
-    ("loop", "memory", "growth_bytes_per_tick"): (
-        "memory that a tick leaves behind, besides the trace",
-        "byte",
-    ),
+    ("loop", "memory", "growth_bytes_per_tick"): ("memory that a tick leaves behind, besides the trace", "byte"),
     ("loop", "memory", "trace_bytes_per_tick"): ("the trace itself, per tick", "byte"),
     ("loop", "memory", "kept_short_kB"): ("held after a short run, besides its trace", "kB"),
     ("loop", "memory", "kept_long_kB"): ("held after a long run, besides its trace", "kB"),
@@ -134,12 +111,8 @@ OTHER = {
 def tables(summary: Summary) -> dict[str, Table]:
     """Map name to table, in the order of the page; what was not measured is left out."""
     beyond = {name: found["beyond_us"] for name, found in summary["beyond_the_library"].items()}
-    ticks = [
-        {"name": name, "beyond_us": beyond.get(name), **found} for name, found in summary["tick"].items()
-    ]
-    parts = [
-        {"name": name, "is": PARTS.get(name, ""), **found} for name, found in summary["tick_parts"].items()
-    ]
+    ticks = [{"name": name, "beyond_us": beyond.get(name), **found} for name, found in summary["tick"].items()]
+    parts = [{"name": name, "is": PARTS.get(name, ""), **found} for name, found in summary["tick_parts"].items()]
     own, c = summary["tick"]["exact"], summary["tick"].get("c")
     rivals = [{"name": "moc_opt", "level": "torque", "times_ours": 1.0, **own}]
     if c is not None:
@@ -159,8 +132,7 @@ def tables(summary: Summary) -> dict[str, Table]:
         if (value := summary[part].get(name, {}).get(key)) is not None
     ]
     goals = [
-        {**found, "goal": f"{found['goal']:g}", "value": _short(found["value"])}
-        for found in summary["goals"].values()
+        {**found, "goal": f"{found['goal']:g}", "value": _short(found["value"])} for found in summary["goals"].values()
     ]
     found = {
         "goals": Table("Goals", GOALS, goals),
@@ -184,14 +156,10 @@ def headline(summary: Summary) -> str:
     reached = sum(goal["reached"] == "yes" for goal in goals)
     missed = [f"{goal['what']} ({_short(goal['value'])})" for goal in goals if goal["reached"] == "no"]
     own, loop = summary["tick"]["exact"]["tick_p50_us"], summary["loop"]["python"]["factor"]
-    said = [
-        f"A tick with `exact` takes {own:.1f} us (median), the closed loop runs {loop:.0f} times real time"
-    ]
+    said = [f"A tick with `exact` takes {own:.1f} us (median), the closed loop runs {loop:.0f} times real time"]
     if summary["peers"]:
         best = min(summary["peers"], key=lambda name: float(summary["peers"][name]["tick_p50_us"]))
-        said.append(
-            f"the fastest peer, {best}, takes {summary['peers'][best]['tick_p50_us']:.1f} us for the same job"
-        )
+        said.append(f"the fastest peer, {best}, takes {summary['peers'][best]['tick_p50_us']:.1f} us for the same job")
     said.append(f"{reached} of {len(summary['goals'])} goals are reached")
     if missed:
         said.append("not reached: " + "; ".join(missed))
@@ -238,9 +206,7 @@ def report(summary: Summary, ticks: Mapping[str, ArrayLike], environment: Mappin
         page.table(table)
         if name == "peers":
             page.figure(figures.latency_ecdf(ticks), "Time of a tick: distribution.", name="ticks")
-            page.figure(
-                figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail"
-            )
+            page.figure(figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail")
     page.environment(environment)
     return page
 

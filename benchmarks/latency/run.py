@@ -42,9 +42,7 @@ class Run:
         self._missing: dict[str, str] = {}
         found = available()
         self._solvers = self._choose("solver", config.tick.solvers, found)
-        self._adapters = self._choose(
-            "adapter", _all(config.adapters.names, BARE), {n: found.get(n, "") for n in BARE}
-        )
+        self._adapters = self._choose("adapter", _all(config.adapters.names, BARE), {n: found.get(n, "") for n in BARE})
         self._peers = _all(config.peers.names, peers.PEERS)
         for name in self._peers:
             if name not in peers.PEERS:
@@ -97,9 +95,7 @@ class Run:
         self._missing |= {f"{kind} {name}": str(found[name]) for name in names if found[name] is not None}
         return [name for name in names if found[name] is None]
 
-    def _timed(
-        self, part: str, entries: Mapping[str, Timed], rounds: int, prefix: str
-    ) -> dict[str, dict[str, float]]:
+    def _timed(self, part: str, entries: Mapping[str, Timed], rounds: int, prefix: str) -> dict[str, dict[str, float]]:
         """Time entries side by side; their times join the rows, their figures are returned: see `timing.figures`."""
         times = interleaved(entries, rounds, CHUNK)
         self._keep(part, times)
@@ -132,13 +128,9 @@ class Run:
 
     def _ticks(self, inputs: list[Any], advance: Advance) -> dict[str, Any]:
         """Return our ticks and the peers' side by side."""
-        own, refused = tick.own_ticks(
-            self._solvers, self._robot, self._scenario.control, inputs, self._period
-        )
+        own, refused = tick.own_ticks(self._solvers, self._robot, self._scenario.control, inputs, self._period)
         runs, absent = tick.peer_ticks(self._peers, self._robot, advance)
-        self._missing |= {f"solver {k}": v for k, v in refused.items()} | {
-            f"peer {k}": v for k, v in absent.items()
-        }
+        self._missing |= {f"solver {k}": v for k, v in refused.items()} | {f"peer {k}": v for k, v in absent.items()}
         entries = dict(own)
         if self._native is not None:
             entries["c"] = embedded.timed(self._native, inputs)
@@ -183,9 +175,7 @@ class Run:
         pairs, refused = solve.adapters(self._adapters, self._robot, problems)
         self._missing |= {f"adapter {name}": reason for name, reason in refused.items()}
         found: dict[str, dict[str, float]] = {}
-        entries = {
-            f"{name} / {kind}": timed for name, kinds in pairs.items() for kind, timed in kinds.items()
-        }
+        entries = {f"{name} / {kind}": timed for name, kinds in pairs.items() for kind, timed in kinds.items()}
         if not entries:
             return found
         times = interleaved(entries, self.config.adapters.rounds, CHUNK)
@@ -217,9 +207,7 @@ class Run:
         self.rows += rows
         if table.two_process_rounds:
             short = self._scenario.change(duration_s=min(4.0, table.duration_s))
-            found["two processes"] = speed_loop.two_processes(
-                short, 2 * table.runs, table.two_process_rounds, advance
-            )
+            found["two processes"] = speed_loop.two_processes(short, 2 * table.runs, table.two_process_rounds, advance)
         found["memory"] = speed_loop.memory(self._scenario, *table.memory_s)
         advance("memory")
         return found

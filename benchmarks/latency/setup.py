@@ -42,9 +42,7 @@ print('{"first_tick_s": %r, "libraries_s": %r, "model_s": %r, "start_and_tick_s"
 """
 
 
-def setup_times(
-    processes: int, advance: Callable[[str], None]
-) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def setup_times(processes: int, advance: Callable[[str], None]) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """Return the medians [s] over fresh processes, and a row for each; one more comes first and fills the caches.
 
     ``import_s`` and ``first_tick_s`` count from the first line of the program; ``*_process_s`` are whole processes,
@@ -56,9 +54,7 @@ def setup_times(
     for turn in range(1 + processes):
         for name, program in (("import", IMPORT), ("first_tick", FIRST_TICK)):
             begin = perf_counter()
-            done = subprocess.run(
-                [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
-            )
+            done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
             values = {**json.loads(done.stdout), f"{name}_process_s": perf_counter() - begin}
             advance(f"{name} in a new process")
             if turn:

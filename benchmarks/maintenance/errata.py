@@ -86,10 +86,7 @@ def _third(arm: Arm) -> str:
     found = [third_level(s) for s in arm.states]
     shape = tuple(reversed(null_space(arm.states[0].A).shape))
     factor = [float(value) for *_, inner in found for value in np.linalg.eigvalsh(inner) ** 2]
-    still = [
-        float(np.abs(s.A @ np.linalg.solve(s.M, N)).max())
-        for (N, *_), s in zip(found, arm.states, strict=True)
-    ]
+    still = [float(np.abs(s.A @ np.linalg.solve(s.M, N)).max()) for (N, *_), s in zip(found, arm.states, strict=True)]
     return (
         f"printed shape {shape}, which takes no joint vector; with the missing Z appended its "
         f"&#124;N N - N&#124;/&#124;N&#124; is {span([idempotence(P) for _, P, _ in found])} (with the inverse "
@@ -177,10 +174,7 @@ def write_page(given: argparse.Namespace) -> int:
         return 0
     if given.out.exists() and given.out.read_text(encoding="utf-8") == text:
         return 0
-    print(
-        f"{given.out} does not agree with the numbers: python -m benchmarks.errata writes it anew",
-        file=sys.stderr,
-    )
+    print(f"{given.out} does not agree with the numbers: python -m benchmarks.errata writes it anew", file=sys.stderr)
     return 1
 
 

@@ -20,7 +20,7 @@ from benchmarks.markdown import fill_section, table
 from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.closed_loop import BASELINE
-from benchmarks.solver_study.tables import SETTLED
+from benchmarks.solver_study.tables import STEADY
 from benchmarks.statistics import spread
 from moc_opt.errors import MocOptError
 
@@ -33,7 +33,7 @@ LISTED = (
 )  # fmt: skip
 COLUMNS = (
     "solver", "verified", "silently wrong", "primal", "loss", "p50 [us]", "p99 [us]", "mu", "gain [%]", "tip [mm]",
-    "RCM [mm]", "settled RCM [mm]", "trials", "chatter [Nm/s]",
+    "RCM [mm]", "steady RCM [mm]", "trials", "chatter [Nm/s]",
 )  # fmt: skip
 CLOSED = {
     "mu_mean": ".4f", "mu_gain_percent": ".1f", "tip_error_model_mean_mm": ".3f",
@@ -81,7 +81,7 @@ same for all controllers; the gain is that of the mean over DCAC's (`exact`: {ga
 judge knows: they count as not verified, and in closed loop it costs nothing.
 
 As the libraries come, without our settings, many claim success for wrong answers on the {asked} problems of the
-certified sets: {listed}. {SETTLED}"""
+certified sets: {listed}. {STEADY}"""
 
 
 def paper_section(summary: Summary, environment: Summary) -> str:

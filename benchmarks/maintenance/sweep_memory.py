@@ -54,9 +54,7 @@ def write_synthetic(folder: Path, rows: int, seed: int = 0) -> Path:
                 "error": [None if i % 97 else "SolverError: made up" for i in index],
             }  # fmt: skip
             columns = [known.get(name, rng.lognormal(size=len(index))) for name in schema.names]
-            write(
-                pa.table([pa.array(c, f.type) for c, f in zip(columns, schema, strict=True)], schema=schema)
-            )
+            write(pa.table([pa.array(c, f.type) for c, f in zip(columns, schema, strict=True)], schema=schema))
     return path
 
 
@@ -66,9 +64,7 @@ def peak_MB() -> float:
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024
-    raise SweepError(
-        "this system does not tell the peak memory of a process (/proc/self/status has no VmHWM)"
-    )
+    raise SweepError("this system does not tell the peak memory of a process (/proc/self/status has no VmHWM)")
 
 
 def measure(folder: Path) -> dict[str, float]:

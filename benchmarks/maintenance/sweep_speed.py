@@ -158,9 +158,7 @@ def contenders(plan: Plan, workers: int, work: Work) -> dict[str, Callable[[], d
     return found
 
 
-def measure(
-    runs: int, seconds: float, workers: int, rounds: int, waiting: bool
-) -> dict[str, dict[str, float]]:
+def measure(runs: int, seconds: float, workers: int, rounds: int, waiting: bool) -> dict[str, dict[str, float]]:
     """Take medians over rounds; in each every engine has its turn, so that drift of the machine hits all."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -210,9 +208,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--seconds", type=float, default=2.0, help="how long a run should take")
     options.add_argument("--workers", type=int, default=2)
     options.add_argument("--rounds", type=int, default=3)
-    options.add_argument(
-        "--waiting", action="store_true", help="runs that wait, for a machine that others use"
-    )
+    options.add_argument("--waiting", action="store_true", help="runs that wait, for a machine that others use")
     return cli.run(options, compare, arguments)
 
 

@@ -125,9 +125,7 @@ def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
     return Score(candidate, objective(values), values)
 
 
-def evaluate(
-    config: Config, candidates: Sequence[Candidate], stream: int, per_task: int, advance: Any
-) -> list[Score]:
+def evaluate(config: Config, candidates: Sequence[Candidate], stream: int, per_task: int, advance: Any) -> list[Score]:
     """Return the scores in the order of the candidates."""
     batches = [jobs_of(config, c, stream, per_task, hard=stream == SEARCH_STREAM) for c in candidates]
     outcomes = run_parallel(run_job, [job for batch in batches for job in batch], config.processes, advance)
@@ -142,20 +140,10 @@ def search(config: Config) -> tuple[list[Score], list[Score]]:
     """Return (every score of the search, scores of the finalists on fresh trials), each best first."""
     rng = np.random.default_rng(config.seed)
     each, final = config.trials * len(config.tasks) + 1, config.final_trials * len(config.tasks)
-    total = (config.random + config.local) * each + min(
-        config.finalists, config.random + config.local
-    ) * final
+    total = (config.random + config.local) * each + min(config.finalists, config.random + config.local) * final
     with cli.steps("search", total) as step:
-        found = evaluate(
-            config,
-            [draw(config, rng) for _ in range(config.random)],
-            SEARCH_STREAM,
-            config.trials,
-            step,
-        )
-        best = [
-            s.candidate for s in sorted(found, key=lambda s: s.objective)[:5] if math.isfinite(s.objective)
-        ]
+        found = evaluate(config, [draw(config, rng) for _ in range(config.random)], SEARCH_STREAM, config.trials, step)
+        best = [s.candidate for s in sorted(found, key=lambda s: s.objective)[:5] if math.isfinite(s.objective)]
         if best:
             near = [draw(config, rng, best) for _ in range(config.local)]
             found += evaluate(config, near, SEARCH_STREAM, config.trials, step)

@@ -30,9 +30,7 @@ class Range(Settings):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         if not self.low < self.high or (self.log and self.low <= 0.0):
-            raise ValueError(
-                f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true"
-            )
+            raise ValueError(f"low = {self.low}, high = {self.high}: give low < high, and above 0 where log is true")
         return self
 
     def at(self, place: float) -> float | bool:
@@ -62,14 +60,7 @@ class Config(Configuration):
 
     def quick(self) -> Config:
         """Return the same search with few candidates: for a first look and for the tests."""
-        few = {
-            "random": 3,
-            "local": 1,
-            "finalists": 2,
-            "trials": 2,
-            "final_trials": 2,
-            "tasks": self.tasks[:1],
-        }
+        few = {"random": 3, "local": 1, "finalists": 2, "trials": 2, "final_trials": 2, "tasks": self.tasks[:1]}
         return self.model_copy(update=few)
 
 

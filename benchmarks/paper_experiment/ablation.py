@@ -152,9 +152,7 @@ def rows(ablation: Ablation, found: Sequence[Measurement]) -> list[dict[str, Any
     return table
 
 
-def _against_printed(
-    ablation: Ablation, found: Sequence[Measurement], name: str, claim: Claim
-) -> dict[str, Any]:
+def _against_printed(ablation: Ablation, found: Sequence[Measurement], name: str, claim: Claim) -> dict[str, Any]:
     """Compute the shift of a case from the first, over the trials with four whole runs, and ``decides``."""
     first = next(iter(ablation.cases))
     asked = [(case, ablation.cases[case].controller) for case in (name, first)]

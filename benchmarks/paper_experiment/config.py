@@ -7,16 +7,15 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
-from benchmarks.config import Configuration
+from benchmarks.config import Configuration, runnable
 from benchmarks.paper_experiment.ablation import Ablation, AblationJob, changed
 from benchmarks.paper_experiment.ablation import jobs as ablation_jobs
 from benchmarks.paper_experiment.procedure import ProcedureJob, ProcedureSettings
 from benchmarks.paper_experiment.trials import BASELINES, Job, seeds, trials
-from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario import Scenario, Setup, make_solver
-from moc_opt.solvers import available
 from moc_opt.vision.board import board_task
 
 STREAM = 0  # of seeds; the search has its own
@@ -84,12 +83,7 @@ class Config(Configuration):
             raise UnknownNameError("best_solver", self.best_solver, self.solvers)
         for task in (*self.tasks, self.swivel.task):
             board_task(task)
-        here = available()
-        for name in self.solvers:
-            if name not in here:
-                raise UnknownNameError("solver", name, here)
-            if here[name] is not None:
-                raise ScenarioError(f"solvers: {name!r} cannot run here: {here[name]}")
+        runnable(self.solvers)
         robot = load_robot(self.scenario.robot.name)
         for name in self.solvers:
             make_solver(name, robot, **self.settings.get(name, {}))
@@ -124,9 +118,7 @@ class Config(Configuration):
         """Return the whole procedure, once a task, under the best MOC; the first is filmed to a file in ``out``."""
         base = self.base(self.best).change(solver={"name": self.best_solver})
         jobs = []
-        for i, (task, seed) in enumerate(
-            zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)
-        ):
+        for i, (task, seed) in enumerate(zip(self.tasks, seeds(self.seed, STREAM, len(self.tasks)), strict=True)):
             film = out / "film.webm" if i == 0 and self.procedure.film else None
             jobs.append(ProcedureJob(self.procedure, base.change(seed=seed), task, film))
         return jobs

@@ -92,9 +92,7 @@ def save(drawn: Mapping[str, go.Figure], folder: Path) -> list[Path]:
     with browser() as chromium:
         page = chromium.new_page(device_scale_factor=2.0)
         for vector in list(written):
-            page.set_content(
-                f"<body style='margin:0;background:white'>{vector.read_text(encoding='utf-8')}</body>"
-            )
+            page.set_content(f"<body style='margin:0;background:white'>{vector.read_text(encoding='utf-8')}</body>")
             pixels = vector.with_suffix(".png")
             page.locator("svg").first.screenshot(path=pixels)
             written.append(pixels)

@@ -79,13 +79,9 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
     scenario, table, task = job.scenario, job.scenario.robot, board_task(job.task)
     robot = table.arm()
     home = robot.state(robot.data.q_home)
-    hand_seed, plant_seed, swivel_seed, eye_seed = (
-        np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
-    )
+    hand_seed, plant_seed, swivel_seed, eye_seed = np.random.SeedSequence(scenario.seed).generate_state(4).tolist()
     # The registration error is the hand's and the kinematics' here, not the plant's.
-    plant = Plant(
-        robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed
-    )
+    plant = Plant(robot.data, scenario.plant.model_copy(update={"trocar_registration_error_m": 0.0}), seed=plant_seed)
 
     incision = home.tip - task.depth_m * home.tool_direction
     guided = guide_to(incision, plant, robot, job.settings.hands_on, seed=hand_seed)
@@ -94,9 +90,7 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
 
     phantom = board_below(incision, home.tool_direction, task.depth_m)
     parts = job.settings
-    scene = Augmented(
-        robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed
-    )
+    scene = Augmented(robot, phantom, camera=parts.camera, board=parts.board, tracker=parts.tracker, seed=eye_seed)
     estimate = scene.locate(guided.q)
     path = scene.task(task, estimate)
 
@@ -127,12 +121,7 @@ def _run(
     """
     robot, (true, registered) = job.scenario.robot.arm(), trocars
     scenario, period = job.scenario, job.scenario.plant.period_s
-    reference = Reference(
-        path,
-        scenario.task.v_max_m_per_s,
-        scenario.task.a_max_m_per_s2,
-        t_start=scenario.task.wait_s,
-    )
+    reference = Reference(path, scenario.task.v_max_m_per_s, scenario.task.a_max_m_per_s2, t_start=scenario.task.wait_s)
     check_reachable(robot, q, reference, registered)
     waiting = WaitingReference(reference, period)
     lost = sum(end - begin for begin, end in job.settings.board.lost_s)
@@ -185,16 +174,9 @@ def from_path(points: Array, path: TipPath, samples: int = 4000) -> Array:
 
 def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[str, Any]:
     """Return the accuracy of single pictures of the board at random poses, against the truth."""
-    return dict(
-        pose_accuracy(
-            load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed
-        )
-    )
+    return dict(pose_accuracy(load_robot(robot_name), settings.camera, settings.board, poses=settings.poses, seed=seed))
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Map task to what its procedure came to."""
-    return {
-        row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")}
-        for row in rows
-    }
+    return {row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")} for row in rows}

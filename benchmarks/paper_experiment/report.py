@@ -102,9 +102,7 @@ def page(
         "The same trial from every place of the feasible self-motion. The gain in mu is a statement about the start "
         "as much as about the controller."
     )
-    page.figure(
-        drawn["swivel"], "Gain in mean mu over DCAC, and mu at the start, against the start.", name="swivel"
-    )
+    page.figure(drawn["swivel"], "Gain in mean mu over DCAC, and mu at the start, against the start.", name="swivel")
     page.section("The procedure")
     page.text(
         "A hand guides the tip to the incision, where the trocar is registered; the camera finds the board; the tip "

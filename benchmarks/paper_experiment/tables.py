@@ -61,9 +61,7 @@ PROCEDURE = [
     Column("board_angle_deg", "board off", unit="deg"),
     Column("waited_s", "waited", unit="s", help="for a board that could not be seen"),
     Column("tip_error_mean_mm", "tip", unit="mm", help="from the reference that the robot follows"),
-    Column(
-        "path_deviation_mean_mm", "off the task", unit="mm", help="from the task as it truly lies on the phantom"
-    ),
+    Column("path_deviation_mean_mm", "off the task", unit="mm", help="from the task as it truly lies on the phantom"),
     Column("rcm_error_mean_mm", "RCM", unit="mm", help="from the true incision"),
     Column("error", "error"),
 ]
@@ -98,7 +96,9 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
         for controller, entries in summary[group].items()
     ]
     return Table(
-        f"Group {group}: {about}", columns, rows,
+        f"Group {group}: {about}",
+        columns,
+        rows,
         "Mean over the trials, with its 95 % bootstrap interval; the gain is that of the mean mu. Tip and RCM "
         "without a further word: by the robot's own kinematics, from the registered trocar.",
     )
@@ -159,8 +159,7 @@ def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         line["holds"] += [row["claim"]] if row["confirmed"] else []
         line["decides"] += [row["claim"]] if row.get("decides") else []
     lines = [
-        {**line, "holds": ", ".join(line["holds"]), "decides": ", ".join(line["decides"])}
-        for line in drawn.values()
+        {**line, "holds": ", ".join(line["holds"]), "decides": ", ".join(line["decides"])} for line in drawn.values()
     ]
     return Table("Table I with entries exchanged, against matched DCAC", ABLATION, lines, ablation.RULE)
 

@@ -95,9 +95,7 @@ def seeds(seed: int, stream: int, count: int) -> list[int]:
     return [int(entry) for entry in state]
 
 
-def trials(
-    base: Scenario, tasks: Sequence[str], seeds_of_trials: Sequence[int]
-) -> list[tuple[str, Scenario]]:
+def trials(base: Scenario, tasks: Sequence[str], seeds_of_trials: Sequence[int]) -> list[tuple[str, Scenario]]:
     """Return (task, scenario) for each task and its share of the seeds, in order.
 
     The sizes and the depth below the trocar are those of the virtual task of that name.
@@ -177,7 +175,7 @@ def run_job(job: Job) -> Outcome:
     return outcome
 
 
-def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
+def any_transient(trial: Scenario, traces: Mapping[str, Trace], **sampling: float) -> NDArray[np.bool_] | None:
     """Return (N,) ticks at which the elbow of at least one MOC is on its way; None where no MOC came to its end.
 
     Args:
@@ -196,7 +194,7 @@ def anyone_travels(trial: Scenario, traces: Mapping[str, Trace], **sampling: flo
 
 def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> None:
     """Every controller at the same ticks: see the head of the module."""
-    flags = anyone_travels(job.trial, traces)
+    flags = any_transient(job.trial, traces)
     if flags is None:
         return
     marked = {name: trace.with_columns(travelling=flags) for name, trace in traces.items()}
@@ -209,9 +207,7 @@ def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> 
                 _note(outcome, job, name, phase, {**metrics, **extent}, str(trace.meta["ended"]))
 
 
-def _note(
-    outcome: Outcome, job: Job, controller: str, phase: str, metrics: Mapping[str, float], ended: str
-) -> None:
+def _note(outcome: Outcome, job: Job, controller: str, phase: str, metrics: Mapping[str, float], ended: str) -> None:
     # Clocks are left out: jobs share the machine, and a time taken then is no solver's fault.
     kept = {name: value for name, value in metrics.items() if not name.startswith(CLOCKS)}
     outcome.measurements.append(
@@ -225,9 +221,7 @@ def _thin(trace: Trace) -> dict[str, Floats]:
     found = {}
     for name in SAMPLED:
         column = trace.columns[name][::EVERY]
-        found[name] = np.asarray(
-            column if column.ndim == 1 else np.linalg.norm(column, axis=1), dtype=np.float32
-        )
+        found[name] = np.asarray(column if column.ndim == 1 else np.linalg.norm(column, axis=1), dtype=np.float32)
     return found
 
 

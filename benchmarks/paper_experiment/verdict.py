@@ -79,12 +79,12 @@ def pairs(
     In a phase the number is the sum over its ticks: else a trial in which the elbow settled for a moment only would
     count as much as one in which it did for seconds.
     """
+
     def by_trial(controller: str) -> dict[str, float]:
         return {
             m.trial: m.metrics[metric] * (m.metrics["ticks"] if phase in PHASES else 1.0)
             for m in found
-            if (m.group, m.controller, m.phase) == (group, controller, phase)
-            and metric in m.metrics
+            if (m.group, m.controller, m.phase) == (group, controller, phase) and metric in m.metrics
         }
 
     ours, theirs = by_trial(moc), by_trial(baseline)
@@ -155,7 +155,7 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
     return rows
 
 
-def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
+def phase_changes(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, Any]]:
     """Return what the travelling elbow costs: share of the ticks, and the change of each error, by phase."""
     rows = []
     for phase in ("travelling", "settled"):
@@ -167,9 +167,7 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
         row["ticks"] = float(sum(m.metrics["ticks"] for m in mine))
         for claim in (*CLAIMS, *PATIENT, *REPEATED):
             row[claim.metric] = float(
-                np.average(
-                    [m.metrics[claim.metric] for m in mine], weights=[m.metrics["ticks"] for m in mine]
-                )
+                np.average([m.metrics[claim.metric] for m in mine], weights=[m.metrics["ticks"] for m in mine])
             )
             change = effect(found, group, moc, MATCHED, claim.metric, phase)
             if change is not None:
@@ -178,9 +176,7 @@ def travelling(found: Sequence[Measurement], group: str, moc: str) -> list[dict[
     return rows
 
 
-def intervals(
-    found: Sequence[Measurement], group: str, controller: str, phase: str = "whole"
-) -> dict[str, float]:
+def intervals(found: Sequence[Measurement], group: str, controller: str, phase: str = "whole") -> dict[str, float]:
     """Average every metric over the trials, those of the claims with intervals; the gain is that of the means."""
     mine = [m for m in found if (m.group, m.controller, m.phase) == (group, controller, phase)]
     values: dict[str, float] = {"trials": float(len(mine))}

@@ -115,9 +115,7 @@ def subproblem(case: dict[str, Any]) -> Verdict:
 def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]]) -> None:
     """A claim on numbers of ordinary size must be true."""
     part = qp.fields
-    largest = max(
-        float(np.abs(a).max(initial=0.0)) for a in (part.A, part.b, part.lower, part.upper, part.grad_mu)
-    )
+    largest = max(float(np.abs(a).max(initial=0.0)) for a in (part.A, part.b, part.lower, part.upper, part.grad_mu))
     smallest = np.linalg.svd(part.A, compute_uv=False)
     rank = smallest > 1e-9 * smallest[0]
     if largest > 1e3 or not rank.any() or (smallest[rank].min() < 1e-3 * smallest[0]):

@@ -58,10 +58,7 @@ def scenarios(draw: st.DrawFn) -> tuple[dict[str, Any], tuple[str, ...]]:
     names: list[str] = []
     for path in draw(st.lists(st.sampled_from(fields()), min_size=1, max_size=3, unique=True)):
         if draw(st.integers(0, 9)) == 0:
-            path = (
-                *path[:-1],
-                draw(st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])),
-            )
+            path = (*path[:-1], draw(st.sampled_from(["typo", "", "seeds", "class", "duration", "model_config"])))
         inner = table
         for name in path[:-1]:
             inner = inner.setdefault(name, {})
@@ -142,9 +139,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
                 value = draw(st.one_of(numbers.map(str), texts.map(repr), st.just("[]"), st.just("{}")))
                 lines[place] = f"{line.split('=', 1)[0]}= {value}"
         else:
-            lines[place] = draw(
-                st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"])
-            )
+            lines[place] = draw(st.sampled_from(["", "<", "]", "[[robot]]", "</link>", '<link name="tip"/>', "\x00"]))
     return "\n".join(lines).encode("utf-8", "surrogatepass")
 
 
@@ -179,9 +174,7 @@ def subproblems(draw: st.DrawFn) -> dict[str, Any]:
         "lower": np.full(n, -2.0), "upper": np.full(n, 2.0),
     }  # fmt: skip
     hostile = arrays(
-        np.float64,
-        array_shapes(max_dims=3, max_side=8),
-        elements=st.floats(allow_nan=True, allow_infinity=True),
+        np.float64, array_shapes(max_dims=3, max_side=8), elements=st.floats(allow_nan=True, allow_infinity=True)
     )
     for name in draw(st.lists(st.sampled_from(SUBPROBLEM), max_size=3, unique=True)):
         how = draw(st.integers(0, 4))
@@ -190,9 +183,7 @@ def subproblems(draw: st.DrawFn) -> dict[str, Any]:
         elif how == 1:
             given[name] = given[name] * draw(st.sampled_from([0.0, 1e-12, 1e12, 1e200, -1.0]))
         elif how == 2:
-            given[name] = np.where(
-                rng.uniform(size=given[name].shape) < 0.2, draw(numbers), given[name]
-            ).astype(object)
+            given[name] = np.where(rng.uniform(size=given[name].shape) < 0.2, draw(numbers), given[name]).astype(object)
         elif how == 3:
             given[name] = given[name].tolist()
         else:

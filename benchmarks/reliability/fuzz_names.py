@@ -69,7 +69,6 @@ def options(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
     return solver, draw(st.dictionaries(own, values, min_size=1, max_size=3))
 
 
-
 def name(case: tuple[str, str]) -> Verdict:
     """Check a name: refused where it is read, or harmless; and no generator relies on that it was read by us."""
     place, text = case

@@ -22,9 +22,7 @@ Found = tuple[Counter[str], list[str]]
 Explore = Callable[[str, int, int, Callable[[], Any]], Found]
 
 
-def limited(
-    explore: Explore, kind: str, cases: int, seed: int, done: Callable[[], Any], limit_s: float
-) -> Found:
+def limited(explore: Explore, kind: str, cases: int, seed: int, done: Callable[[], Any], limit_s: float) -> Found:
     """Return ``explore(kind, cases, seed, done)`` from a process with limits; again with another seed after a death.
 
     Returns:

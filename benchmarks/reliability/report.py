@@ -70,9 +70,7 @@ def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
     rows = case_rows(summary)
     runs = sum(r["runs"] for r in rows)
     survived, stopped = (sum(r[name] for r in rows) for name in ("survived", "stopped"))
-    injected, detected, harmless = (
-        sum(r.get(k, 0) for r in rows) for k in ("injected", "detected", "harmless")
-    )
+    injected, detected, harmless = (sum(r.get(k, 0) for r in rows) for k in ("injected", "detected", "harmless"))
     text = (
         f"Of {runs} runs {survived} survived, {stopped} were stopped, and {runs - survived - stopped} did neither. "
         f"Of {injected} injected solver faults {detected} were detected"

@@ -144,9 +144,7 @@ def measure(
         "recover_s": recovery(trace, free, case, ended),
     }  # fmt: skip
     if outcome == "survived":
-        found["rcm_mean_percent"] = 100.0 * (
-            found["rcm_error_mean_mm"] / (1e3 * free.rcm_error_m.mean()) - 1.0
-        )
+        found["rcm_mean_percent"] = 100.0 * (found["rcm_error_mean_mm"] / (1e3 * free.rcm_error_m.mean()) - 1.0)
         found["rcm_max_percent"] = 100.0 * (found["rcm_error_max_mm"] / (1e3 * free.rcm_error_m.max()) - 1.0)
     if "fault" in whole.columns:
         found |= detection(whole)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study.answers import (
     CRASHED,
     HUNG,
@@ -21,12 +23,12 @@ from benchmarks.solver_study.answers import (
     asked,
     not_asked,
 )  # fmt: skip
-from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Worker
 from benchmarks.testsets import TestSet
 from benchmarks.timing import percentiles
 from moc_opt.qp.problem import compute_residuals, fields
+from moc_opt.qp.residuals import Residuals
 
 BROKEN_SETS = 3  # sets in which a solver hung or crashed, after which it is not asked about others
 CONTRADICTION = 1e-13  # m/s; above the rounding of consistent references
@@ -39,17 +41,19 @@ RESIDUALS = ("primal", "natural", "natural_best", "relative", "loss")
 class Cell:
     """The answers of one solver under one setting to one set, judged."""
 
-    entry: Entry
+    setting: SolverSetting
     data: Data
     part: Part
 
-    def __post_init__(self) -> None:
-        found = compute_residuals(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
-        object.__setattr__(self, "residuals", found)
-        object.__setattr__(self, "verified", found.verified() & self.data.feasible)
+    @cached_property
+    def residuals(self) -> Residuals:
+        """Of each answer, in the linear problem."""
+        return compute_residuals(self.data.judged, self.part.arrays["x"], self.part.arrays["y"])
 
-    residuals: Any = None
-    verified: Any = None
+    @cached_property
+    def verified(self) -> NDArray[np.bool_]:
+        """(k,) which answers are optimal, whatever was claimed."""
+        return np.asarray(self.residuals.verified() & self.data.feasible)
 
     @property
     def status(self) -> NDArray[Any]:
@@ -74,7 +78,7 @@ class Cell:
     @property
     def _no_answer(self) -> NDArray[np.bool_]:
         """(k,) where what the solver was given has none."""
-        if not self.entry.six_rows:
+        if not self.setting.six_rows:
             return ~self.data.feasible
         return ~self.data.feasible | self.contradictory
 
@@ -95,7 +99,7 @@ class Cell:
         return not np.isin(self.status, (HUNG, CRASHED, NOT_ASKED, REFUSED)).any()
 
     def counts(self) -> dict[str, int]:
-        """How many answers were what; what is right adds up with what is wrong to the problems."""
+        """Count the answers by outcome; right and wrong ones add up to the number of problems."""
         status, feasible = self.status, self.data.feasible
         claimed, infeasible = status == "solved", status == "infeasible"
         certified = infeasible & ~feasible
@@ -130,7 +134,7 @@ class Cell:
         return found
 
     def summary(self, times: Part | None = None) -> dict[str, Any]:
-        """Everything, for summary.json."""
+        """Return counts, residuals and times for summary.json."""
         found: dict[str, Any] = {**self.counts(), **self.figures()}
         if self.refused:
             found["reason"] = self.refused
@@ -139,10 +143,10 @@ class Cell:
         return {**found, **({} if times is None else time_figures(times))}
 
     def rows(self, part: str) -> list[dict[str, Any]]:
-        """One row per problem, for rows.parquet."""
+        """Return one row per problem, for rows.parquet."""
         return [
             {
-                "part": part, "solver": self.entry.solver, "setting": self.entry.setting, "set": self.data.name,
+                "part": part, "solver": self.setting.solver, "setting": self.setting.name, "set": self.data.name,
                 "index": i, "status": str(self.status[i]), "iterations": int(self.part.arrays["iterations"][i]),
                 "feasible": bool(self.data.feasible[i]), "verified": bool(self.verified[i]),
                 **{name: float(getattr(self.residuals, name)[i]) for name in RESIDUALS},
@@ -152,30 +156,25 @@ class Cell:
 
 
 def time_figures(times: Part) -> dict[str, Any]:
-    """Percentiles, and of how many solves."""
-    arrays = times.arrays
-    found: dict[str, Any] = {
-        **percentiles(arrays["solve_us"].ravel(), "solve"),
-        **percentiles(arrays["cold_us"], "cold"),
-        **percentiles(arrays["setup_us"], "setup"),
-        **percentiles(arrays["update_us"], "update"),
-        "timed_solves": int(arrays["solve_us"].size),
-    }
+    """Compute percentiles of the times, and say of how many solves."""
+    found: dict[str, Any] = {"timed_solves": int(times.arrays["solve_us"].size)}
+    for kind in ("solve", "cold", "setup", "update"):
+        found |= percentiles(times.arrays[f"{kind}_us"].ravel(), kind)
     return found
 
 
 def share_right(counts: Mapping[str, Any]) -> float:
-    """Of the problems, how many were answered rightly; see `Cell.right`."""
+    """Return the share of problems that were answered rightly; see `Cell.right`."""
     return float(counts["right"] / counts["solves"]) if counts.get("solves") else 0.0
 
 
 def answers_rightly(counts: Mapping[str, Any]) -> bool:
-    """Whether a solver's times may be compared with others': see `RIGHTLY`."""
+    """Return whether a solver's times may be compared with others': see `RIGHTLY`."""
     return share_right(counts) >= RIGHTLY
 
 
 def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]:
-    """One solver under one setting over all its sets: sums of counts, largest of maxima, worst of percentiles."""
+    """Sum up one solver under one setting over its sets: sums of counts, largest of maxima, worst of percentiles."""
     found: dict[str, Any] = {}
     for cell in cells:
         for name, count in cell.counts().items():
@@ -193,8 +192,8 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
     return found
 
 
-def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], limits: Limits) -> list[Cell]:
-    """All sets, judged. A solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
+def asked_all(store: Store, worker: Worker, setting: SolverSetting, sets: Sequence[Data], limits: Limits) -> list[Cell]:
+    """Ask for all sets; a solver that hung or crashed in several of them is not asked again: see ``BROKEN_SETS``.
 
     Nor is one that does not survive being set up.
     """
@@ -203,42 +202,33 @@ def asked_all(store: Store, worker: Worker, entry: Entry, sets: Sequence[Data], 
         broken = sum(bool(np.isin(cell.status, (HUNG, CRASHED)).any()) for cell in cells)
         unborn = any(SETTING_UP in event for cell in cells for event in cell.part.values["events"])
         given_up = unborn or broken >= BROKEN_SETS
-        part = not_asked(data) if given_up else asked(store, worker, entry, data, limits)
-        cells.append(Cell(entry, data, part))
+        part = not_asked(data) if given_up else asked(store, worker, setting, data, limits)
+        cells.append(Cell(setting, data, part))
     return cells
 
 
 def load(name: str, every: int = 1) -> Data:
-    """A certified set as the study needs it."""
+    """Load a certified set."""
     kept = TestSet.load(name)
     return Data(name, kept.rows, kept.judged(), kept.feasible).thinned(every)
 
 
 def cold_only(times: Part) -> Part:
-    """The cold part of timings, under the names that solves have."""
-    arrays = {
-        "solve_us": times.arrays["cold_us"],
-        "setup_us": times.arrays["setup_us"],
-        "cold_us": np.empty(0),
-        "update_us": np.empty(0),
-    }
-    return Part(times.values, arrays)
+    """Return the cold part of timings, under the names that solves have."""
+    nothing = np.empty(0)
+    arrays = {"solve_us": times.arrays["cold_us"], "setup_us": times.arrays["setup_us"]}
+    return Part(times.values, {**arrays, "cold_us": nothing, "update_us": nothing})
 
 
-def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> Any:
-    """Median time of each problem over the rounds [us], infinite where it was not answered rightly."""
+def costs_of(cells: Sequence[Cell], measured: Mapping[str, Part]) -> NDArray[np.float64]:
+    """Return the median time of each problem over the rounds [us], infinite where it was not answered rightly."""
     found = []
     for cell in cells:
-        right = cell.right
-        times = (
-            measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else np.empty((0, 0))
-        )
-        known = np.median(times, axis=0) if len(times) else np.full(len(right), np.inf)
-        found.append(np.where(right, known, np.inf))
+        times = measured[cell.data.name].arrays["solve_us"] if cell.data.name in measured else ()
+        found.append(np.where(cell.right, np.median(times, axis=0) if len(times) else np.inf, np.inf))
     return np.concatenate(found)
 
 
-def solved_duals(part: Part) -> Any:
-    y = np.array(part.arrays["y"])
-    y[part.arrays["status"] != "solved"] = np.nan
-    return y
+def solved_duals(part: Part) -> NDArray[np.float64]:
+    """Return the duals (k, 6) of the answers that the solver calls solved; NaN elsewhere."""
+    return np.where((part.arrays["status"] == "solved")[:, None], part.arrays["y"], np.nan)

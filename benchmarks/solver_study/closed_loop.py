@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.crew import spread
+from benchmarks.processes import Hung, Worker, WorkerError, beat
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Hung, Worker, WorkerError, beat, spread
-from benchmarks.statistics import StatisticsError, relative_change
-from benchmarks.timing import percentiles
 from moc_opt import scenario
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
@@ -30,26 +29,14 @@ KEPT = (
     "t_s", "mu", "mu_bound", "tip_error_m", "tip_error_model_m", "rcm_error_m", "rcm_error_model_m", "trocar_force_N",
     "solve_us", "tick_us",
 )  # fmt: skip
-TRAVELLING = "travelling"  # column of a run: its own elbow is on its way
-POSES = (
-    "q_rad",
-    "tip_m",
-    "tip_ref_m",
-    "trocar_m",
-    "trocar_registered_m",
-)  # where arm and trocar were, to be drawn
+TRANSIENT = "travelling"  # column of a run: its own elbow is on its way
+POSES = ("q_rad", "tip_m", "tip_ref_m", "trocar_m", "trocar_registered_m")  # to be drawn
 POSES_EVERY = 5
 PATIENCE_S = 30.0  # without a sign of life: a tick, or what comes before and after the run
 BEAT_S = 0.5
 HUNG = "hung"
-SCANS_PER_S = 10.0  # of the self-motion, to tell a travelling elbow from a settled one
-SETTLED = ("tip_error_model", "rcm_error_model", "rcm_error")
-COMPARED = {
-    "mu_mean": "mu_gain_percent", "tip_error_model_mean_mm": "tip_change_percent",
-    "rcm_error_model_mean_mm": "rcm_change_percent",
-}  # fmt: skip
-CLOCKS = ("deadline_misses",)  # counts that the clock decides
-AVERAGED = ("mu_", "tip_error_", "rcm_error_", "trocar_force_", "torque_rate_", "oscillation_", "share_of_run")
+SCANS_PER_S = 10.0  # of the self-motion, to tell the transient of the elbow from the steady state
+STEADY = ("tip_error_model", "rcm_error_model", "rcm_error")
 
 
 @dataclass(frozen=True)
@@ -91,7 +78,7 @@ class Run:
         return Trace({**thin, **{name: self.columns[name] for name in POSES}})
 
     def row(self) -> dict[str, Any]:
-        """One row of rows.parquet."""
+        """Return one row of rows.parquet."""
         return {
             "part": "closed_loop", "solver": self.controller, "trial": self.trial, "ended": self.ended,
             "error": self.error, "raised": self.raised or None, **self.metrics,
@@ -99,12 +86,12 @@ class Run:
 
 
 def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The columns with a row for each tick."""
-    return {name: column for name, column in columns.items() if name not in (*POSES, TRAVELLING)}
+    """Return the columns with a row for each tick."""
+    return {name: column for name, column in columns.items() if name not in (*POSES, TRANSIENT)}
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
-    """One scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
+    """Make one scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
     start = {"pose": "random", "swivel": "random"}
     return {
         f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
@@ -120,7 +107,7 @@ def placed(trial: Scenario) -> Scenario:
 
 
 def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """The trial under DCAC (with MOC's gains) or under MOC with the named solver."""
+    """Return the trial under DCAC (with MOC's gains) or under MOC with the named solver."""
     if controller == BASELINE:
         return trial.change(control=trial.control.matched_dcac())
     return trial.change(solver={"name": controller, "settings": dict(settings or {})})
@@ -164,7 +151,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, t
             trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
         )
         metrics["travelling_percent"] = 100.0 * float(np.mean(flags))
-        arrays[TRAVELLING] = flags
+        arrays[TRANSIENT] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
     found = {"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}
@@ -175,7 +162,7 @@ def run_one(
     store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
     travel: bool = True,
 ) -> Run:
-    """One scenario in the worker, or from the store.
+    """Run one scenario in the worker, or take its run from the store.
 
     Args:
         store: of finished runs.
@@ -184,12 +171,13 @@ def run_one(
         label: the controller's name in tables.
         baseline: the run that mu is compared with.
         timed: whether its times mean anything: nothing else ran meanwhile.
-        travel: whether the ticks are found at which the elbow is on its way: ``settle`` asks for them.
+        travel: whether the ticks are found at which the elbow is on its way: `with_steady_errors` needs them.
     """
     reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
-    shape = trial.model_dump(mode="json")
-    mu = None if reference is None else reference["mu"]
-    key = store.key(part="closed loop", scenario=shape, baseline=mu, timed=timed, travel=travel)
+    key = store.key(
+        part="closed loop", scenario=trial.model_dump(mode="json"), timed=timed, travel=travel,
+        baseline=None if reference is None else reference["mu"],
+    )  # fmt: skip
     part = store.get(key)
     if part is None:
         try:
@@ -213,7 +201,7 @@ def run_all(
     timed: int = 1,
     processes: int = 1,
 ) -> list[Run]:
-    """Every controller on every trial, the baseline first; in the order of the trials.
+    """Run every controller on every trial, the baseline first; in the order of the trials.
 
     Args:
         cases: name -> trial.
@@ -239,7 +227,7 @@ def run_all(
                 if (runs[-1].error or "").startswith(HUNG):
                     hung[name] = trial.name
             advance(f"{trial.name} {name}")
-        return settle(runs)
+        return with_steady_errors(runs)
 
     trials = list(cases.values())
     with Worker() as worker:
@@ -250,89 +238,23 @@ def run_all(
     return [run for runs in found for run in runs]
 
 
-def settle(runs: Sequence[Run]) -> list[Run]:
-    """The runs of one trial with their errors at its settled ticks, which are the same for all of them.
+def with_steady_errors(runs: Sequence[Run]) -> list[Run]:
+    """Return the runs of one trial with their errors in the steady state, over the same ticks for all of them.
 
-    Settled are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
+    Steady are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
     which leads its elbow nowhere, has no say in them, nor has a run that broke off.
     """
-    whole = [run for run in runs if run.columns]
-    flags = [run.columns[TRAVELLING].astype(bool) for run in whole if run.controller != BASELINE]
-    if not flags:
+    transient = [run.columns[TRANSIENT].astype(bool) for run in runs if run.columns and run.controller != BASELINE]
+    if not transient:
         return list(runs)
-    still = ~np.any(flags, axis=0)
+    steady = ~np.any(transient, axis=0)
     found = []
     for run in runs:
-        metrics = {**run.metrics, "settled_ticks": float(still.sum())} if run.columns else run.metrics
-        if run.columns and still.any():
-            metrics = {
-                **metrics,
-                **{f"{name}_settled_mean_mm": 1e3 * float(run.columns[f"{name}_m"][still].mean()) for name in SETTLED},
-            }
+        metrics = dict(run.metrics)
+        if run.columns:
+            metrics["settled_ticks"] = float(steady.sum())
+            if steady.any():
+                for name in STEADY:
+                    metrics[f"{name}_settled_mean_mm"] = 1e3 * float(run.columns[f"{name}_m"][steady].mean())
         found.append(replace(run, metrics=metrics))
     return found
-
-
-def summary(runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
-    """Controller -> metric over its trials, and its change against the baseline with an interval; see ``combined``."""
-    by_name = {
-        name: [run for run in runs if run.controller == name]
-        for name in dict.fromkeys(run.controller for run in runs)
-    }
-    return {
-        name: combined(mine) | changes(mine, by_name.get(BASELINE, [])) for name, mine in by_name.items()
-    }
-
-
-def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
-    """Change against the baseline [percent] on the trials that both finished: a ratio of means, with its interval.
-
-    The mean of the trials' own gains is another number, and is not given.
-    """
-    theirs = {run.trial: run.metrics for run in baseline if run.columns}
-    found: dict[str, float] = {}
-    for metric, name in COMPARED.items():
-        pairs = [
-            (run.metrics[metric], theirs[run.trial][metric])
-            for run in runs
-            if run.columns and metric in run.metrics and metric in theirs.get(run.trial, {})
-        ]
-        try:
-            found |= relative_change([mine for mine, _ in pairs], [base for _, base in pairs]).entries(name)
-        except StatisticsError:
-            continue  # no trial that both finished: there is no change
-    return found
-
-
-def combined(runs: Sequence[Run]) -> dict[str, Any]:
-    """The runs of one controller as one: means of means, largest of maxima, sums of counts, pooled times.
-
-    Runs that broke off enter none of these; ``runs``, ``broke_off``, ``stopped`` and ``oscillated`` count them.
-    Means at settled ticks count by their ticks. Times, and what the clock decides, are those of the timed runs alone.
-    """
-    whole = [run for run in runs if run.columns]
-    values: dict[str, Any] = {
-        "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
-    }  # fmt: skip
-    values |= {
-        ending.value: sum(Ending.of(run.ended) is ending for run in runs)
-        for ending in (Ending.STOPPED, Ending.OSCILLATED)
-    }
-    for metric in dict.fromkeys(metric for run in whole for metric in run.metrics):
-        used = [run for run in whole if metric in run.metrics and (run.timed or metric not in CLOCKS)]
-        if metric.endswith(("_p50_us", "_p99_us")) or metric in COMPARED.values() or not used:
-            continue
-        data = [run.metrics[metric] for run in used]
-        if "_settled_" in metric:
-            values[metric] = float(np.average(data, weights=[run.metrics["settled_ticks"] for run in used]))
-            continue
-        averaged = metric.startswith(AVERAGED) or metric.endswith("_percent")
-        total = np.max if "_max" in metric else np.mean if averaged else np.sum
-        values[metric] = float(total(data))
-    for column, prefix in (("solve_us", "solve"), ("tick_us", "tick")):
-        timed = [run.columns[column] for run in whole if run.timed and column in run.columns]
-        values |= percentiles(np.concatenate([np.empty(0), *timed]), prefix)
-    errors = [run.error for run in runs if run.error]
-    raised = [run.raised for run in runs if run.raised]
-    values |= {"trouble": raised[0]} if raised else {}
-    return {**values, "reason": errors[0]} if errors else values

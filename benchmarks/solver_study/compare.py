@@ -16,13 +16,7 @@ Array = NDArray[np.float64]
 Figures = Mapping[str, Mapping[str, Any]]
 
 # Of both tables: name -> whether more is better.
-OPEN = {
-    "primal_p50": False,
-    "relative_p50": False,
-    "loss_p50": False,
-    "loss_max": False,
-    "solve_p50_us": False,
-}
+OPEN = {"primal_p50": False, "relative_p50": False, "loss_p50": False, "loss_max": False, "solve_p50_us": False}
 CLOSED = {
     "mu_mean": True, "tip_error_model_mean_mm": False, "rcm_error_model_mean_mm": False,
     "torque_rate_rms_Nm_per_s": False,
@@ -34,7 +28,7 @@ WORDS = {
     "rcm_error_model_mean_mm": "RCM error", "torque_rate_rms_Nm_per_s": "chatter",
 }  # fmt: skip
 
-
+LEAST_TRIALS = 5  # of which a headline says anything
 # Closed-loop figures this close to each other, relative to their size, say the same: no cost, no difference in rank.
 HARMLESS = {
     "mu_mean": 0.01, "tip_error_model_mean_mm": 0.05, "rcm_error_model_mean_mm": 0.05,
@@ -43,7 +37,7 @@ HARMLESS = {
 
 
 def levels(values: Sequence[float], metric: str) -> Array:
-    """The values in steps of what is harmless, so that noise decides no rank; as they are where one is not positive."""
+    """Round the values to steps of what is harmless, so that noise decides no rank; not where one is not positive."""
     array = np.asarray(values, dtype=float)
     if metric not in HARMLESS or not (array > 0.0).all():
         return array
@@ -51,14 +45,14 @@ def levels(values: Sequence[float], metric: str) -> Array:
 
 
 def ranks(values: Sequence[float] | Array, more_is_better: bool) -> Array:
-    """1 for the best; ties share the mean of their ranks."""
+    """Rank the values, 1 for the best; ties share the mean of their ranks."""
     array = np.asarray(values, dtype=float)
     found: Array = stats.rankdata(-array if more_is_better else array)
     return found
 
 
 def correlations(open_loop: Figures, closed_loop: Figures) -> dict[str, dict[str, Any]]:
-    """Spearman's rank correlation of each open-loop with each closed-loop figure, over the names in both.
+    """Compute Spearman's rank correlation of each open-loop with each closed-loop figure, over the names in both.
 
     Both are ranked from good to bad, so that +1 says: what is better in open loop is better in closed loop.
 
@@ -84,7 +78,7 @@ def correlations(open_loop: Figures, closed_loop: Figures) -> dict[str, dict[str
 def disagreements(
     open_loop: Figures, closed_loop: Figures, one: str, other: str, count: int = 5
 ) -> list[dict[str, Any]]:
-    """Where the two rankings lie furthest apart: name, both ranks, both values, and in words."""
+    """Find where the two rankings lie furthest apart: name, both ranks, both values, and in words."""
     names = _shared(open_loop, one, closed_loop, other)
     if len(names) < 4:
         return []
@@ -94,11 +88,7 @@ def disagreements(
     for i in np.argsort(-np.abs(a - b), kind="stable")[:count]:
         if a[i] == b[i]:
             break
-        better = (
-            "better in closed loop than in open loop"
-            if b[i] < a[i]
-            else "worse in closed loop than in open loop"
-        )
+        better = "better in closed loop than in open loop" if b[i] < a[i] else "worse in closed loop than in open loop"
         x, y = open_loop[names[i]][one], closed_loop[names[i]][other]
         found.append({
             "name": names[i], "open_rank": float(a[i]), "closed_rank": float(b[i]), "open": float(x),
@@ -109,10 +99,12 @@ def disagreements(
     return found
 
 
-def verdict(found: Figures) -> str:
-    """What the correlations say, in words."""
+def verdict(found: Figures, trials: int) -> str:
+    """Say in words what the correlations mean; of fewer than `LEAST_TRIALS` trials nothing is claimed."""
     if not found:
         return "Too few solvers ran in both parts for a rank correlation."
+    if trials < LEAST_TRIALS:
+        return f"{trials} {'trial is' if trials == 1 else 'trials are'} too few to say what open loop predicts."
     said = []
     for closed in CLOSED:
         mine = [v for v in found.values() if v["closed"] == closed and v["open"] != "solve_p50_us"]
@@ -123,9 +115,7 @@ def verdict(found: Figures) -> str:
         if best["p_value"] > 0.05:
             said.append(f"no residual of open loop predicts {WORDS[closed]} (the closest: {r:+.2f})")
         elif r > 0.0:
-            said.append(
-                f"{WORDS[closed]} follows the {WORDS[best['open']]} of open loop (rank correlation {r:+.2f})"
-            )
+            said.append(f"{WORDS[closed]} follows the {WORDS[best['open']]} of open loop (rank correlation {r:+.2f})")
         else:
             said.append(
                 f"{WORDS[closed]} goes against the {WORDS[best['open']]} of open loop: the more accurate answers are "
@@ -143,7 +133,7 @@ def _shared(one: Figures, a: str, other: Figures, b: str) -> list[str]:
 
 
 def dual_distances(problems: Sequence[NullSpaceQP], duals: Mapping[str, Array]) -> dict[str, dict[str, Any]]:
-    """How far the multipliers (k, 6) of any two solvers lie apart on the same problems.
+    """Measure how far the multipliers (k, 6) of any two solvers lie apart on the same problems.
 
     Each distance is |y_a - y_b|_inf over c2 |grad_mu|_inf, so that 1 is the size of the whole cost. ``along`` is the
     part on the null vector [u; -u] of the six rows, which no optimality condition determines; ``across`` the rest.
@@ -171,7 +161,7 @@ def dual_distances(problems: Sequence[NullSpaceQP], duals: Mapping[str, Array]) 
 
 
 def dual_verdict(six: Figures, five: Figures) -> str:
-    """What the distances say, in words."""
+    """Say in words what the distances mean."""
     if not six or not five:
         return "Fewer than two solvers gave duals on six and on five rows."
     worst = max(six, key=lambda pair: six[pair]["p50"])
@@ -187,7 +177,7 @@ def dual_verdict(six: Figures, five: Figures) -> str:
 
 
 def profile(costs: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """Dolan and More's performance profiles (2002).
+    """Compute Dolan and More's performance profiles (2002).
 
     Args:
         costs: name -> cost per problem (k,), infinite where it was not solved; at least 0.

@@ -48,9 +48,7 @@ class TestSets(Settings):
 
     KIND: ClassVar[str] = "[testsets]"
     names: Literal["all"] | list[str] = "all"
-    timed: list[str] = Field(
-        ["circle", "circle-rho0", "random"], description="under default and tight settings too"
-    )
+    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under default and tight settings too")
     every: int = Field(1, ge=1, description="take each every-th problem")
     rounds: int = Field(8, ge=1)
     seconds: float = Field(0.1, gt=0.0, description="of timing a set, at most")
@@ -67,11 +65,11 @@ class TestSets(Settings):
         return value
 
     def chosen(self) -> list[str]:
-        """Names of sets, in the order of their recipes."""
+        """Return the names of the sets, in the order of their recipes."""
         return [name for name in RECIPES if self.names == "all" or name in self.names]
 
     def limits(self) -> Limits:
-        """How much is measured."""
+        """Return the limits of time and number of solves."""
         return Limits(self.patience_s, self.rounds, self.seconds, self.cold, self.setup_s)
 
 
@@ -112,7 +110,7 @@ class Config(Configuration):
     scenario: Scenario = Scenario()
 
     def quick(self) -> Self:
-        """The same study on less data: for a first look and for the tests."""
+        """Return the same study on less data: for a first look and for the tests."""
         few = {
             "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
             "seconds": 0.02, "setup_s": 6.0,
@@ -130,7 +128,7 @@ class Config(Configuration):
         )  # fmt: skip
 
     def full(self) -> Self:
-        """More of everything, for figures to be cited: an hour or two."""
+        """Return the study with more of everything, for figures to be cited: an hour or two."""
         return self._with(
             open_loop={"ticks": 4000, "cold": 400},
             testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
@@ -143,7 +141,7 @@ class Config(Configuration):
         )  # fmt: skip
 
     def choosing(self, sets: list[str] | None, parts: list[Parts] | None) -> Config:
-        """The same on some sets and with some parts alone; None leaves them as they are.
+        """Return the same on some sets and with some parts alone; None leaves them as they are.
 
         Raises:
             UnknownNameError: no such set.

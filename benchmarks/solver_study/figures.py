@@ -16,11 +16,11 @@ Array = NDArray[np.float64]
 
 
 def performance_profile(tau: Array, shares: Mapping[str, Array], styles: Styles | None = None) -> go.Figure:
-    """Share of problems over the ratio to the fastest (log axis); what ends below 1 left problems unsolved.
+    """Draw the share of problems over the ratio to the fastest (log axis); what ends below 1 left problems unsolved.
 
     Args:
         tau: ratios (m,), from 1.
-        shares: name -> (m,), see ``study_compare.profile``.
+        shares: name -> (m,), see `compare.profile`.
         styles: how each name looks; None deals colours out anew.
     """
     drawn, styles = figure(legend_y=1.08), styles or Styles(shares)
@@ -39,7 +39,7 @@ def sweep_panels(
     sweeps: Mapping[str, Sequence[Mapping[str, Any]]], metrics: Mapping[str, str], x_label: str,
     references: Mapping[str, float] | None = None, zero: float | None = None,
 ) -> go.Figure:  # fmt: skip
-    """What is swept over a log axis, one panel per metric below each other.
+    """Draw what is swept over a log axis, one panel per metric below each other.
 
     Args:
         sweeps: name -> points with ``value`` and the metrics.
@@ -69,7 +69,5 @@ def sweep_panels(
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,
         )  # fmt: skip
     drawn.update_xaxes(title=x_label, row=len(metrics), col=1)
-    drawn.update_layout(
-        template=TEMPLATE, height=60 + 150 * len(metrics), legend={"y": 1.08, "yanchor": "bottom"}
-    )
+    drawn.update_layout(template=TEMPLATE, height=60 + 150 * len(metrics), legend={"y": 1.08, "yanchor": "bottom"})
     return drawn

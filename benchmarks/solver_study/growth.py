@@ -9,25 +9,21 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arms import random_arm, smooth_sequence
-from benchmarks.solver_study.answers import Data
-from moc_opt.solvers.exact.solver import Exact
+from benchmarks.solver_study.answers import Data, recorded
 
 COUNT = 32
 SEED = 5
 
 
 def kinematics(n: int) -> Any:
-    """CasADi functions of the arm with n joints."""
+    """Return CasADi functions of the arm with n joints."""
     return _arm(n).kinematics()
 
 
 def sequence(n: int, count: int = COUNT) -> Data:
-    """``count`` subproblems of one arm with n joints, 2 ms apart; all of them feasible, as the arm moves like that."""
+    """Make ``count`` subproblems of one arm with n joints, 2 ms apart; the arm moves like that: all are feasible."""
     problems = smooth_sequence(np.random.default_rng([SEED, n, 1]), count, arm=_arm(n))
-    rows = np.array([qp.row for qp in problems])
-    session = Exact().start(problems[0])
-    feasible = np.array([session.solve(qp).status.label == "solved" for qp in problems])
-    return Data(f"n={n}", rows, rows, feasible, partial(kinematics, n))
+    return recorded(f"n={n}", problems, partial(kinematics, n))
 
 
 def _arm(n: int) -> Any:
@@ -35,7 +31,7 @@ def _arm(n: int) -> Any:
 
 
 def growth(times: Mapping[int, Mapping[str, float]], key: str = "solve_p50_us") -> dict[str, float]:
-    """From joints -> figures to {exponent of n, ratio of the last to the first}; empty with fewer than two.
+    """Fit from joints -> figures the {exponent of n, ratio of the last to the first}; empty with fewer than two.
 
     The exponent is the slope of a straight line through log time over log n.
     """

@@ -30,13 +30,13 @@ class Look:
     found: SwivelMap | str
 
     def rows(self) -> dict[str, dict[str, Any]]:
-        """Controller -> what its course amounts to."""
+        """Return controller -> what its course amounts to."""
         if isinstance(self.found, str):
             return {}
         return {name: asdict(read_trajectory(self.found, name)) for name in self.found.trajectories}
 
     def add_section(self, page: Page, folder: Path) -> None:
-        """The map on the page, and the replay in ``folder``, which the page will lie in."""
+        """Append the map, and write the replay to ``folder``, which the page will lie in."""
         styles = Styles(self.traces)
         page.section("Where the elbow goes")
         if isinstance(self.found, str):
@@ -50,13 +50,11 @@ class Look:
             )
             add_map(page, self.found, what=f"trial {self.trial}", styles=styles)
         pair = {name: self.traces[name] for name in baseline_and_best(self.traces)}
-        add_replay(
-            page, folder, self.scenario.robot.arm(), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles
-        )
+        add_replay(page, folder, self.scenario.robot.arm(), pair, f"Trial {self.trial}: {' and '.join(pair)}", styles)
 
 
 def look(scenario: Scenario, runs: Sequence[Run]) -> Look | None:
-    """The first trial; None where nothing ran in closed loop.
+    """Collect the runs of the first trial and their map; None where nothing ran in closed loop.
 
     Args:
         scenario: what the trials share.
@@ -71,7 +69,7 @@ def look(scenario: Scenario, runs: Sequence[Run]) -> Look | None:
 
 
 def baseline_and_best(traces: Mapping[str, Trace]) -> list[str]:
-    """The baseline, and the controller with the largest mean mu: the first of those that are as good."""
+    """Return the baseline, and the controller with the largest mean mu: the first of those that are as good."""
     means = {name: float(trace.mu.mean()) for name, trace in traces.items() if name != BASELINE}
     best = [name for name, mean in means.items() if mean >= (1.0 - EQUAL) * max(means.values())]
     return [name for name in (BASELINE, *best[:1]) if name in traces]

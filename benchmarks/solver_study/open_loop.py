@@ -9,7 +9,7 @@ from moc_opt.scenario import Scenario, run
 
 
 def record(scenario: Scenario) -> list[NullSpaceQP]:
-    """The 500 Hz sequence of subproblems that a closed-loop run of ``scenario`` meets."""
+    """Record the 500 Hz sequence of subproblems that a closed-loop run of ``scenario`` meets."""
     rows = run(scenario.change(judge=False, bound_samples=0)).subproblem
     return [NullSpaceQP.from_row(np.array(row)) for row in rows]
 

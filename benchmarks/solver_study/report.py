@@ -3,55 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from rich.console import Console
 
-from benchmarks.output import save_page
 from benchmarks.solver_study import compare
 from benchmarks.solver_study import figures as study_figures
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly
-from benchmarks.solver_study.closed_loop import BASELINE
+from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.look import Look
-from benchmarks.solver_study.tables import FOOTNOTE, SETTLED, headline, tables
+from benchmarks.solver_study.study import Findings, Study
+from benchmarks.solver_study.tables import FOOTNOTE, STEADY
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 
-if TYPE_CHECKING:
-    from benchmarks.solver_study.parts import Study
-
 SCREEN = ("testsets", "closed_loop", "prediction", "troubles", "not_run")
+LAST = {
+    "qpbenchmark": "What qpbenchmark says", "troubles": "Exceptions, hangs and crashes", "not_run": "Not run",
+}  # fmt: skip
 METRICS = {
     "mu_mean": "µ [m³]", "tip_error_model_mean_mm": "tip error [mm]", "rcm_error_model_mean_mm": "RCM error [mm]",
     "torque_rate_rms_Nm_per_s": "chatter [Nm/s]",
 }  # fmt: skip
 
 
-def print_tables(console: Console, study: Study, out: Path) -> None:
-    """The tables on the screen, and where the files are."""
-    made = tables(study.summary)
-    for part in SCREEN:
-        if part in made:
-            for piece in made[part].fitted(console.width):
-                console.print(piece)
-    console.print(headline(study.summary, study.words))
+def sentences(study: Study, found: Findings) -> list[str]:
+    """Return what stands below the tables on the screen."""
+    said = [headline(found.summary, found.words)]
     if study.store.reused:
-        console.print(f"{study.store.reused} parts are those of an earlier run in {out}/parts")
-    console.print(
-        f"written: {out}/summary.json rows.parquet environment.json report.html (all tables) replay.html"
-    )
+        said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
+    return said
 
 
-def write_report(
-    path: Path, study: Study, environment: Mapping[str, Any], look: Look | None, figures: bool = False
-) -> None:
-    """One page that opens by itself, and the replay beside it."""
-    summary, made = study.summary, tables(study.summary)
+def report_page(
+    study: Study, found: Findings, made: Mapping[str, Table], environment: Mapping[str, Any], look: Look | None
+) -> Page:
+    """Build one page that opens by itself; the replay is written beside it.
+
+    Args:
+        study: what was asked for.
+        found: in all its parts.
+        made: part -> its table.
+        environment: of environment.json.
+        look: at the first trial; None where nothing ran in closed loop.
+    """
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
-    page.headline(headline(summary, study.words))
+    page.headline(headline(found.summary, found.words))
     page.section("How to read this")
     page.text(
         "An answer is verified when its primal residual is at most 1e-6, its relative natural residual 1e-3 and its "
@@ -62,36 +60,31 @@ def write_report(
         "was killed; the rest of a set is not asked after two of them, and no further set after three such sets. "
         "Update: of a warm solve, the part that hands the new problem to the library, where that can be told apart. "
         "Percentiles of times stand beside each other (p50, p99, p99.9); no mean of times is shown anywhere, and of "
-        f"several sets the slowest is quoted. {SETTLED}\n\n" + FOOTNOTE
+        f"several sets the slowest is quoted. {STEADY}\n\n" + FOOTNOTE
     )
     if "settings" in made:
         page.table(made["settings"])
-    _testsets(page, study, made)
-    _open_loop(page, study, made)
-    _closed_loop(page, study, made)
+    _testsets(page, found, made)
+    _open_loop(page, study, found, made)
+    _closed_loop(page, study, found, made)
     if look is not None:
-        look.add_section(page, path.parent)
-    _sweeps(page, study, made)
-    if "qpbenchmark" in made:
-        page.section("What qpbenchmark says")
-        page.table(made["qpbenchmark"])
-    if "troubles" in made:
-        page.section("Exceptions, hangs and crashes")
-        page.table(made["troubles"])
-    if "not_run" in made:
-        page.section("Not run")
-        page.table(made["not_run"])
+        look.add_section(page, study.out)
+    _sweeps(page, found, made)
+    for part, title in LAST.items():
+        if part in made:
+            page.section(title)
+            page.table(made[part])
     page.environment(environment)
-    save_page(page, path, figures=figures)
+    return page
 
 
-def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:
-    summary = study.summary
+def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
+    summary = found.summary
     if "testsets" not in made:
         return
     page.section("Certified test sets")
     page.table(made["testsets"])
-    costs = {name: cost for name, cost in study.samples.get("profile", {}).items() if np.isfinite(cost).any()}
+    costs = {name: cost for name, cost in found.samples.get("profile", {}).items() if np.isfinite(cost).any()}
     if costs:
         tau, shares = compare.profile(costs)
         page.figure(
@@ -102,19 +95,15 @@ def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:
             name="performance-profile",
         )
     points = {
-        name: (figure["solve_p50_us_worst_set"], figure["relative_max"])
-        for name, figure in summary["testsets"].items()
-        if figure.get("solve_p50_us_worst_set") and figure.get("relative_max") is not None
-    }
-    points = {
-        name: point
-        for name, point in points.items()
-        if name.endswith("@recommended") and answers_rightly(summary["testsets"][name])
+        label.removesuffix("@recommended"): (row["solve_p50_us_worst_set"], row["relative_max"])
+        for label, row in summary["testsets"].items()
+        if label.endswith("@recommended") and answers_rightly(row)
+        if row.get("solve_p50_us_worst_set") and row.get("relative_max") is not None
     }
     if points:
         page.figure(
             figures.accuracy_against_time(
-                {name.partition("@")[0]: point for name, point in points.items()},
+                points,
                 x_label="median solve time on the slowest set [us]",
                 y_label="largest relative residual on any set",
             ),
@@ -130,18 +119,18 @@ def _testsets(page: Page, study: Study, made: Mapping[str, Table]) -> None:
         page.table(made["growth"])
     if "duals on six rows" in made:
         page.section("Duals")
-        page.text(study.words.get("duals", ""))
+        page.text(found.words.get("duals", ""))
         for rows in ("six", "five"):
             if f"duals on {rows} rows" in made:
                 page.table(made[f"duals on {rows} rows"])
 
 
-def _open_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+def _open_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Table]) -> None:
     if "open_loop_warm" not in made:
         return
     page.section("Open loop on a recorded run")
     page.table(made["open_loop_warm"])
-    samples = {name: times for name, times in study.samples.get("open_loop", {}).items() if len(times)}
+    samples = {name: times for name, times in found.samples.get("open_loop", {}).items() if len(times)}
     if samples:
         deadline = study.config.scenario.deadline_us
         page.figure(
@@ -149,13 +138,12 @@ def _open_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
             "Solve time, warm: empirical distribution, with the deadline of a tick.",
         )
         page.figure(
-            figures.latency_ecdf(samples, deadline, tail=True),
-            "The same, its tail: how rare are the late ones?",
+            figures.latency_ecdf(samples, deadline, tail=True), "The same, its tail: how rare are the late ones?"
         )
     page.table(made["open_loop_cold"])
 
 
-def _closed_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
+def _closed_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Table]) -> None:
     if "closed_loop" not in made:
         return
     page.section("Closed loop")
@@ -165,8 +153,8 @@ def _closed_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
         + (f"the first {cut:g} s of its task." if cut else "its whole task.")
     )
     page.table(made["closed_loop"])
-    first = study.runs[0].trial if study.runs else ""
-    shown = {r.controller: r.trace for r in study.runs if r.trial == first and r.trace is not None}
+    first = found.runs[0].trial if found.runs else ""
+    shown = {r.controller: r.trace for r in found.runs if r.trial == first and r.trace is not None}
     if shown:
         page.figure(
             figures.time_series(shown),
@@ -174,15 +162,15 @@ def _closed_loop(page: Page, study: Study, made: Mapping[str, Table]) -> None:
         )
 
 
-def _sweeps(page: Page, study: Study, made: Mapping[str, Table]) -> None:
-    summary = study.summary
+def _sweeps(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
+    summary = found.summary
     names = [part for part in summary if part.startswith("sweep ")]
     if not names:
         return
     page.section("Where inaccuracy begins to cost")
     page.text(
         "The supervisor's check of residuals is off here, so that the arm follows the answer as it is and not what "
-        "would be put in its place. " + study.words.get("cost_begins", "")
+        "would be put in its place. " + found.words.get("cost_begins", "")
     )
     groups = {
         "tolerance": [p for p in names if p.endswith((".eps", ".primal_tol"))],
@@ -213,10 +201,7 @@ def _sweeps(page: Page, study: Study, made: Mapping[str, Table]) -> None:
         page.table(made[part])
     if "prediction" in made:
         page.section("Does open loop predict closed loop?")
-        page.text(study.words.get("prediction", ""))
+        page.text(found.words.get("prediction", ""))
         page.table(made["prediction"])
         if summary.get("disagreements"):
             page.text("\n\n".join(d["words"] + "." for d in summary["disagreements"].values()))
-
-
-__all__ = ["BASELINE", "headline", "print_tables", "tables", "write_report"]

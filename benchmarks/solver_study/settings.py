@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from benchmarks import markdown
 from moc_opt.solvers import available, create
 from moc_opt.solvers.registry import defaults
 
@@ -18,11 +19,11 @@ DEFAULT, TIGHT, RECOMMENDED = "default", "tight", "recommended"
 
 
 @dataclass(frozen=True)
-class Entry:
+class SolverSetting:
     """One solver under one setting."""
 
     solver: str
-    setting: str
+    name: str
     options: Mapping[str, Any]
     reason: str
 
@@ -34,7 +35,7 @@ class Entry:
     @property
     def label(self) -> str:
         """Its name in tables."""
-        return f"{self.solver}@{self.setting}"
+        return f"{self.solver}@{self.name}"
 
 
 PAPER_FORM: dict[str, Any] = {"rows": 6, "cost_scale": 1.0}  # what a user writes down who reads the paper
@@ -147,23 +148,25 @@ TIGHT_OPTIONS: dict[str, dict[str, Any]] = {
 QPSOLVERS = "qpsolvers:"
 
 
-def entries(names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None) -> list[Entry]:
-    """Every setting of every named solver, in that order.
+def solver_settings(
+    names: Iterable[str], overrides: Mapping[str, Mapping[str, Any]] | None = None
+) -> list[SolverSetting]:
+    """Return every setting of every named solver, in that order.
 
     Args:
         names: of the registry; a solver without a row in the table (a plug-in) is studied as it comes.
         overrides: solver -> settings that are laid over its recommended ones.
     """
     found = []
-    for name in names:
-        for setting, (options, reason) in of(name).items():
-            extra = (overrides or {}).get(name, {}) if setting == RECOMMENDED else {}
-            found.append(Entry(name, setting, {**options, **extra}, reason))
+    for solver in names:
+        for name, (options, reason) in of(solver).items():
+            extra = (overrides or {}).get(solver, {}) if name == RECOMMENDED else {}
+            found.append(SolverSetting(solver, name, {**options, **extra}, reason))
     return found
 
 
 def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
-    """Setting -> (options, reason) of one solver."""
+    """Return name of a setting -> (options, reason) of one solver."""
     if name in SETTINGS:
         return SETTINGS[name]
     if not name.startswith(QPSOLVERS):
@@ -179,19 +182,19 @@ def of(name: str) -> dict[str, tuple[dict[str, Any], str]]:
     return table
 
 
-def effective(entry: Entry) -> dict[str, Any]:
-    """What the solver really gets: our adapter's defaults with the entry's options over them."""
-    found = {**defaults(entry.solver), **entry.options}
+def effective(setting: SolverSetting) -> dict[str, Any]:
+    """Return all options the solver gets: our adapter's defaults with its options over them."""
+    found = {**defaults(setting.solver), **setting.options}
     for name in ("kinematics", "period", "warm"):
         found.pop(name, None)
-    if entry.solver.startswith(QPSOLVERS):
-        advice = create(entry.solver, **entry.options).advice  # type: ignore[attr-defined]
+    if setting.solver.startswith(QPSOLVERS):
+        advice = create(setting.solver, **setting.options).advice  # type: ignore[attr-defined]
         found = {"rows": found["rows"], "cost_scale": advice.cost_scale, **advice.options}
     return found
 
 
 def in_words(options: Mapping[str, Any]) -> str:
-    """Settings on one line."""
+    """Write settings on one line."""
     parts = []
     for name, value in options.items():
         if isinstance(value, Mapping):
@@ -202,13 +205,13 @@ def in_words(options: Mapping[str, Any]) -> str:
 
 
 def as_markdown() -> str:
-    """The table of docs/solvers.md: every solver that can run here, plug-ins left out."""
+    """Write the table of docs/solvers.md: every solver that can run here, plug-ins left out."""
     here = [name for name, reason in available().items() if reason is None]
     names = [name for name in here if name in SETTINGS or name.startswith(QPSOLVERS)]
-    rows = ["| solver | setting | what it gets | why |", "|---|---|---|---|"]
-    for entry in entries(names):
-        rows.append(f"| `{entry.solver}` | {entry.setting} | {in_words(effective(entry))} | {entry.reason} |")
-    return "\n".join(rows)
+    return markdown.table(
+        ("solver", "setting", "what it gets", "why"),
+        [(f"`{s.solver}`", s.name, in_words(effective(s)), s.reason) for s in solver_settings(names)],
+    )
 
 
 if __name__ == "__main__":

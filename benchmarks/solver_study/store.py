@@ -26,8 +26,8 @@ from moc_opt.inputs.files import file_in, parse_json, read_arrays, read_bytes, t
 ROOT = Path(__file__).resolve().parents[2]
 # What decides a part's content, beside the package itself; reports and figures do not.
 SOURCES = (
-    "timing", "arms", "solver_study/closed_loop", "solver_study/open_loop", "solver_study/answers", "solver_study/loop",
-    "solver_study/growth", "processes",
+    "timing", "arms", "processes", "solver_study/closed_loop", "solver_study/open_loop", "solver_study/answers",
+    "solver_study/solving", "solver_study/sweeps", "solver_study/growth",
 )  # fmt: skip
 META = "_meta"
 MOST_BYTES = 2**27
@@ -49,12 +49,12 @@ class Store:
         self.reused = 0  # parts of an earlier run
 
     def key(self, **what: Any) -> str:
-        """Digest of a description in plain values; arrays in it count with their bytes."""
+        """Return the digest of a description in plain values; arrays in it count with their bytes."""
         text = json.dumps(_plain(what), sort_keys=True, allow_nan=False)
         return hashlib.sha256(f"{text}\n{circumstances()}".encode()).hexdigest()[:24]
 
     def get(self, key: str) -> Part | None:
-        """The part, or None where there is none; a damaged one is set aside, said in one line, and counts as none."""
+        """Return the part, or None; a damaged one is set aside with a line on stderr."""
         path = self._path(key)
         if path is None or not path.exists():
             return None
@@ -104,7 +104,7 @@ def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 @functools.cache
 def circumstances() -> str:
-    """Versions of the libraries, and a digest of the sources that a part depends on."""
+    """Return the versions of the libraries, and a digest of the sources that a part depends on."""
     versions = []
     for name in PACKAGES:
         try:
@@ -112,10 +112,7 @@ def circumstances() -> str:
         except importlib.metadata.PackageNotFoundError:
             continue
     digest = hashlib.sha256()
-    files = [
-        *sorted((ROOT / "moc_opt").rglob("*.py")),
-        *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*")),
-    ]
+    files = [*sorted((ROOT / "moc_opt").rglob("*.py")), *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*"))]
     files += [ROOT / "benchmarks" / f"{name}.py" for name in SOURCES]
     for file in files:
         if "report" not in file.parts and file.exists():

@@ -6,16 +6,15 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
-from benchmarks.config import Configuration
+from benchmarks.config import Configuration, runnable
 from benchmarks.solver_study.closed_loop import BASELINE
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes
-from moc_opt.errors import SolverError, UnknownNameError, shown
+from moc_opt.errors import UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.config import MOST_S, SolverTable
-from moc_opt.solvers import available
 
 MOST_LISTED = 1_000_000
 """Seeds, and random samples, of one sweep."""
@@ -37,9 +36,7 @@ class Config(Configuration):
         description="of the random sample, and the first of the scenarios' seeds",
     )  # fmt: skip
     seeds: int | list[int] = Field(1, description="how many, or which")
-    solvers: Literal["all"] | list[str] | None = Field(
-        None, description="None: the scenario's; dcac: no solver"
-    )
+    solvers: Literal["all"] | list[str] | None = Field(None, description="None: the scenario's; dcac: no solver")
     run_limit_s: float = Field(
         600.0, gt=0.0, le=MOST_S, description="a run that takes longer is stopped with its process"
     )
@@ -93,20 +90,10 @@ def chosen_solvers(config: Config) -> tuple[list[str], dict[str, dict[str, Any]]
             table.name: {**table.settings, **config.settings.get(table.name, {})}
         }
     if table != SolverTable():
-        raise SweepError(
-            "solvers and [scenario.solver] are both given: name them in solvers, set them in [settings]"
-        )
-    found = {BASELINE: None, **available()}
-    names = (
-        [name for name, why in found.items() if why is None] if config.solvers == "all" else config.solvers
-    )
+        raise SweepError("solvers and [scenario.solver] are both given: name them in solvers, set them in [settings]")
+    names = runnable(config.solvers, BASELINE)
     if not names or len(set(names)) < len(names):
         raise SweepError(f"solvers = {names}: give one or more, each once")
-    for name in names:
-        if name not in found:
-            raise UnknownNameError("solver", name, found)
-        if found[name] is not None:
-            raise SolverError(f"solver {name!r} cannot run here: {found[name]}")
     for name in config.settings:
         if name not in names:
             raise UnknownNameError("solver in [settings]", name, names)

@@ -60,9 +60,7 @@ class DaskPool:
             try:
                 self._window = max(2, 2 * sum(self._client.nthreads().values()))
             except OSError as error:
-                raise WorkerError(
-                    f"the Dask scheduler at {self.address} went away: {error}; start again"
-                ) from error
+                raise WorkerError(f"the Dask scheduler at {self.address} went away: {error}; start again") from error
             self._looked = monotonic()
         return self._window
 
@@ -88,9 +86,7 @@ class DaskPool:
             ) from error
         for worker, version in versions.items():
             if version != code_version():
-                raise WorkerError(
-                    f"worker {worker} has moc_opt {version}, here is {code_version()}: install the same"
-                )
+                raise WorkerError(f"worker {worker} has moc_opt {version}, here is {code_version()}: install the same")
 
 
 def _version() -> str:

@@ -188,9 +188,7 @@ def _landed(future: Future[dict[str, Any]], pool: Pool, index: int) -> dict[str,
     if error is None:
         result = future.result()
         if result.pop("version") != code_version():
-            raise WorkerError(
-                f"a worker has another moc_opt than this one ({code_version()}): install the same"
-            )
+            raise WorkerError(f"a worker has another moc_opt than this one ({code_version()}): install the same")
         return result
     if isinstance(error, (*pool.deaths, OSError, MemoryError)):
         return error

@@ -56,9 +56,7 @@ def check_path(path: str) -> str:
         SweepError: solver and seed, which have places of their own in the configuration.
     """
     if path in ELSEWHERE:
-        raise SweepError(
-            f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration"
-        )
+        raise SweepError(f"{path!r} cannot be swept as a field: give {ELSEWHERE[path]!r} in the configuration")
     known = dict(paths())
     path = FORMER.get(path, path)
     table, _, key = path.rpartition(".")
@@ -67,9 +65,7 @@ def check_path(path: str) -> str:
     return path
 
 
-def flatten(
-    table: Mapping[str, Any], is_leaf: Callable[[Any], bool], prefix: str = ""
-) -> Iterator[tuple[str, Any]]:
+def flatten(table: Mapping[str, Any], is_leaf: Callable[[Any], bool], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Flatten what TOML reads: ``control.c0 = ...`` is a table in a table, ``"control.c0" = ...`` one name."""
     for name, value in table.items():
         if isinstance(value, Mapping) and not is_leaf(value):
@@ -121,9 +117,7 @@ def random_draws(table: Mapping[str, Any], samples: int, seed: int) -> dict[str,
 def draw(path: str, entry: Any, samples: int, rng: np.random.Generator) -> list[Any]:
     """Draw the values of one field; see :func:`random_draws`."""
     if not isinstance(entry, Mapping):
-        raise SweepError(
-            f"[random.fields] {path} = {entry!r}: give {{low = .., high = ..}} or {{choice = [..]}}"
-        )
+        raise SweepError(f"[random.fields] {path} = {entry!r}: give {{low = .., high = ..}} or {{choice = [..]}}")
     uniform = rng.random(samples)
     if "choice" in entry:
         options = Choice(**entry).choice

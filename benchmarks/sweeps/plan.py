@@ -201,4 +201,3 @@ def differences(here: Any, there: Any, path: str = "") -> Iterator[str]:
 def _words(point: Point) -> str:
     values = {"solver": point.solver, "seed": point.seed, **point.values}
     return ", ".join(f"{name} = {value!r}" for name, value in values.items())
-

@@ -18,12 +18,8 @@ SHOWN = {
     "tip_error_mean_mm": Column("tip_error_mean_mm", "tip", unit="mm", digits=3, better="low"),
     "rcm_error_mean_mm": Column("rcm_error_mean_mm", "RCM", unit="mm", digits=3, better="low"),
     "trocar_force_mean_N": Column("trocar_force_mean_N", "force", unit="N", digits=2, better="low"),
-    "torque_rate_rms_Nm_per_s": Column(
-        "torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"
-    ),
-    "silently_wrong": Column(
-        "silently_wrong", "silently wrong", format=".1f", better="low", help="ticks of a run"
-    ),
+    "torque_rate_rms_Nm_per_s": Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
+    "silently_wrong": Column("silently_wrong", "silently wrong", format=".1f", better="low", help="ticks of a run"),
 }
 PLOTTED = {"mu_mean": "manipulability", "rcm_error_mean_mm": "RCM error [mm]"}
 TIMES = ("solve_p50_us", "solve_p99_us", "tick_p50_us", "tick_p99_us")
@@ -49,9 +45,7 @@ def tables(summary: Summary) -> list[Table]:
                 Table(title, [Column("group", first), *counts, *columns], rows, "Means over the runs not stopped.")
             )
     if summary["latency"]:
-        columns = [
-            Column(name, name.removesuffix("_us").replace("_", " "), unit="us", digits=3) for name in TIMES
-        ]
+        columns = [Column(name, name.removesuffix("_us").replace("_", " "), unit="us", digits=3) for name in TIMES]
         rows = [{"group": group, **_means(figures, "p50")} for group, figures in summary["latency"].items()]
         caption = f"Medians over the {summary['sweep']['runs']['timed_alone']} runs that had the machine to themselves."
         found.append(Table("Times", [Column("group", "solver"), counts[0], *columns], rows, caption))
@@ -66,12 +60,8 @@ def headline(summary: Summary) -> str:
     runs = summary["sweep"]["runs"]
     parts = [f"{runs['all']} runs, {runs['failed']} of them ended by an error, {runs['stopped']} stopped by the guard"]
     if runs["lost"]:
-        parts[0] += (
-            f" ({runs['lost']} because their worker died; starting the sweep again tries these once more)"
-        )
-    best = {
-        name: group["mu_mean"]["mean"] for name, group in summary["solvers"].items() if "mu_mean" in group
-    }
+        parts[0] += f" ({runs['lost']} because their worker died; starting the sweep again tries these once more)"
+    best = {name: group["mu_mean"]["mean"] for name, group in summary["solvers"].items() if "mu_mean" in group}
     if len(best) > 1:
         first, last = max(best, key=lambda n: best[n]), min(best, key=lambda n: best[n])
         parts.append(f"mean manipulability from {best[last]:.4f} ({last}) to {best[first]:.4f} ({first})")
@@ -106,9 +96,7 @@ def page(summary: Summary, numeric: Mapping[str, list[float]], environment: Summ
     return page
 
 
-def against(
-    groups: Summary, solvers: list[str], field: str, values: list[float], metric: str, label: str
-) -> go.Figure:
+def against(groups: Summary, solvers: list[str], field: str, values: list[float], metric: str, label: str) -> go.Figure:
     """Draw a metric's mean over a field of the grid, one line a solver, bars from the 5th to the 95th percentile."""
     drawn, styles = figure(), Styles(solvers)
     for solver in solvers:

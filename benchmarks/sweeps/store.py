@@ -73,9 +73,7 @@ class Store:
 
     def __exit__(self, *exc: object) -> None:
         if self._lock is not None:
-            os.close(
-                self._lock
-            )  # and with it the lock; the kernel does the same for a process that is killed
+            os.close(self._lock)  # and with it the lock; the kernel does the same for a process that is killed
             self._lock = None
 
     def add(self, index: int, result: Mapping[str, Any]) -> None:

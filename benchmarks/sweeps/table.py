@@ -57,12 +57,7 @@ def rows_schema(plan: Plan) -> pa.Schema:
 def clock_schema(plan: Plan) -> pa.Schema:
     """Describe clock.parquet: what a clock decided, row by row as in rows.parquet."""
     figures = [(name, pa.float64()) for name in plan.metrics if is_clock(name)]
-    head = [
-        ("index", pa.int64()),
-        ("run", pa.string()),
-        ("solver", pa.string()),
-        ("timing_shared", pa.bool_()),
-    ]
+    head = [("index", pa.int64()), ("run", pa.string()), ("solver", pa.string()), ("timing_shared", pa.bool_())]
     return pa.schema([*head, ("wall_s", pa.float64()), *figures]).with_metadata({PLAN_KEY: plan.digest})
 
 
@@ -78,9 +73,7 @@ def record_table(records: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -
     """Return finished runs as a table of :func:`record_schema`; figures that are not finite become null."""
     schema = record_schema(metrics)
     flat = [{**record, **record["figures"]} for record in records]
-    return pa.table(
-        {n: pa.array([plain(row.get(n)) for row in flat], schema.field(n).type) for n in schema.names}
-    )
+    return pa.table({n: pa.array([plain(row.get(n)) for row in flat], schema.field(n).type) for n in schema.names})
 
 
 def described(plan: Plan, indices: Sequence[int]) -> dict[str, list[Any]]:

@@ -46,7 +46,7 @@ def desired_wrist_acceleration(
 
 @njit(cache=True, nogil=True)
 def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
-    """A5 (5, n): the tip's rows and the wrist's across u; and the two directions across u, (2, 3)."""
+    """Return A5 (5, n), the tip's rows and the wrist's across u, and the two directions across u (2, 3)."""
     n = A.shape[1]
     across, directions = np.empty((2, 3)), directions_across(u[0], u[1], u[2])
     for c in range(3):
@@ -64,7 +64,7 @@ def independent_rows(A: Array, u: Array) -> tuple[Array, Array]:
 def motion_feedforward(
     A: Array, u: Array, M_factor: Array, drift: Array, tip_acceleration: Array, wrist_acceleration: Array
 ) -> Array:
-    """Torque (n,) [Nm] that gives tip and wrist these accelerations (3,) each, on top of gravity and Coriolis."""
+    """Compute the torque (n,) [Nm] that gives tip and wrist these accelerations (3,) beyond gravity and Coriolis."""
     A5, across = independent_rows(A, u)
     n, gap = A.shape[1], wrist_acceleration - drift[3:]
     a, c = np.empty(5), np.empty(5)

@@ -38,6 +38,6 @@ class HandGuiding:
         self._damping = np.broadcast_to(damping, (robot.n,))
 
     def tick(self, state: RobotState) -> Array:
-        """Torque (n,) [Nm] for the measured state, cut at the joints' limits."""
+        """Compute the torque (n,) [Nm] for the measured state, cut at the joints' limits."""
         tau = self.robot.gravity(state.q) - self._damping * state.v
         return np.clip(tau, -self.robot.tau_max, self.robot.tau_max)

@@ -144,14 +144,14 @@ class Incision:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing seen yet."""
+        """Forget all readings."""
         self._means, self._tick, self._unread, self._point = np.zeros(2), -1, 0, np.full(3, np.nan)
         self._watched = [Watched(*given) for given in self._levels]
         self._lowest = np.array([watched.lowest_square for watched in self._watched])
         self._take = partial(_TAKE.code, *self._tool, self._share, self._lowest, self._means)
 
     def pressed(self, q: Array, wrench: Array) -> float:
-        """Force of the trocar on the shaft [N] where it was registered last; NaN where the reading is no number."""
+        """Return the trocar's force on the shaft [N] at the last registered place; NaN where it has no reading."""
         return float(trocar_force(self._pose(q), self._point, wrench, *self._tool))
 
     def check(self, q: Array, trocar: Array, wrench: Array) -> str:

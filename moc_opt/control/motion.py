@@ -7,11 +7,10 @@ from functools import partial
 import numpy as np
 from numba import float64, int64
 from numpy.typing import NDArray
-from pydantic import Field
 
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.control import replay_kernels as replays
-from moc_opt.inputs.settings import Settings
+from moc_opt.control.safety_settings import MotionSettings
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
 
@@ -27,55 +26,6 @@ _AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
 _MOMENTUM = CompiledKernel(
     kernels.compare_momentum, int64, VECTOR, VECTOR, MATRIX, float64, VECTOR, VECTOR, int64
 )
-
-
-class MotionSettings(Settings):
-    """When a measurement is not believed to show the arm: part of ``[guard]``."""
-
-    motion: bool = Field(True, description="whether age and motion of the measurements are watched")
-    motion_s: float = Field(0.1, gt=0.0, description="how long q - integral of v is remembered")
-    motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")
-    motion_lag_s: float = Field(
-        0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
-    )
-    repeat_m: float = Field(
-        0.003, gt=0.0,
-        description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
-        "much to overcome static friction",
-    )  # fmt: skip
-    repeat_torque: float = Field(
-        0.06, gt=0.0, description="change of a torque meanwhile, of tau_max: static friction holds as much"
-    )
-    repeat_whole_torque: float = Field(
-        0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
-    )
-    repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
-    repeat_whole_ticks: int = Field(
-        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise, and of a recording"
-    )
-    stuck_torque: float = Field(
-        0.06, ge=0.0,
-        description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
-        "repeats one reading",
-    )  # fmt: skip
-    stuck_rad_per_s: float = Field(
-        0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
-    )
-    residual_torque: float = Field(
-        0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
-    )
-    residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
-    residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
-
-    @property
-    def levels(self) -> Array:
-        """(13,) as the kernels take them."""
-        return np.array([
-            self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
-            self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
-            self.residual_rate_per_s, self.residual_s,
-            self.repeat_whole_m, self.repeat_whole_ticks,
-        ])  # fmt: skip
 
 
 class MotionMonitor:
@@ -113,7 +63,7 @@ class MotionMonitor:
         self._tip = np.zeros(3)
 
     def age(self, stamp: int) -> int:
-        """FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
+        """Return FRESH, REPEAT or OLD; see ``motion_kernels.age``."""
         if not self._on:
             return kernels.FRESH
         before = int(self._clock[1])

@@ -35,9 +35,9 @@ def velocity_damper(q: Array, limits: Array, k0: float, lower: Array, upper: Arr
 def box_limits(
     q_min: Array, q_max: Array, v_max: Array, *, margin: float = 0.0, speed_fraction: float = 1.0
 ) -> Array:
-    """What the box on x is made from: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
+    """Return the limits of the box on x: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
 
-    The box has to close before a joint is where something else stops it (the guard's wall).
+    The box has to close before a joint is where something else stops it (the wall of the safety filter).
 
     Args:
         q_min, q_max: (n,) joint limits [rad].
@@ -59,7 +59,7 @@ def box_limits(
 
 @njit(cache=True, nogil=True)
 def consistent_wrist_velocity(v_tip: Array, v_wrist: Array, u: Array) -> Array:
-    """v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
+    """Return v_W with u^T (v_T - v_W) = 0: a rigid tool cannot change its length."""
     gap = dot(u, v_tip) - dot(u, v_wrist)
     consistent = np.empty(3)
     for i in range(3):
@@ -104,7 +104,7 @@ def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
 
 
 def null_space(A: Array, like: Array | None = None) -> Array:
-    """Orthonormal rows (r, n) of ker A by SVD, turned to lie closest to ``like`` (orthogonal Procrustes)."""
+    """Compute orthonormal rows (r, n) of ker A by SVD, turned closest to ``like`` (orthogonal Procrustes)."""
     _, s, vh = np.linalg.svd(A)
     Z = vh[int(ranks(s)) :]
     if like is not None and like.shape == Z.shape:
@@ -115,7 +115,7 @@ def null_space(A: Array, like: Array | None = None) -> Array:
 
 @njit(cache=True, nogil=True)
 def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
-    """M Z^T (Z M Z^T)^-1 Z push, (n,) [Nm]."""
+    """Compute M Z^T (Z M Z^T)^-1 Z push, (n,) [Nm]."""
     r, n = Z.shape
     MZ, inertia = np.empty((r, n)), np.empty((r, r))
     for i in range(r):
@@ -130,7 +130,7 @@ def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweeps: int) -> Array:
-    """The smallest self-motion (n,) [rad/s] that brings the arm's other motion into the box; zero where none can.
+    """Find the smallest self-motion (n,) [rad/s] that brings the arm's other motion into the box; zero if none does.
 
     An arm whose self-motion is damped follows its references with the shortest x of A x = b, which may run a
     joint into its limit. Of all self-motions Z^T w added to it the shortest is wanted that leaves the box nowhere:
@@ -179,7 +179,7 @@ def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweep
 
 @njit(cache=True, nogil=True)
 def least_violation(A: Array, b: Array, lower: Array, upper: Array, sweeps: int) -> Array:
-    """min |A x - b|^2 over the box by coordinate descent: the fallback of the same name."""
+    """Minimize |A x - b|^2 over the box by coordinate descent: the fallback of the same name."""
     n = A.shape[1]
     x = np.empty(n)
     for j in range(n):

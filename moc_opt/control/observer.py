@@ -26,7 +26,7 @@ def momentum_residual(
     M: Array, energy_slope: Array, gravity: Array, v: Array, tau: Array, gain: float, period: float,
     integral: Array, r: Array,
 ) -> None:  # fmt: skip
-    """One step of the observer, in place on integral (n,) and r (n,); C^T v is the slope of the kinetic energy."""
+    """Advance the observer by one step, in place on integral (n,) and r (n,); energy_slope (n,) is C^T v."""
     for i in range(r.shape[0]):
         p = 0.0
         for j in range(r.shape[0]):
@@ -37,7 +37,7 @@ def momentum_residual(
 
 @njit(cache=True, nogil=True)
 def observe(record: Array, tau: Array, gain: float, period: float, integral: Array, r: Array) -> None:
-    """``momentum_residual`` on a flat state record."""
+    """Apply ``momentum_residual`` to a flat state record."""
     s = state_views(borrowed(record), r.shape[0])
     momentum_residual(s.M, s.energy_slope, s.gravity, s.v, tau, gain, period, integral, r)
 
@@ -69,6 +69,6 @@ class MomentumObserver:
         self.external_torque = np.zeros(self._robot.n)
 
     def update(self, state: RobotState, tau: Array) -> Array:
-        """Take in a tick: ``tau`` (n,) acted over the period that ended at ``state``; returns r (n,) [Nm]."""
+        """Advance by the period over which ``tau`` (n,) acted, and that ended at ``state``; return r (n,) [Nm]."""
         self._observe(state.record, tau, self._gain, self._period, self._integral, self.external_torque)
         return self.external_torque

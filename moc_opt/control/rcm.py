@@ -53,7 +53,7 @@ def desired_wrist(
 
 @njit(cache=True, nogil=True)
 def published_share(tip: Array, wrist: Array, trocar: Array, span: float, rcm_lambda: float) -> float:
-    """What |N_d - N| has to be multiplied by to become the paper's |e_N1| = d / lambda with a constant lambda.
+    """Return the factor that makes |N_d - N| the paper's |e_N1| = d / lambda with a constant lambda.
 
     d = |P_t - X| sin(theta) is the RCM error and theta the angle between e and the shaft N - X; |N_d - N| is
     2 L sin(theta/2), hence the true lambda is |P_t - X|/L cos(theta/2). It varies with the tip's depth, and the
@@ -72,20 +72,20 @@ def published_share(tip: Array, wrist: Array, trocar: Array, span: float, rcm_la
 
 @njit(cache=True, nogil=True)
 def project_dynamic(J_tip: Array, W: Array, mobility_factor: Array, tau: Array) -> Array:
-    """(I - J_T^T Jbar_T^T) tau with Jbar_T = M^-1 J_T^T Lambda_T: no acceleration of the tip."""
+    """Compute (I - J_T^T Jbar_T^T) tau with Jbar_T = M^-1 J_T^T Lambda_T: no acceleration of the tip."""
     free: Array = tau - transpose_times(J_tip, solve_factored(mobility_factor, transpose_times(W, tau)))
     return free
 
 
 @njit(cache=True, nogil=True)
 def project_static(J_tip: Array, tau: Array) -> Array:
-    """(I - J_T^T pinv(J_T)^T) tau: no force at the tip in rest; idempotent, but not dynamic."""
+    """Compute (I - J_T^T pinv(J_T)^T) tau: no force at the tip in rest; idempotent, but not dynamic."""
     free: Array = tau - transpose_times(J_tip, solve_factored(cholesky(gram(J_tip)), times(J_tip, tau)))
     return free
 
 
 @njit(cache=True, nogil=True)
 def project_as_published(J_tip: Array, tau: Array) -> Array:
-    """(I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
+    """Compute (I - J_T^T J_T) tau as the paper prints it: not idempotent, and its units do not fit."""
     free: Array = tau - transpose_times(J_tip, times(J_tip, tau))
     return free

@@ -11,18 +11,17 @@ carries the arm's weight in the last pose that passed the checks.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from moc_opt.control.incision import Incision
-from moc_opt.control.motion import MotionMonitor, MotionSettings
+from moc_opt.control.motion import MotionMonitor
 from moc_opt.control.motion_kernels import FRESH, OLD
 from moc_opt.control.safety_kernels import believable, holding_friction, limit_torque, squared_error
-from moc_opt.errors import ControlError, MocOptError
-from moc_opt.inputs.settings import Level
+from moc_opt.control.safety_settings import SafetyFilterSettings
+from moc_opt.errors import ControlError
 from moc_opt.model.robot_state import RobotState
 from moc_opt.robots import RobotData
 
@@ -30,62 +29,6 @@ Array = NDArray[np.float64]
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
-
-
-class SafetyFilterSettings(MotionSettings):
-    """Safety limits."""
-
-    KIND: ClassVar[str] = "[guard]"
-    ERROR: ClassVar[type[MocOptError]] = ControlError
-
-    torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest change of a joint's torque")
-    position_margin_rad: float = Field(
-        0.045, ge=0.0, description="the wall begins this far inside a joint limit"
-    )
-    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
-    wall_damping_Nm_s_per_rad: float = Field(
-        20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
-    )
-    wall_brake_rad_per_s2: float = Field(
-        2.0, gt=0.0, description="allowed speed at a distance d from a wall: sqrt(2 d wall_brake)"
-    )
-    jump_rad: float = Field(
-        0.05, gt=0.0, description="a measured step beyond what v_max explains: not believed"
-    )
-    speed_factor: float = Field(5.0, gt=1.0, description="of v_max: a measured speed above it: not believed")
-    patience_ticks: int = Field(
-        3, ge=0, description="ticks with a bad measurement that are bridged before the stop"
-    )
-    tip_error_m: float = Field(
-        0.01, gt=0.0, description="root mean square of the tip's error: above it, the loop is out of control"
-    )
-    tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
-    rcm_error_m: Level = Field(
-        0.012, description="root mean square of the shaft's distance from the registered trocar: above it, stop"
-    )
-    rcm_warning_m: Level = Field(0.006, description="above it, a warning is recorded")
-    trocar_force_N: Level = Field(
-        15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
-    )
-    trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
-    incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
-    stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
-    stop_holding: float = Field(
-        0.25, ge=0.0, le=1.0,
-        description="dry friction of the brakes in a stop, of tau_max; 0: damping alone, under which an arm sinks",
-    )
-    stop_yield_N: Level = Field(
-        8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
-    )
-    stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
-
-    @model_validator(mode="after")
-    def _warned_before_it_stops(self) -> Self:
-        for warning, limit in (("rcm_warning_m", "rcm_error_m"), ("trocar_force_warning_N", "trocar_force_N")):
-            low, high = getattr(self, warning), getattr(self, limit)
-            if low is not None and high is not None and low > high:
-                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give a lower one")
-        return self
 
 
 class SafetyFilter:
@@ -182,9 +125,8 @@ class SafetyFilter:
             self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
         if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._bounds):
             self._q, self._v, self._bad = q, v, 0
-            wrong = self._motion.check_reading(q, v, applied, wrench) if applied is not None else ""
-            if wrong:
-                self.request_stop(wrong)
+            if applied is not None:
+                self.request_stop(self._motion.check_reading(q, v, applied, wrench))
         else:
             self._bad += 1
             self._q = self._q + self._v * self._period
@@ -201,9 +143,7 @@ class SafetyFilter:
             if self._state is None:
                 return
             state = self._state(q, v)
-        wrong = self._motion.check_momentum(state, applied)
-        if wrong:
-            self.request_stop(wrong)
+        self.request_stop(self._motion.check_momentum(state, applied))
 
     def check_tip(self, tip: Array, tip_ref: Array) -> None:
         """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d [m]."""
@@ -215,9 +155,7 @@ class SafetyFilter:
     def check_incision(self, q: Array, trocar: Array, wrench: Array) -> None:
         """Check RCM error and trocar force; arguments as for ``Incision.check``."""
         if self._incision is not None:
-            reason = self._incision.check(q, trocar, wrench)
-            if reason:
-                self.request_stop(reason)
+            self.request_stop(self._incision.check(q, trocar, wrench))
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
@@ -235,7 +173,7 @@ class SafetyFilter:
         return bool(self.reason)
 
     def request_stop(self, reason: str) -> None:
-        """Request the stop; the first reason stays."""
+        """Request the stop; the first reason stays, and an empty one is none."""
         self.reason = self.reason or reason
 
     def limit_torque(self, tau: Array, before: Array, q: Array, v: Array) -> Array:

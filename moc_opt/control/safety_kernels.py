@@ -79,7 +79,7 @@ def believable(q: Array, v: Array, q_before: Array, jump: float, ticks: int, bou
 
 @njit(cache=True, nogil=True)
 def squared_error(tip: Array, tip_ref: Array) -> float:
-    """|tip - X_d|^2 [m^2], X_d the first row of tip_ref (3, 3)."""
+    """Compute |tip - X_d|^2 [m^2], X_d the first row of tip_ref (3, 3)."""
     square = 0.0
     for i in range(3):
         square += (tip[i] - tip_ref[0, i]) ** 2
@@ -88,7 +88,7 @@ def squared_error(tip: Array, tip_ref: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def holding_friction(weight: Array, tau_max: Array, share: float, friction: Array) -> None:
-    """Fill friction (n,) [Nm] of brakes that hold the arm in a stop, whatever its drives are worth.
+    """Fill friction (n,) [Nm] of the brakes that hold the arm in a stop, however weak its drives are.
 
     ``share`` of the drive's largest torque, and one and a half times what that drive cannot carry of the weight (n,).
     """

@@ -163,22 +163,22 @@ class ControlSettings(Settings):
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
-        """The paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
+        """Make the paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
         return cls(**{**PAPER, **cls.present_names(changes)})
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
-        """What ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
+        """Make what ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
         return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod
     def robust(cls, **changes: Any) -> ControlSettings:
-        """Softer than ``tuned``, for loops with more delay; see ``ROBUST``."""
+        """Make softer gains than ``tuned``, for loops with more delay; see ``ROBUST``."""
         return cls(**{**ROBUST, **cls.present_names(changes)})
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """A named set of settings; ``changes`` override fields.
+        """Make a named set of settings; ``changes`` override fields.
 
         Raises:
             UnknownNameError: no such preset; the message lists them.
@@ -211,11 +211,11 @@ class ControlSettings(Settings):
         return bool(np.any(np.asarray(self.dcac_damping) > 0.0))
 
     def matched_dcac(self) -> dict[str, Any]:
-        """Changes that make these settings DCAC with the gains that they use now: the baseline of a fair comparison."""
+        """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {"law": "dcac", "gains": self.gains or self.law}
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """K_X .. D_N2 as numbers: settings first, then the robot's table.
+        """Return K_X .. D_N2 as numbers: settings first, then the robot's table.
 
         Args:
             tables: the robot's [gains.*].
@@ -246,7 +246,7 @@ class ControlSettings(Settings):
 
 
 def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np.float64]:
-    """One number for all joints, or one per joint, as (n,) numbers of 0 or more.
+    """Return one number for all joints, or one per joint, as (n,) numbers of 0 or more.
 
     Raises:
         ControlError: another length, or something that is no such number; the message says ``where`` it stands.

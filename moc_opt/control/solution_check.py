@@ -28,7 +28,7 @@ _DOUBLE, _SIX = np.dtype(np.float64), (6,)
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """A private copy of what a solver handed back, and what of it is not as ``Solution`` wants it ("" where all is).
+    """Copy what a solver handed back, and say what of it has not the form of ``Solution`` ("" where all has).
 
     The copy shares no memory with the solver's: x (n,) and y (6,) are arrays of float64 without gaps, iterations an
     int that fits 32 bits. What is wrong in any part leaves no x (NaN): a solver that gets its own form wrong is not
@@ -72,7 +72,7 @@ def _uncountable(iterations: object) -> str:
 
 @njit(cache=True, nogil=True)
 def freedoms(row: Array, n: int, r: int) -> int:
-    """How many of the r dimensions of ker A move joints that move tip or wrist; the others are idle joints."""
+    """Count the dimensions of ker A, of r, that move joints that move tip or wrist; the others are idle joints."""
     total = 0.0
     for k in range(6 * n):
         total += row[k] * row[k]
@@ -86,7 +86,7 @@ def freedoms(row: Array, n: int, r: int) -> int:
 
 @njit(cache=True, nogil=True)
 def way_down(row: Array, n: int, Z: Array, x: Array, d: Array) -> float:
-    """Fill d (n,) with the steepest descent from x that stays in ker A and in the box; returns the scale of the cost.
+    """Fill d (n,) with the steepest descent from x that stays in ker A and in the box; return the scale of the cost.
 
     That is the projection of minus the reduced gradient on the tangent cone of the feasible set, and zero at an optimum
     and nowhere else. Joints that are ``AT_BOUND`` may only move inwards; their multipliers are found one after the
@@ -139,7 +139,7 @@ def way_down(row: Array, n: int, Z: Array, x: Array, d: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, float, float, float, float]:
-    """What the supervisor judges an answer x (n,) by, for use in the loop.
+    """Compute the figures by which the supervisor accepts an answer x (n,).
 
     Along a line of self-motion x stands at s; there the cost c2 (-g s) + rho s^2 / 2 has its
     optimum at clip(c2 g / rho) on the segment that the box leaves, and that of the opposite gradient at

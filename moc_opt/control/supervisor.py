@@ -45,10 +45,11 @@ class Fault(Enum):
     LATE = "the solver took longer than its budget"
 
     label: str
-    """Lower-case name, as it stands in traces."""
+    """Name in traces and reports."""
 
     def __init__(self, meaning: str) -> None:
-        self.label = self.name.lower()  # once: the loop writes it down at every tick
+        # Traces keep the label that readers of older ones know.
+        self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
 
 
 class First(NamedTuple):
@@ -125,7 +126,7 @@ class Supervisor:
         self.forget()
 
     def forget(self) -> None:
-        """No answer yet to hold on to."""
+        """Forget the last good answer, and all counts."""
         self._good, self._age = np.zeros(self._rest.size), 0
         self.fault, self.solve_us = Fault.NONE, float("nan")
         self.counts: Counter[str] = Counter()
@@ -133,7 +134,7 @@ class Supervisor:
         self._asked = 0
 
     def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
-        """Run what is compiled, so that no compiler runs in the loop."""
+        """Run every compiled fallback once, before the loop."""
         if self._fallback == "least-violation":
             self._least_violation(qp)
         self._retreat(qp, Z)
@@ -141,7 +142,7 @@ class Supervisor:
     def solve(
         self, session: Session, qp: NullSpaceQP, Z: Array, v: Array | None = None
     ) -> tuple[Solution, Array]:
-        """Ask, check, and answer in any case.
+        """Ask the session, check its answer, and return one in any case.
 
         Args:
             session: of the solver.

@@ -104,7 +104,7 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
 
 @njit(cache=True, nogil=True)
 def prepare_third_level(record: Array, law: Array, tip_ref: Array, trocar: Array, Z: Array, row: Array) -> bool:
-    """``fill_subproblem``, and carry the basis Z (r, n) of ker A over to this state; False where that fails."""
+    """Do ``fill_subproblem``, and carry the basis Z (r, n) of ker A over to this state; False where that fails."""
     record, Z, row = borrowed(record), borrowed(Z), borrowed(row)
     fill_subproblem(record, law, borrowed(tip_ref), borrowed(trocar), row)
     s = state_views(record, Z.shape[1])

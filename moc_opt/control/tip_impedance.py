@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @njit(cache=True, nogil=True)
 def compliance_force(K: float, D: float, x_d: Array, dx_d: Array, x: Array, dx: Array) -> Array:
-    """Spring and damper between a point and its reference, (3,) [N]; also the law of level 2."""
+    """Compute the force (3,) [N] of spring and damper between a point and its reference; also the law of level 2."""
     force = np.empty(3)
     for i in range(3):
         force[i] = K * (x_d[i] - x[i]) + D * (dx_d[i] - dx[i])
@@ -26,7 +26,7 @@ def compliance_force(K: float, D: float, x_d: Array, dx_d: Array, x: Array, dx: 
 
 @njit(cache=True, nogil=True)
 def task_inertia(J: Array, M_factor: Array) -> tuple[Array, Array]:
-    """W = M^-1 J^T (n, m) and the factor of Lambda^-1 = J M^-1 J^T (m, m).
+    """Compute W = M^-1 J^T (n, m) and the factor of Lambda^-1 = J M^-1 J^T (m, m).
 
     Lambda is the inertia felt at the task (Khatib 1987, eq. 51).
     """

@@ -68,6 +68,6 @@ class Arm:
 
 
 def without_dust(values: Array) -> Array:
-    """The values, with the numbers that are whole but for rounding made whole."""
+    """Return the values, with numbers that are whole but for rounding made whole."""
     nearest = np.round(values)
     return np.where(np.abs(values - nearest) < _DUST, nearest + 0.0, values)

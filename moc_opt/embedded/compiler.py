@@ -27,7 +27,7 @@ class CompilerError(MocOptError, RuntimeError):
 
 
 def find_compiler() -> list[str]:
-    """The command in $CC, or else cc, gcc or clang.
+    """Return the command in $CC, or else cc, gcc or clang.
 
     Raises:
         CompilerError: there is none.
@@ -43,7 +43,7 @@ def find_compiler() -> list[str]:
 
 
 def cache_directory() -> Path:
-    """$XDG_CACHE_HOME/moc_opt, or ~/.cache/moc_opt."""
+    """Return $XDG_CACHE_HOME/moc_opt, or ~/.cache/moc_opt."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(given) if os.path.isabs(given) else Path.home() / ".cache") / "moc_opt"
 

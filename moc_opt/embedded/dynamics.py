@@ -48,7 +48,7 @@ class Points(NamedTuple):
 
 
 def joint_frames(arm: Arm, q: SX) -> list[Frame]:
-    """The displaced joint frames, base first."""
+    """Compute the displaced joint frames, base first."""
     frames = []
     for j in range(arm.n):
         placement, axis = ca.SX(arm.rotations[j]), ca.SX(arm.axes[j])
@@ -62,7 +62,7 @@ def joint_frames(arm: Arm, q: SX) -> list[Frame]:
 
 
 def points(arm: Arm, frames: list[Frame]) -> Points:
-    """Tip, wrist and their Jacobians: J_j = axis_j x (point - origin_j), or axis_j where the joint slides."""
+    """Compute tip, wrist and their Jacobians: J_j = axis_j x (point - origin_j), or axis_j where the joint slides."""
     R, p = ca.SX.eye(3), ca.SX.zeros(3)
     axes, origins = [], []
     for j, frame in enumerate(frames):
@@ -82,7 +82,7 @@ def points(arm: Arm, frames: list[Frame]) -> Points:
 
 
 def manipulability(at: Points) -> tuple[SX, SX]:
-    """mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `kinematics_kernels.manipulability`.
+    """Compute mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `kinematics_kernels.manipulability`.
 
     dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j), P_j = (J J^T)^-1 J_j; zero
     where J J^T is singular.
@@ -106,7 +106,7 @@ def manipulability(at: Points) -> tuple[SX, SX]:
 
 
 def bias_torque(arm: Arm, frames: list[Frame], v: SX) -> SX:
-    """h = C v + g (n,) [Nm] by recursive Newton-Euler at zero joint acceleration."""
+    """Compute h = C v + g (n,) [Nm] by recursive Newton-Euler at zero joint acceleration."""
     w, dw, a = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX(-arm.gravity)
     forces, moments = [], []
     for j, (R, p) in enumerate(frames):
@@ -126,7 +126,7 @@ def bias_torque(arm: Arm, frames: list[Frame], v: SX) -> SX:
 
 
 def inertia_and_gravity(arm: Arm, frames: list[Frame]) -> tuple[SX, SX]:
-    """M (n,n) with rotor inertia, and gravity torque g (n,) [Nm], from the composite bodies beyond each joint."""
+    """Compute M (n,n) with rotor inertia, and gravity torque g (n,) [Nm], from the bodies beyond each joint."""
     n = arm.n
     down = [frames[0].R.T @ ca.SX(arm.gravity)]
     for R, _ in frames[1:]:
@@ -155,7 +155,7 @@ def inertia_and_gravity(arm: Arm, frames: list[Frame]) -> tuple[SX, SX]:
 
 
 def momentum(arm: Arm, frames: list[Frame], v: SX) -> tuple[SX, SX]:
-    """p = M v (n,) [Nm s] and dT/dq (n,) [Nm], the gradient of the kinetic energy at fixed v.
+    """Compute p = M v (n,) [Nm s] and dT/dq (n,) [Nm], the gradient of the kinetic energy at fixed v.
 
     dT/dq = C^T v, so that De Luca's observer needs no Coriolis matrix: C^T v - g = d(T - U)/dq. With the
     momentum (P, H) of everything beyond joint k and the velocity (a, w) of its frame, turning joint k
@@ -183,7 +183,7 @@ def momentum(arm: Arm, frames: list[Frame], v: SX) -> tuple[SX, SX]:
 
 
 def drift(at: Points, J: SX, v: SX) -> SX:
-    """dJ v (3,) [m/s^2]: sum_m (2 sum_{k<m} w_k + w_m) x J_m v_m with w_k = ang_k v_k."""
+    """Compute dJ v (3,) [m/s^2]: sum_m (2 sum_{k<m} w_k + w_m) x J_m v_m with w_k = ang_k v_k."""
     total, before = ca.SX.zeros(3), ca.SX.zeros(3)
     for m in range(J.shape[1]):
         w = at.axes[:, m] * v[m]

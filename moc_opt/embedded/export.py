@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Recording:
-    """Let the Python controller answer k consecutive ticks.
+    """Record the Python controller's answers to k consecutive ticks.
 
     Args:
         spec: what the tick is made from.
@@ -43,7 +43,7 @@ def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) ->
 def c_files(
     spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
 ) -> tuple[Tick, dict[str, str]]:
-    """The tick, and the C files of the bare tick as text by file name.
+    """Generate the tick, and the C files of the bare tick, text by file name.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for.
@@ -61,7 +61,7 @@ def c_files(
 def safe_files(
     spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
 ) -> tuple[Tick, dict[str, str]]:
-    """The tick, and the C files of the whole controller: the bare tick, its supervisor and its guard.
+    """Generate the tick, and the C files of the whole controller: bare tick, supervisor and safety filter.
 
     Raises:
         ControlError: the C code cannot do what a setting asks for.

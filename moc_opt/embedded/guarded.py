@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.embedded import program
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER
@@ -30,7 +30,7 @@ REASONS = (
     "an encoder repeats one reading", "the torque went into a motion",
     "the measurements are a recording",
 )  # fmt: skip
-"""How the guard in Python begins the reasons to stop in moc_safe.h, in its order."""
+"""How the safety filter in Python begins the reasons to stop in moc_safe.h, in its order."""
 
 
 class GuardedController:
@@ -62,7 +62,7 @@ class GuardedController:
         self._reason = 0
 
     def start(self, q: ArrayLike, v: ArrayLike, sent: ArrayLike, stamp: int = 0) -> None:
-        """Reset: begin at measurement number ``stamp`` of q (n,) [rad], v (n,) [rad/s], ``sent`` (n,) [Nm] acting."""
+        """Begin at measurement number ``stamp`` of q (n,) [rad], v (n,) [rad/s], ``sent`` (n,) [Nm] acting."""
         (q_at, v_at, sent_at), _kept = self._pointers(q, v, sent)
         number = ctypes.c_int64(stamp)
         self._reason = self.library.moc_safe_start(q_at, v_at, number, sent_at, self._state)
@@ -71,7 +71,7 @@ class GuardedController:
         self, q: ArrayLike, v: ArrayLike, tip_ref: ArrayLike, trocar: ArrayLike, wrench: ArrayLike,
         stamp: int, solve_us: float = 0.0,
     ) -> Array:  # fmt: skip
-        """Torque (n,) [Nm] for this period, within its limits; that of a damped stop once the arm is lost.
+        """Compute the torque (n,) [Nm] of this period, within its limits; that of a damped stop once one was requested.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
@@ -91,7 +91,7 @@ class GuardedController:
         return tau
 
     def hold(self, wrench: ArrayLike) -> Array:
-        """Dry friction (n,) [Nm] of the brakes in a stop, once a period; wrench (6,) as for ``tick``."""
+        """Return the dry friction (n,) [Nm] of the brakes in a stop, once a period; wrench (6,) as for ``tick``."""
         friction = np.empty(self._n)
         (at,), _kept = self._pointers(wrench, sizes=(6,))
         self.library.moc_safe_hold(at, self._state, ctypes.c_void_p(friction.ctypes.data))
@@ -104,7 +104,7 @@ class GuardedController:
 
     @property
     def limited(self) -> int:
-        """Joints at which the guard changed the last torque."""
+        """Joints at which the safety filter changed the last torque."""
         return int(self.library.moc_limited(self._state))
 
     @property
@@ -113,7 +113,7 @@ class GuardedController:
         return FAULTS[self.library.moc_fault(self._state, -1)]
 
     def count(self, fault: str) -> int:
-        """How often this fault occurred since the start."""
+        """Return how often this fault occurred since the start."""
         return int(self.library.moc_fault(self._state, FAULTS.index(fault)))
 
     @property

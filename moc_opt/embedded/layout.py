@@ -56,7 +56,7 @@ OBSERVED = 2
 
 
 def layout(n: int, law: str, rows: int) -> Layout:
-    """The arguments for n joints under law "moc" or "dcac", with a null space of so many rows (0: none is used)."""
+    """List the arguments for n joints under law "moc" or "dcac" with so many rows of null space (0: none is used)."""
     inputs = (
         Field("q", (n,), "measured joint position [rad]"),
         Field("v", (n,), "measured joint velocity [rad/s]"),

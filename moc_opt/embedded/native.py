@@ -82,7 +82,7 @@ class NativeController:
         self._started = True
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] for this period.
+        """Compute the torque (n,) [Nm] of this period.
 
         Args:
             q, v: (n,) measured [rad], [rad/s].
@@ -105,7 +105,7 @@ class NativeController:
         return self._tau.copy()
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Say what torque (n,) [Nm] really went to the arm, where a limit changed it: the observer uses it."""
+        """Replace the last torque by the one (n,) [Nm] that was applied: the observer uses it."""
         self._state["torque"][:] = tau
 
     @property
@@ -134,11 +134,11 @@ class NativeController:
         return self._state["external_torque"].copy()
 
     def terms(self) -> dict[str, NDArray[Any]]:
-        """Copies of what the last tick knew, by name: mu, grad_mu, M ...; see `layout.layout`."""
+        """Copy the terms of the last tick, by name: mu, grad_mu, M ...; see `layout.layout`."""
         return {name: view.copy() for name, view in self._report.items()}
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """The third level's columns; none but the status under DCAC."""
+        """Create the third level's columns; none but the status under DCAC."""
         n = self.robot.n
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"),
@@ -156,7 +156,7 @@ class NativeController:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Write the last tick's columns; these are those that ``columns`` gave last."""
+        """Write the last tick's columns, those that ``columns`` gave last."""
         if self.solver is None:
             return
         self._reports[row] = self._whole_report

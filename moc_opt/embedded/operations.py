@@ -89,7 +89,7 @@ def guard(n: int, gravity: int, tool_pose: int) -> int:
 
 
 def worst_path(tick: Tick) -> dict[str, int]:
-    """Operations of the longest moc_safe_step by part, and their sum as "in all"."""
+    """Count the operations of the longest moc_safe_step by part, and their sum as "in all"."""
     n, rows = tick.n, tick.n if tick.rows else 0
     solves = any(field.name == "x" for field in tick.layout.report)
     parts = {

@@ -16,7 +16,7 @@ SOLVING = ("moc_supervisor", "moc_answer", "moc_singular")
 
 
 def read(*names: str) -> dict[str, str]:
-    """The text of files by name; a name without an ending is a pair of .h and .c."""
+    """Read files, text by name; a name without an ending is a pair of .h and .c."""
     found: list[str] = []
     for name in names:
         found += [name] if "." in name else [f"{name}.h", f"{name}.c"]
@@ -25,16 +25,16 @@ def read(*names: str) -> dict[str, str]:
 
 
 def solves(tick: Tick) -> bool:
-    """Whether its law asks for an x at every tick."""
+    """Say whether the law of this tick solves a subproblem."""
     return any(field.name == "x" for field in tick.layout.report)
 
 
 def bare(tick: Tick) -> dict[str, str]:
-    """What the bare tick stands on."""
+    """Read what the bare tick needs beside what is generated."""
     return read(*TICK, *(FALLBACK if solves(tick) else ()))
 
 
 def guarded(tick: Tick) -> dict[str, str]:
-    """Supervisor, guard and what they stand on, for the law of this tick."""
+    """Read supervisor, safety filter and what they need, for the law of this tick."""
     return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))
 

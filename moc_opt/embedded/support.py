@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.robot_model import RobotModel

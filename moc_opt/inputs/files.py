@@ -227,7 +227,7 @@ def _measure(members: Sequence[tuple[IO[bytes], int]], most: int) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The same with nothing but JSON's own types; numpy's numbers as numbers, NaN and infinity as None."""
+    """Return the same with nothing but JSON's own types; numpy's numbers as numbers, NaN and infinity as None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
@@ -249,7 +249,7 @@ def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> s
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """A free name in a folder, made if need be: ``name``, or with a number before it."""
+    """Return a free name in a folder, made if need be: ``name``, or with a number before it."""
     folder.mkdir(parents=True, exist_ok=True)
     free, number = folder / name, 0
     while free.exists() or free.is_symlink():

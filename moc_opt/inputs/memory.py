@@ -10,7 +10,7 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 
 def available_bytes() -> int:
-    """Bytes that are free: of the machine, of the process's limits and of its control group, whichever is least.
+    """Return the free bytes of the machine, of the process's limits and of its control group, whichever is least.
 
     What cannot be found out (another system than Linux) counts as without limit.
     """

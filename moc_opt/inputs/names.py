@@ -19,7 +19,7 @@ _NOT_IN_MARKDOWN = re.compile(r"[^A-Za-z0-9 .,:;()/%°µ-]")
 
 
 def is_name(text: object) -> bool:
-    """Whether ``text`` is a name of a robot, link, joint, scenario or solver; `RULE` says what that is."""
+    """Say whether ``text`` is a name of a robot, link, joint, scenario or solver; `RULE` says what that is."""
     return isinstance(text, str) and len(text) <= MAX_LENGTH and ".." not in text and bool(_NAME.fullmatch(text))
 
 

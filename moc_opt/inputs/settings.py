@@ -1,4 +1,4 @@
-"""Settings that speak plainly: frozen pydantic models whose errors name field, value and cure."""
+"""Tables of settings: frozen pydantic models whose errors name field, value and cure."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Settings(BaseModel):
         values = self.present_names(values)
         for name in values:
             if name not in type(self).model_fields:
-                raise UnknownNameError(self.KIND, name, type(self).model_fields)
+                raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, type(self).model_fields)
         try:
             super().__init__(**values)
         except ValidationError as error:

@@ -18,7 +18,7 @@ class History:
         self._count = 0
 
     def add(self, *values: float) -> None:
-        """One tick, in the order of `QUANTITIES`."""
+        """Add one tick, in the order of `QUANTITIES`."""
         self._ring[self._count % len(self._ring)] = values
         self._count += 1
 
@@ -27,14 +27,14 @@ class History:
         self._count = 0
 
     def latest(self) -> Array:
-        """(k, 8), the oldest first; a copy."""
+        """Return the rows (k, 8), the oldest first; a copy."""
         if self._count <= len(self._ring):
             return self._ring[: self._count].copy()
         return np.roll(self._ring, -(self._count % len(self._ring)), axis=0)
 
 
 def thinned(rows: Array, points: int) -> Array:
-    """At most `points` rows: of every stretch the last time and the largest of each quantity, so that peaks stay."""
+    """Return at most `points` rows, of every stretch the last time and the largest of each quantity: peaks stay."""
     if len(rows) <= points:
         return rows
     size = -(-len(rows) // points)

@@ -23,7 +23,7 @@ class ToAndFro:
         self._reference, self._duration = reference, duration_s
 
     def rows(self, t: float) -> Array:
-        """X_d, dX_d, ddX_d as the rows of one (3, 3) array, at a time [s]."""
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, at a time [s]."""
         lap, within = divmod(t, self._duration)
         if int(lap) % 2 == 0:
             return self._reference.rows(within)
@@ -86,7 +86,7 @@ class MovingTrocars:
                 trocar.period_s = trocar.period_s if period_s is None else period_s
 
     def restart(self) -> None:
-        """Go back to where they were at first; what was ordered stays ordered."""
+        """Go back to where they were at first; orders stay."""
         told = self._true
         self._true, self._registered = (MovingTrocar(trocar) for trocar in self._given)
         self.move(told.offset, told.amplitude, told.period_s)

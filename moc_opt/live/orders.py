@@ -48,7 +48,7 @@ class Moment:
 
 
 def checked_offset(x_m: float, y_m: float, z_m: float) -> Array:
-    """(3,) [m]; LiveError where it is farther than `MOST_OFFSET_M`."""
+    """Return the offset (3,) [m]; LiveError where it is farther than `MOST_OFFSET_M`."""
     offset = np.array([x_m, y_m, z_m], dtype=np.float64)
     if not np.abs(offset).max() <= MOST_OFFSET_M:
         raise LiveError(f"trocar offset {offset.tolist()} m: give up to {MOST_OFFSET_M} m in each direction")
@@ -56,7 +56,7 @@ def checked_offset(x_m: float, y_m: float, z_m: float) -> Array:
 
 
 def check_breathing(amplitude_m: float, period_s: float) -> None:
-    """LiveError where it is out of range."""
+    """Raise LiveError where the breathing is out of range."""
     if not (0.0 <= amplitude_m <= MOST_BREATH_M and LEAST_PERIOD_S <= period_s < np.inf):
         raise LiveError(
             f"breathing of {amplitude_m} m in {period_s} s: give 0 to {MOST_BREATH_M} m, "
@@ -65,7 +65,7 @@ def check_breathing(amplitude_m: float, period_s: float) -> None:
 
 
 def check_push(force_N: float, seconds: float) -> None:
-    """LiveError where it is out of range."""
+    """Raise LiveError where the push is out of range."""
     if not (abs(force_N) <= MOST_PUSH_N and 0.0 < seconds <= MOST_PUSH_S):
         raise LiveError(
             f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s"
@@ -73,12 +73,12 @@ def check_push(force_N: float, seconds: float) -> None:
 
 
 def changed(settings: ControlSettings, **changes: Any) -> ControlSettings:
-    """With all the checks of the constructor, which `model_copy` leaves out."""
+    """Change settings with all the checks of the constructor, which `model_copy` leaves out."""
     return settings.replace(changes)
 
 
 def child_link(robot: RobotModel, joint: int) -> str:
-    """The link that a joint moves."""
+    """Return the link that a joint moves."""
     name = robot.data.joint_names[joint]
     child = ElementTree.fromstring(robot.data.urdf).find(f"joint[@name='{name}']/child")
     if child is None:

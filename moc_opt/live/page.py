@@ -149,7 +149,7 @@ def serve(
     public: bool = False,
     seconds: float | None = None,
 ) -> int:
-    """Open the page and keep it until Ctrl-C; the exit code.
+    """Open the page and keep it until Ctrl-C; return the exit code.
 
     Raises:
         MocOptError: as `LivePage`.

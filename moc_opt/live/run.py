@@ -126,7 +126,7 @@ class LiveRun:
             self._exchange(changed(self._control, **settings), self._name)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:
-        """Move the trocar away from where it was, world axes [m]; it goes slowly, and the controller knows.
+        """Move the trocar away from where it was, world axes [m]: slowly, and the controller is told.
 
         Raises:
             LiveError: farther than `MOST_OFFSET_M`.
@@ -135,7 +135,7 @@ class LiveRun:
         self._todo.put(lambda: self._trocars.move(offset=offset))
 
     def breathe(self, amplitude_m: float, period_s: float) -> None:
-        """Let the trocar breathe.
+        """Set amplitude [m] and period [s] of the trocar's breathing.
 
         Raises:
             LiveError: out of range.
@@ -153,16 +153,16 @@ class LiveRun:
         self._todo.put(lambda: self._push(force_N, seconds))
 
     def reset(self) -> None:
-        """Back to the start, with solver, gains and trocar as they are."""
+        """Go back to the start, with solver, gains and trocar as they are."""
         self._todo.put(self._begin)
 
     def moment(self) -> Moment:
-        """What there is to see now."""
+        """Return what there is to see now."""
         with self._lock:
             return self._moment
 
     def history(self, points: int = 400) -> Array:
-        """The last `HISTORY_S` seconds (k, 8), columns as in `history.QUANTITIES`, at most `points` rows."""
+        """Return the last `HISTORY_S` seconds (k, 8), columns as in `history.QUANTITIES`, at most `points` rows."""
         with self._lock:
             rows = self._history.latest()
         return thinned(rows, points)
@@ -170,7 +170,7 @@ class LiveRun:
     # --- the loop's own thread ---
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks; none while the arm is stopped, but what was ordered is still done."""
+        """Run so many ticks, none while the arm is stopped; orders are carried out in either case."""
         for _ in range(max(ticks, 1)):
             self._obey()
             if self._stopped or ticks == 0:

@@ -92,7 +92,7 @@ class LiveScene:
 
 
 def lathe(radii: Array, heights: Array, around: int = AROUND) -> tuple[Array, NDArray[np.int64]]:
-    """A profile turned about z: vertices (v, 3) and triangles (f, 3)."""
+    """Turn a profile about z: vertices (v, 3) and triangles (f, 3)."""
     turn = 2.0 * np.pi * np.arange(around) / around
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     rings = np.concatenate(

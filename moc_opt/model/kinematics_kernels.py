@@ -107,15 +107,57 @@ def point_in_world(rotation_t: Array, origin: Array, local: Array, out: Array) -
 
 
 @njit(cache=True)
-def tool_pose(place: Array, mount: Array, tip: Array, pose: Array) -> None:
+def place_joints(joints: Array, q: Array, places: Array) -> None:
+    """Forward kinematics: write every joint's frame in the world.
+
+    Args:
+        joints: (n,16) as in `Chain.joints`.
+        q: (n,).
+        places: (n,12) written: the rotation by columns, then the origin.
+    """
+    for j in range(q.shape[0]):
+        for i in range(3):  # as it stands at q_j = 0
+            if j == 0:
+                x, y, z = (1.0 if i == 0 else 0.0), (1.0 if i == 1 else 0.0), (1.0 if i == 2 else 0.0)
+                before = 0.0
+            else:
+                x, y, z = places[j - 1, i], places[j - 1, 3 + i], places[j - 1, 6 + i]
+                before = places[j - 1, 9 + i]
+            for c in range(3):
+                places[j, 3 * c + i] = x * joints[j, c] + y * joints[j, 3 + c] + z * joints[j, 6 + c]
+            places[j, 9 + i] = before + x * joints[j, 9] + y * joints[j, 10] + z * joints[j, 11]
+        a, b, d = joints[j, 12], joints[j, 13], joints[j, 14]
+        ax = places[j, 0] * a + places[j, 3] * b + places[j, 6] * d
+        ay = places[j, 1] * a + places[j, 4] * b + places[j, 7] * d
+        az = places[j, 2] * a + places[j, 5] * b + places[j, 8] * d
+        if joints[j, 15] > 0.0:
+            places[j, 9] += ax * q[j]
+            places[j, 10] += ay * q[j]
+            places[j, 11] += az * q[j]
+            continue
+        cos, sin = math.cos(q[j]), math.sin(q[j])
+        for c in range(3):  # Rodrigues' formula on each column of the rotation
+            x, y, z = places[j, 3 * c], places[j, 3 * c + 1], places[j, 3 * c + 2]
+            along = (1.0 - cos) * (ax * x + ay * y + az * z)
+            places[j, 3 * c] = cos * x + sin * (ay * z - az * y) + along * ax
+            places[j, 3 * c + 1] = cos * y + sin * (az * x - ax * z) + along * ay
+            places[j, 3 * c + 2] = cos * z + sin * (ax * y - ay * x) + along * az
+
+
+@njit(cache=True)
+def tool_pose(joints: Array, q: Array, mount: Array, tip: Array, pose: Array) -> None:
     """Write the tool's axes and tip, (4,3) rows x, y, z, X in world axes.
 
     Args:
-        place: (12,) of the last joint's frame, as in `fill_state`.
+        joints, q: as in `place_joints`.
         mount: (3,3) rows: the tool's axes in that frame.
         tip: (3,) the tip in that frame [m].
         pose: (4,3) written.
     """
+    n = q.shape[0]
+    places = np.empty((n, 12))
+    place_joints(joints, q, places)
+    place = places[n - 1]
     rotation_t = place[:9].reshape((3, 3))
     for k in range(3):
         for i in range(3):
@@ -211,10 +253,11 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
 
 
 @njit(cache=True)
-def tip_manipulability(axes: Array, places: Array, offsets: Array, moves: Array) -> float:
+def tip_manipulability(q: Array, axes: Array, joints: Array, offsets: Array, moves: Array) -> float:
     """mu of the tip, from the arguments of `fill_state`."""
     n = axes.shape[0]
-    tip, jacobian, grad = np.empty(3), np.empty((3, n)), np.empty(n)
+    tip, jacobian, grad, places = np.empty(3), np.empty((3, n)), np.empty(n), np.empty((n, 12))
+    place_joints(joints, q, places)
     point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[0], tip)
     point_jacobian(axes, tip, moves[0], jacobian)
     return float(manipulability(axes, jacobian, grad))
@@ -226,6 +269,7 @@ def fill_state(
     q: Array,
     v: Array,
     axes: Array,
+    joints: Array,
     places: Array,
     bodies: Array,
     field: Array,
@@ -240,7 +284,8 @@ def fill_state(
         record: (record_size(n),).
         q, v: (n,).
         axes: (n,6) spatial axes.
-        places: (n,12) of every joint's frame in the world: the rotation by columns, then the origin.
+        joints: (n,16) as in `Chain.joints`.
+        places: (n,12) written, as by `place_joints`.
         bodies: (n,10) of every link, in its joint's axes: mass [kg], mass times centre of mass [kg m], and the inertia
             about that centre xx, xy, yy, xz, yz, zz [kg m^2].
         field: (3,) gravity [m/s^2].
@@ -251,11 +296,13 @@ def fill_state(
     n = axes.shape[0]
     record, q, v, axes, places = borrowed(record), borrowed(q), borrowed(v), borrowed(axes), borrowed(places)
     bodies, field, offsets, moves = borrowed(bodies), borrowed(field), borrowed(offsets), borrowed(moves)
+    joints = borrowed(joints)
     if not all_finite(q):
         return BAD_Q
     if not all_finite(v):
         return BAD_V
     s = state_views(record, n)
+    place_joints(joints, q, places)
     rotation_t, origin = places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:]
     point_in_world(rotation_t, origin, offsets[0], s.tip)
     point_in_world(rotation_t, origin, offsets[1], s.wrist)

@@ -19,6 +19,7 @@ from moc_opt.model import kinematics_kernels as kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData, load_data
 
@@ -26,13 +27,12 @@ Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
 _FILL_STATE = CompiledKernel(
-    kernels.fill_state, VECTOR, VECTOR, VECTOR, MATRIX, MATRIX, MATRIX, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
+    kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
-_TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, MATRIX, MATRIX, MATRIX, FLAGS)
-_TOOL_POSE = CompiledKernel(kernels.tool_pose, VECTOR, MATRIX, VECTOR, MATRIX)
+_TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, VECTOR, MATRIX, MATRIX, MATRIX, FLAGS)
+_TOOL_POSE = CompiledKernel(kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
-_forward = pin.forwardKinematics
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -54,17 +54,17 @@ class RobotModel:
         self._pin_data = self._pin.createData()
         self._side_data = self._pin.createData()
         frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
-        self._offsets = _read_only(np.array([frame.placement.translation for frame in frames]))
+        self._offsets = read_only(np.array([frame.placement.translation for frame in frames]))
         self._mount, self._tip_offset = np.ascontiguousarray(frames[0].placement.rotation.T), self._offsets[0]
         if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
         # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
         self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
-        self._places, self._last_place = _places(self._pin_data, n), _places(self._side_data, n)[n - 1]
+        self._joints, self._places = self.chain.joints, np.empty((n, 12))
         self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
         self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
-        self._moves = _read_only(np.ones((2, n), dtype=np.bool_))
+        self._moves = read_only(np.ones((2, n), dtype=np.bool_))
         self._moves = self._find_moves()
         self._kinematics: Kinematics | None = None
 
@@ -90,6 +90,7 @@ class RobotModel:
             position,
             velocity,
             self._axes,
+            self._joints,
             self._places,
             self._bodies,
             self._field,
@@ -110,7 +111,7 @@ class RobotModel:
         mu = np.empty(len(poses))
         for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
             pin.computeJointJacobians(self._pin, self._pin_data, q)
-            mu[k] = self._tip_manipulability(self._axes, self._places, self._offsets, self._moves)
+            mu[k] = self._tip_manipulability(q, self._axes, self._joints, self._offsets, self._moves)
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
@@ -138,8 +139,7 @@ class RobotModel:
         z runs along the shaft from wrist to tip; these are the axes of the wrench sensor at the tool's mount.
         """
         pose = np.empty((4, 3))
-        _forward(self._pin, self._side_data, self._vector("q", q))
-        self._tool_pose(self._last_place, self._mount, self._tip_offset, pose)
+        self._tool_pose(self._joints, self._vector("q", q), self._mount, self._tip_offset, pose)
         return pose
 
     @property
@@ -214,7 +214,7 @@ class RobotModel:
         rng = np.random.default_rng(0)
         states = [self.state(rng.uniform(self.q_min, self.q_max)) for _ in range(4)]
         columns = np.array([np.linalg.norm(s.A.reshape(2, 3, self.n), axis=1) for s in states])
-        return _read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
+        return read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
 
 
 def load_robot(
@@ -231,29 +231,6 @@ def load_robot(
     if not CARTESIAN.keys() <= robot.data.gains.keys():
         robot.data = replace(robot.data, gains={**derived_gains(robot), **robot.data.gains})
     return robot
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    # Always, so that the kernels are compiled for one kind of argument only.
-    array.flags.writeable = False
-    return array
-
-
-def _places(data: Any, n: int) -> Array:
-    """One view (n, 12) of the joints' places in the world, which pinocchio keeps side by side; see `fill_state`.
-
-    Raises:
-        RobotError: this pinocchio lays them out in another way.
-    """
-    width = 12
-    first, *others = [place.rotation for place in list(data.oMi)[1:]]
-    begin = first.__array_interface__["data"][0]
-    starts = [rotation.__array_interface__["data"][0] for rotation in others]
-    if starts != [begin + 8 * width * i for i in range(1, n)]:
-        raise RobotError(
-            f"pinocchio {pin.__version__} lays its joints out in another way: install the version in constraints.txt"
-        )
-    return np.lib.stride_tricks.as_strided(first.T.reshape(9), (n, width), (8 * width, 8))
 
 
 def _numbers(body: Any) -> list[float]:

@@ -50,6 +50,12 @@ class Chain:
         return len(self.axes)
 
     @property
+    def joints(self) -> Array:
+        """(n,16) for kernels: rotation by rows, origin, axis, and 1 where the joint slides."""
+        parts = (self.rotations.reshape(-1, 9), self.origins, self.axes, self.prismatic[:, None])
+        return np.hstack(parts).astype(np.float64)
+
+    @property
     def fingerprint(self) -> str:
         """Twelve hex digits that change with any number of the chain."""
         digest = hashlib.sha256()

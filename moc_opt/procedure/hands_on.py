@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
+from moc_opt.control.safety_filter import SafetyFilter
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip
@@ -96,7 +97,7 @@ def guide_to(
     *,
     seed: int = 0,
 ) -> HandsOn:
-    """Let a hand pull the tip to the incision while the arm does no more than carry its own weight.
+    """Let a hand pull the tip to the incision while the arm only carries its own weight.
 
     The hand sees where the tip truly is; the robot registers where its own kinematics put it. The plant goes on
     from where it is, and is left at the end as it then is.
@@ -158,12 +159,12 @@ class _Guiding:
         self.seen = self._robot.state(q, v)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """Torque (n,) [Nm] that carries the arm's weight and damps its joints."""
+        """Compute the torque (n,) [Nm] that carries the arm's weight and damps its joints."""
         self.seen = self._robot.state(q, v)
         return self._law.tick(self.seen)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """Nothing: the law has no memory."""
+        """Do nothing: the law has no memory."""
 
 
 def _guide(

@@ -12,6 +12,7 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.qp import layout, reduction
 from moc_opt.qp.layout import C0, C1, C2, RHO
@@ -20,8 +21,7 @@ from moc_opt.qp.problem import NullSpaceQP
 Array = NDArray[np.float64]
 
 ROWS = (5, 6)
-_SIX = np.eye(6)
-_SIX.flags.writeable = False
+_SIX = read_only(np.eye(6))
 
 # Kernels may call these from here on.
 offsets = register_jitable(layout.offsets)
@@ -78,5 +78,5 @@ def assembled(qp: NullSpaceQP, rows: int = 5) -> Assembled:
     P, p, A5, b5, lift = np.empty((n, n)), np.empty(n), np.empty((5, n)), np.empty(5), np.empty((5, 6))
     five = assemble(qp.row, n, P, p, A5, b5, lift)
     for array in (P, p, A5, b5, lift):
-        array.flags.writeable = False
+        read_only(array)
     return Assembled(P, p, A5, b5, lift) if five and rows == 5 else Assembled(P, p, qp.A, qp.b, _SIX)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SubproblemError
+from moc_opt.numerics.arrays import read_only
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.layout import offsets
 from moc_opt.qp.reduction import reduce_rows
@@ -225,13 +226,13 @@ class NullSpaceQP:
         A = self.fields.A
         P = (A.T * np.repeat(self.fields.weights[:2], 3)) @ A
         P.flat[:: self.n + 1] += self.fields.weights[3]
-        return _frozen(P)
+        return read_only(P)
 
     @cached_property
     def p(self) -> Array:
         """(n,) linear cost: -c0 J_T^T v_T - c1 J_W^T v_W - c2 grad_mu."""
         part = self.fields
-        return _frozen(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
+        return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
 
     def objective(self, x: ArrayLike) -> float:
         """1/2 x^T P x + p^T x, without the constant."""
@@ -243,7 +244,7 @@ class NullSpaceQP:
         A, b, lift = np.empty((5, self.n)), np.empty(5), np.empty((5, 6))
         if not reduce_rows(self.row.tolist(), self.n, A, b, lift):
             A, b, lift = self.A, self.b, np.eye(6)
-        return Reduced(_frozen(A), _frozen(b), _frozen(lift))
+        return Reduced(read_only(A), read_only(b), read_only(lift))
 
     def reduced(self) -> Reduced:
         """Five independent rows, or the six where tip and wrist are not rigidly tied."""
@@ -268,11 +269,6 @@ class NullSpaceQP:
 
 def _unpickle(row: Array) -> NullSpaceQP:
     return NullSpaceQP.from_row(row)
-
-
-def _frozen(array: Array) -> Array:
-    array.flags.writeable = False
-    return array
 
 
 def _array(name: str, value: ArrayLike | float, shape: Sequence[int] | None = None) -> Array:

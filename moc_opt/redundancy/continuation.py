@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model.kinematics_kernels import manipulability, point_in_world, point_jacobian
+from moc_opt.model.kinematics_kernels import manipulability, place_joints, point_in_world, point_jacobian
 from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
@@ -24,10 +24,7 @@ LIMIT, CLOSED, SINGULAR, LENGTH = range(4)
 class Constraint(NamedTuple):
     """An arm (see `Chain` and `RobotModel`) and the tip and wrist it has to keep."""
 
-    rotations: Array
-    origins: Array
-    joint_axes: Array
-    prismatic: NDArray[np.bool_]
+    joints: Array
     offsets: Array
     moves: NDArray[np.bool_]
     q_min: Array
@@ -41,42 +38,22 @@ class Constraint(NamedTuple):
 @njit(cache=True)
 def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
     """Spatial axes (n,6), as in kinematics_kernels, and the points (2,3) tip and wrist of the chain at q."""
-    r_t, turned = np.eye(3), np.empty((3, 3))  # transposed rotations
-    origin, axis = np.zeros(3), np.empty(3)
-    for j in range(q.shape[0]):
-        point_in_world(r_t, origin, arm.origins[j], origin)
-        for c in range(3):
-            for i in range(3):
-                turned[c, i] = (
-                    r_t[0, i] * arm.rotations[j, 0, c]
-                    + r_t[1, i] * arm.rotations[j, 1, c]
-                    + r_t[2, i] * arm.rotations[j, 2, c]
-                )
-        for i in range(3):
-            axis[i] = (
-                turned[0, i] * arm.joint_axes[j, 0]
-                + turned[1, i] * arm.joint_axes[j, 1]
-                + turned[2, i] * arm.joint_axes[j, 2]
-            )
-        if arm.prismatic[j]:
-            for i in range(3):
-                origin[i] += axis[i] * q[j]
-                axes[j, i], axes[j, 3 + i] = axis[i], 0.0
-            r_t[:, :] = turned
-            continue
-        ax, ay, az = axis[0], axis[1], axis[2]
-        # Linear velocity of the world origin for a turn about an axis through `origin`.
-        axes[j, 0] = origin[1] * az - origin[2] * ay
-        axes[j, 1] = origin[2] * ax - origin[0] * az
-        axes[j, 2] = origin[0] * ay - origin[1] * ax
-        axes[j, 3], axes[j, 4], axes[j, 5] = ax, ay, az
-        cos, sin = math.cos(q[j]), math.sin(q[j])
-        for c in range(3):  # Rodrigues' formula on each column of the rotation
-            x, y, z = turned[c, 0], turned[c, 1], turned[c, 2]
-            along = (1.0 - cos) * (ax * x + ay * y + az * z)
-            r_t[c, 0] = cos * x + sin * (ay * z - az * y) + along * ax
-            r_t[c, 1] = cos * y + sin * (az * x - ax * z) + along * ay
-            r_t[c, 2] = cos * z + sin * (ax * y - ay * x) + along * az
+    n = q.shape[0]
+    places = np.empty((n, 12))
+    place_joints(arm.joints, q, places)
+    for j in range(n):
+        place, joint = places[j], arm.joints[j]
+        for i in range(3):  # the joint's axis in the world
+            axes[j, i] = place[i] * joint[12] + place[3 + i] * joint[13] + place[6 + i] * joint[14]
+            axes[j, 3 + i] = 0.0
+        if joint[15] == 0.0:
+            ax, ay, az = axes[j, 0], axes[j, 1], axes[j, 2]
+            # Linear velocity of the world origin for a turn about an axis through the joint's.
+            axes[j, 0] = place[10] * az - place[11] * ay
+            axes[j, 1] = place[11] * ax - place[9] * az
+            axes[j, 2] = place[9] * ay - place[10] * ax
+            axes[j, 3], axes[j, 4], axes[j, 5] = ax, ay, az
+    r_t, origin = places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:]
     point_in_world(r_t, origin, arm.offsets[0], points[0])
     point_in_world(r_t, origin, arm.offsets[1], points[1])
 
@@ -235,7 +212,7 @@ def follow(
         turn_tangent(arm, q, tangent)
         ahead = 0.0
         for i in range(n):
-            turns = 0.0 if arm.prismatic[i] else round((q[i] - q_start[i]) / (2.0 * math.pi))
+            turns = 0.0 if arm.joints[i, 15] > 0.0 else round((q[i] - q_start[i]) / (2.0 * math.pi))
             trial[i] = q_start[i] + 2.0 * math.pi * turns
             ahead += (trial[i] - q[i]) * tangent[i]
         gap = distance(trial, q)

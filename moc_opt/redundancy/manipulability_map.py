@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import read_only
 from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, unit, without_limits
-from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.redundancy.self_motion import parabola_peak, self_motion
 from moc_opt.redundancy.showable import check
 from moc_opt.trace.trace import Trace
 
@@ -116,7 +117,7 @@ def manipulability_map(
         name: _trajectory(robot, elbow, trace, guide.t_s[ticks], swivel, q) for name, trace in traces.items()
     }
     for array in (swivel, q, mu, limit, best):
-        array.flags.writeable = False
+        read_only(array)
     return SwivelMap(
         guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(trajectories)
     )  # fmt: skip
@@ -162,10 +163,10 @@ def _best(robot: RobotModel, column: SwivelCurve, swivel: Array, q: Array) -> Ar
     if not np.isfinite(feasible[j]):
         return np.full(2, np.nan)
     found = np.array([swivel[j], mu[j]])
-    before, after = feasible[j - 1], feasible[(j + 1) % count]
-    bend = before + after - 2.0 * mu[j]
-    if np.isfinite(bend) and bend < 0.0:
-        finer = swivel[j] + 0.5 * (before - after) / bend * (2.0 * np.pi / count)
+    around = np.array([feasible[j - 1], feasible[j], feasible[(j + 1) % count]])
+    step, _ = parabola_peak(2.0 * np.pi / count * np.array([-1.0, 0.0, 1.0]), around)
+    if step != 0.0:
+        finer = swivel[j] + step
         pose = nearest_turns(robot, column.poses(np.array([finer])))
         (higher,), (allowed,) = _judged(robot, pose)
         if allowed == FEASIBLE and higher > mu[j]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import read_only
 from moc_opt.redundancy import continuation as kernels
 
 Array = NDArray[np.float64]
@@ -23,6 +24,24 @@ _REASONS = {
     kernels.SINGULAR: "singular",
     kernels.LENGTH: "length",
 }
+
+
+def parabola_peak(x: Array, y: Array) -> tuple[float, float]:
+    """Compute where the parabola through three samples has its peak, counted from the middle one.
+
+    Args:
+        x, y: (3,) places in ascending order, and values; those at the ends may be infinite.
+
+    Returns:
+        The step from x[1], no longer than to a neighbour, and the height above y[1]; zeros where there is no peak.
+    """
+    (left, right), (rise, fall) = np.diff(x), np.diff(y)
+    bend = (fall / right - rise / left) / (left + right)
+    if not -np.inf < bend < 0.0:
+        return 0.0, 0.0
+    slope = (rise / left * right + fall / right * left) / (left + right)
+    step = float(np.clip(-0.5 * slope / bend, -left, right))
+    return step, float(slope * step + bend * step * step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +91,7 @@ class SelfMotion:
         i = int(np.argmax(self.mu))
         if not 0 < i < len(self.mu) - 1:
             return self._sample(i)
-        (back, ahead), (rise, fall) = np.diff(self.s[i - 1 : i + 2]), np.diff(self.mu[i - 1 : i + 2])
-        bend = fall / ahead - rise / back  # below zero at a peak between unequal steps
-        peak = self.s[i] - (rise / back * ahead + fall / ahead * back) / (2 * bend) if bend < 0 else self.s[i]
+        peak = self.s[i] + parabola_peak(self.s[i - 1 : i + 2], self.mu[i - 1 : i + 2])[0]
         pose = self.at(float(np.clip((peak - self.s[0]) / (self.s[-1] - self.s[0]), 0.0, 1.0)))
         return pose if self._curve.mu(pose) > self.mu[i] else self._sample(i)
 
@@ -131,10 +148,7 @@ class _Curve:
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
         chain = robot.chain
         self._arm = kernels.Constraint(
-            chain.rotations,
-            chain.origins,
-            chain.axes,
-            chain.prismatic,
+            chain.joints,
             chain.offsets,
             robot.moves,
             robot.q_min,
@@ -168,7 +182,7 @@ def _frozen(
     s: Array, q: Array, mu: Array, ends: tuple[str, str], held: tuple[int, ...], curve: _Curve
 ) -> SelfMotion:
     for array in (s, q, mu):
-        array.flags.writeable = False
+        read_only(array)
     return SelfMotion(s, q, mu, ends, held, curve)
 
 

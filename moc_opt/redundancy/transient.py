@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.redundancy.self_motion import SelfMotion, self_motion
+from moc_opt.redundancy.self_motion import SelfMotion, parabola_peak, self_motion
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -38,13 +38,8 @@ def uphill(curve: SelfMotion) -> tuple[float, float]:
         i += side
     if not 0 < i < len(mu) - 1:
         return abs(float(s[i])), float(mu[i])
-    (left, right), (rise, fall) = np.diff(s[i - 1 : i + 2]), np.diff(mu[i - 1 : i + 2])
-    bend = (fall / right - rise / left) / (left + right)
-    if not bend < 0.0:
-        return abs(float(s[i])), float(mu[i])
-    slope = (rise / left * right + fall / right * left) / (left + right)
-    step = float(np.clip(-0.5 * slope / bend, -left, right))
-    return abs(float(s[i]) + step), float(mu[i] + slope * step + bend * step * step)
+    step, height = parabola_peak(s[i - 1 : i + 2], mu[i - 1 : i + 2])
+    return abs(float(s[i]) + step), float(mu[i] + height)
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[Array, Array]:

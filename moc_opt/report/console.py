@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """A console that writes plain text, without colour and uncut, where its output is no terminal.
+    """Make a console that writes plain text, without colour and uncut, where its output is no terminal.
 
     Args:
         stderr: write there; results belong on stdout, what accompanies them on stderr.
@@ -38,7 +38,7 @@ class Bar:
         self._progress, self._task = progress, task
 
     def advance(self, steps: float = 1.0) -> None:
-        """So much more is done."""
+        """Count so many more steps as done."""
         self._progress.update(self._task, advance=steps)
 
     def of(self, total: float) -> None:
@@ -54,7 +54,7 @@ class Bar:
 def progress(
     description: str, total: float | None = None, *, on: Console | None = None, patience_s: float = PATIENCE_S
 ) -> Iterator[Bar]:
-    """A bar with the time left, on stderr; it shows once `patience_s` is over and vanishes when the work is done.
+    """Show a bar with the time left on stderr, once `patience_s` is over and until the work is done.
 
     Silent where the output is not a terminal.
 

@@ -28,27 +28,27 @@ def render(template: str, **values: Any) -> str:
 
 
 def macros(template: str) -> Any:
-    """The macros of a template as functions that return `Markup`; every argument is escaped."""
+    """Return the macros of a template as functions that return `Markup`; every argument is escaped."""
     return _TEMPLATES.get_template(template).module
 
 
 def asset(name: str) -> Markup:
-    """The text of a style sheet or script in ``report/assets``, as it is."""
+    """Return the text of a style sheet or script in ``report/assets``, as it is."""
     return Markup(_LOADER.get_source(_TEMPLATES, name)[0].strip())
 
 
 def inline(text: str) -> Markup:
-    """A text for an element, with `backticks` as code."""
+    """Return a text for an element, with `backticks` as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(printable(text)))))
 
 
 def inert(json: str) -> Markup:
-    """JSON for a script element: no text in it can end the element."""
+    """Make JSON safe inside a script element: no text in it can end the element."""
     return Markup(json.replace("<", "\\u003c"))
 
 
 def in_words(value: Any) -> str:
-    """A plain value or a list of them as text, a dash where there is none."""
+    """Return a plain value or a list of them as text, a dash where there is none."""
     if isinstance(value, (list, tuple)):
         return ", ".join(map(in_words, value)) or DASH
     return DASH if value is None or value in ("", {}) else str(value)
@@ -68,7 +68,7 @@ _TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words)
 
 
 def beside(target: str) -> str:
-    """The address of a file that lies beside a page or below it.
+    """Return the address of a file that lies beside a page or below it.
 
     Args:
         target: a relative path with slashes, and after a ``#`` a place in the file.
@@ -78,9 +78,7 @@ def beside(target: str) -> str:
     """
     path, _, place = target.partition("#")
     if not all(PIECE.fullmatch(piece) for piece in path.split("/")):
-        raise ReportError(
-            f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'"
-        )
+        raise ReportError(f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'")
     return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 

@@ -76,7 +76,7 @@ def save_figures(
 
 @contextmanager
 def browser() -> Iterator[Browser]:
-    """A headless Chromium, closed in the end.
+    """Start a headless Chromium, and close it in the end.
 
     Raises:
         BrowserMissingError: playwright or a browser is missing.
@@ -85,9 +85,7 @@ def browser() -> Iterator[Browser]:
     try:
         from playwright.sync_api import Error, sync_playwright
     except ImportError as error:
-        raise BrowserMissingError(
-            f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}"
-        ) from error
+        raise BrowserMissingError(f"playwright is missing: pip install 'moc-opt[figures]', and {CURE}") from error
     try:
         with sync_playwright() as playwright:
             program = browser_path() or playwright.chromium.executable_path
@@ -103,7 +101,7 @@ def browser() -> Iterator[Browser]:
 
 
 def browser_path() -> str | None:
-    """The browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
+    """Return the browser that is named in MOC_OPT_BROWSER or installed in the system; None where there is none.
 
     Raises:
         BrowserError: MOC_OPT_BROWSER names no program.
@@ -117,22 +115,15 @@ def browser_path() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
-def _draw(
-    chromium: Browser, figures: Mapping[str, go.Figure], pdf: bool
-) -> Iterator[tuple[str, dict[str, bytes]]]:
+def _draw(chromium: Browser, figures: Mapping[str, go.Figure], pdf: bool) -> Iterator[tuple[str, dict[str, bytes]]]:
     page = chromium.new_page()
     # Whatever a figure might refer to, nothing is fetched.
     page.route("**/*", lambda route: route.abort())
-    page.set_content(
-        "<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>"
-    )
+    page.set_content("<!DOCTYPE html><style>@page{margin:0} body{margin:0} svg{display:block}</style><body></body>")
     page.add_script_tag(content=get_plotlyjs())
     for name, figure in figures.items():
         house = figure.layout.template.layout
-        size = {
-            "width": figure.layout.width or WIDTH_PX,
-            "height": figure.layout.height or house.height or 450,
-        }
+        size = {"width": figure.layout.width or WIDTH_PX, "height": figure.layout.height or house.height or 450}
         url = page.evaluate(
             "([figure, size]) => Plotly.toImage(JSON.parse(figure), {format: 'svg', ...size})",
             [figure.to_json(), size],

@@ -32,7 +32,7 @@ SHARED = ("9px,9px", "5px,13px", "3px,15px")
 def map_figure(
     found: SwivelMap, styles: Styles | None = None, *, titles: Mapping[str, str] | None = None
 ) -> go.Figure:
-    """Time to the right, swivel upwards, mu as colour, grey where no pose is allowed; a line for every run.
+    """Draw mu as colour over time and swivel, grey where no pose is allowed, and a line for every run.
 
     A run that folds the arm another way than the map is dotted: the colours under it are not its own. Where several
     runs go the same way, the line changes between their colours.
@@ -79,9 +79,7 @@ def map_figure(
         marker={"symbol": "square", "size": 11, "color": BAD, "line": {"color": MUTED, "width": 0.5}},
     )  # fmt: skip
     step = degrees[1] - degrees[0]
-    drawn.update_xaxes(
-        title_text="time [s]", showgrid=False, range=[found.t_s[0], found.t_s[-1]], constrain="domain"
-    )
+    drawn.update_xaxes(title_text="time [s]", showgrid=False, range=[found.t_s[0], found.t_s[-1]], constrain="domain")
     drawn.update_yaxes(
         title_text="elbow swivel [°]", showgrid=False, dtick=30, range=_shown(degrees, allowed, float(step))
     )
@@ -128,9 +126,7 @@ def _best(drawn: go.Figure, t: Array, y: Array, mu: Array) -> None:
         line={"color": BEST, **line}, showlegend=False, hovertemplate=HOVER,
     )  # fmt: skip
     # The map is light on dark pages too, the legend is not: its sample has the colour of the text.
-    drawn.add_scatter(
-        x=[None], y=[None], mode="lines", name="best", legendgroup="best", line={"color": INK, **line}
-    )
+    drawn.add_scatter(x=[None], y=[None], mode="lines", name="best", legendgroup="best", line={"color": INK, **line})
 
 
 def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:

@@ -51,7 +51,7 @@ PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes
 def add_map(
     page: Page, found: SwivelMap, *, name: str = "map", what: str = "", styles: Styles | None = None
 ) -> list[Reading]:
-    """Words, figure and table of one map.
+    """Append words, figure and table of one map.
 
     Of more than eight trajectories those that cannot be told apart are drawn as one.
 
@@ -78,18 +78,18 @@ def add_map(
 
 
 def kinds_of(found: SwivelMap) -> dict[str, list[str]]:
-    """The trajectories to speak of -> those that go the same way and are not spoken of, where there are many."""
+    """Return the trajectories to speak of -> those that go the same way and are not spoken of, where there are many."""
     return alike(found) if len(found.trajectories) > MOST_LINES else {name: [] for name in found.trajectories}
 
 
 def lines(found: SwivelMap) -> dict[str, str]:
-    """The trajectories to draw, eight at most -> what to call each in the legend."""
+    """Return the trajectories to draw, eight at most -> what to call each in the legend."""
     kinds = list(kinds_of(found).items())[:MOST_LINES]
     return {first: first + (f" and {len(others)} more" if others else "") for first, others in kinds}
 
 
 def caption(found: SwivelMap, what: str = "") -> str:
-    """What the figure shows, and how finely."""
+    """Say what the figure shows, and how finely."""
     times, swivels = found.mu.shape
     begin = f"{what[:1].upper()}{what[1:]}: every" if what else "Every"
     return (
@@ -101,7 +101,7 @@ def caption(found: SwivelMap, what: str = "") -> str:
 
 
 def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = None) -> str:
-    """Sentences on who is at the optimum, who is not, and why.
+    """Say which runs are at the optimum, which are not, and why.
 
     Args:
         readings: of the trajectories to speak of.
@@ -113,9 +113,7 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     for reading in known:
         if not _never(reading):
             since = (
-                f" (from {reading.from_s:.1f} s on for good)"
-                if reading.from_s > 0.0 and reading.near < 1.0
-                else ""
+                f" (from {reading.from_s:.1f} s on for good)" if reading.from_s > 0.0 and reading.near < 1.0 else ""
             )
             timed.append(f"{called[reading.name]} for {100.0 * reading.near:.0f} %{since}")
     limit = f"mu at most {100.0 * NEAR:.0f} % below the best pose of that time"
@@ -147,7 +145,7 @@ def _plural(words: str) -> str:
 
 
 def end_in_words(reading: Reading) -> str:
-    """A verb in the singular and what follows it."""
+    """Return a verb in the singular and what follows it."""
     limit = f"the limit of joint {reading.joint}" if reading.joint else "the arm's reach"
     return {
         End.OPTIMUM: "ends at the optimum",
@@ -163,17 +161,15 @@ def end_in_words(reading: Reading) -> str:
 
 
 def grey_in_words(reading: Reading) -> str:
-    """A verb in the singular and what follows it; nothing for a trajectory that keeps away from the grey."""
+    """Return a verb in the singular and what follows it; nothing for a trajectory that keeps away from the grey."""
     if not reading.at_grey > 0.0 or reading.end is End.GREY:
         return ""
     joints = [f"joint {joint}" for joint in reading.limits]
     return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
 
 
-def trajectory_table(
-    readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = ""
-) -> Table:
-    """One row for each kind of trajectory, in their order."""
+def trajectory_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = "") -> Table:
+    """Make a table with one row for each kind of trajectory, in their order."""
     rows = []
     for first in kinds:
         reading = readings[first]
@@ -194,7 +190,7 @@ def trajectory_table(
 
 
 def load_map(files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Page:
-    """A page with the map of saved traces, named as their files are.
+    """Return a page with the map of saved traces, named as their files are.
 
     Raises:
         ReportError: they are not of one robot, tool and path, or cannot be shown.

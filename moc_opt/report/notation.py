@@ -57,11 +57,7 @@ class Notation:
             written = format(round(number) if self.spec.endswith("d") else number, self.spec)
             return _tidy(written) if "e" in written else written
         if self.integral:
-            return (
-                f"{round(number):_}".replace("_", NARROW_SPACE)
-                if abs(number) >= 10_000
-                else f"{round(number)}"
-            )
+            return f"{round(number):_}".replace("_", NARROW_SPACE) if abs(number) >= 10_000 else f"{round(number)}"
         if number == 0.0:
             return "0"
         rounded = f"{number:.{self.digits - 1}e}"
@@ -77,12 +73,12 @@ def _tidy(written: str) -> str:
 
 
 def is_number(value: object) -> bool:
-    """Whether it is a real number that is no flag; numpy's scalars are."""
+    """Say whether a value is a real number, numpy's scalars included, flags not."""
     return isinstance(value, Real) and not isinstance(value, bool) and type(value).__name__ != "bool"
 
 
 def missing(value: object) -> Missing | None:
-    """The reason why there is nothing to write, or None where there is a value."""
+    """Return the reason why there is nothing to write, or None where there is a value."""
     if isinstance(value, Missing):
         return value
     if value is None or (is_number(value) and math.isnan(float(value))):  # type: ignore[arg-type]
@@ -91,28 +87,26 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Characters from the decimal point on: what must be padded to align a column on its points."""
+    """Count the characters from the decimal point on: what is padded to align a column on its points."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 
 def pretty_unit(unit: str) -> str:
-    """The unit as it is printed: us as µs, m^3 with a raised 3."""
+    """Write the unit as it is printed: us as µs, m^3 with a raised 3."""
     raised = re.sub(r"\^(-?\d+)", lambda match: match[1].translate(RAISED), printable(unit))
     return re.sub(r"\bus\b", "µs", raised)
 
 
 def pretty_units(text: str) -> str:
-    """A label with the units in its [brackets] as they are printed."""
+    """Write a label with the units in its [brackets] as they are printed."""
     return re.sub(r"\[([^\]]*)\]", lambda match: f"[{pretty_unit(match[1])}]", text)
 
 
 def pretty_power(power: int) -> str:
-    """A power of ten as it is printed on an axis: 1, 10, 10⁻³."""
+    """Write a power of ten as on an axis: 1, 10, 10⁻³."""
     return {0: "1", 1: "10"}.get(power, f"10{str(power).translate(RAISED)}")
 
 
 def printable(text: str) -> str:
-    """Without control and direction characters: a name from elsewhere must not steer terminal or page."""
-    return "".join(
-        c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text
-    )
+    """Replace control and direction characters: a name from a file must not steer terminal or page."""
+    return "".join(c if c == "\n" or unicodedata.category(c) not in ("Cc", "Cf", "Cs") else "\ufffd" for c in text)

@@ -43,7 +43,7 @@ class Page:
         return MappingProxyType(self._figures)
 
     def headline(self, text: str) -> None:
-        """A finding in words, set apart; several make several."""
+        """Append a finding in words, set apart."""
         self._parts.append(self._macros.headline(text))
 
     def section(self, title: str) -> None:
@@ -53,11 +53,11 @@ class Page:
         self._parts.append(self._macros.section(name, title))
 
     def text(self, text: str) -> None:
-        """Paragraphs."""
+        """Append paragraphs."""
         self._parts += [self._macros.paragraph(part) for part in re.split(r"\n\s*\n", text.strip()) if part]
 
     def link(self, target: str, text: str, about: str = "") -> None:
-        """A paragraph with a link to a file that lies beside the page; the page is complete without it.
+        """Append a paragraph with a link to a file that lies beside the page; the page is complete without it.
 
         Args:
             target: relative path of that file, such as "replay.html", or "replay.html#t=3".
@@ -70,12 +70,12 @@ class Page:
         self._parts.append(self._macros.link(beside(target), text, about))
 
     def table(self, table: Table) -> None:
-        """A numbered table."""
+        """Append a numbered table."""
         self._tables += 1
         self._parts.append(draw(table, self._tables))
 
     def figure(self, figure: go.Figure, caption: str, *, name: str = "") -> None:
-        """A numbered figure.
+        """Append a numbered figure.
 
         Args:
             figure: of `report.figures`, or any plotly figure.
@@ -88,7 +88,7 @@ class Page:
         self._parts.append(self._macros.figure(name, len(self._figures), caption, height))
 
     def environment(self, values: Mapping[str, Any], title: str = "Environment") -> None:
-        """A section on how the numbers came about: machine, versions, seed, configuration.
+        """Append a section on how the numbers came about: machine, versions, seed, configuration.
 
         Args:
             values: nested mappings and lists of plain values; every mapping at the top is folded away.
@@ -103,7 +103,7 @@ class Page:
                 self._parts.append(self._macros.folded(key, value))
 
     def html(self) -> str:
-        """The whole file as text."""
+        """Return the whole file as text."""
         data = {f"{name}-data": _plain_json(figure) for name, figure in self._figures.items()}
         if self._figures:
             data |= {"dark-colors": to_json(DARK, indent=None), "plotly-packed": _packed_plotly()}

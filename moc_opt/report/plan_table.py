@@ -22,7 +22,7 @@ COURSES = [
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """The figures of a plan, nested as the tables are."""
+    """Return the figures of a plan, nested as the tables are."""
     stuck = plan.blocked
     return {
         "executable": plan.executable,
@@ -41,7 +41,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_tables(name: str, plan: Plan) -> list[Table]:
-    """The verdict, and the courses; both fit 80 columns."""
+    """Make the tables of the verdict and of the courses; both fit 80 columns."""
     rows: list[dict[str, Any]] = [
         {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
     ]

@@ -22,7 +22,7 @@ def part(trace: Trace) -> str:
 
 
 def warnings(trace: Trace) -> list[str]:
-    """A sentence on each warning of the guard."""
+    """Return a sentence on each warning of the guard."""
     return [
         f"warning: {w['of']} was above {w['level']:g} {w['unit']} from t = {w['first_s']:.3f} s on, "
         f"{w['largest']:.3g} {w['unit']} at most"
@@ -31,7 +31,7 @@ def warnings(trace: Trace) -> list[str]:
 
 
 def refusals(trace: Trace) -> list[str]:
-    """A sentence on each kind of answer that the supervisor refused."""
+    """Return a sentence on each kind of answer that the supervisor refused."""
     return [
         f"answer refused, {fault}: {of['count']} of {len(trace)} ticks, first at {of['first_at_s']:.3f} s: "
         f"{of['first']}"

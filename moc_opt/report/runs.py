@@ -13,7 +13,7 @@ from moc_opt.trace.trace import Trace
 
 
 def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace], RobotModel]:
-    """Saved traces under the names of their files, and the arm that they share.
+    """Load saved traces under the names of their files, and the arm that they share.
 
     Raises:
         ReportError: there are none, or they are not of one robot and tool.
@@ -30,7 +30,7 @@ def load_runs(files: Sequence[str | os.PathLike[str]]) -> tuple[dict[str, Trace]
 
 
 def robot_of(trace: Trace) -> RobotModel:
-    """The arm that a trace was run with, from its `meta`.
+    """Load the arm that a trace was run with, from its `meta`.
 
     Raises:
         ReportError: the trace does not say.
@@ -39,9 +39,7 @@ def robot_of(trace: Trace) -> RobotModel:
     table = _robot_table(trace)
     if not table.get("name"):
         raise ReportError("the trace does not say which robot it is of: load it yourself with load_robot")
-    return load_robot(
-        table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg")
-    )
+    return load_robot(table["name"], tool_length=table.get("tool_length_m"), tool_mass=table.get("tool_mass_kg"))
 
 
 def _robot_table(trace: Trace) -> dict[str, Any]:

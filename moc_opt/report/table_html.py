@@ -18,7 +18,7 @@ HEADING_WIDTH, LONG_TEXT = 10, 40
 
 
 def draw(table: Table, number: int | None = None) -> Markup:
-    """The table as a fragment of a page, sortable there; every text is escaped.
+    """Draw the table as a fragment of a page, sortable there; every text is escaped.
 
     Args:
         table: to draw.

@@ -50,17 +50,13 @@ class Column:
 
     def __post_init__(self) -> None:
         if self.digits < 1:
-            raise ReportError(
-                f"column {self.key!r}: digits = {self.digits}: give one or more significant digits"
-            )
+            raise ReportError(f"column {self.key!r}: digits = {self.digits}: give one or more significant digits")
         if self.better not in (None, "low", "high"):
             raise ReportError(f"column {self.key!r}: better = {self.better!r} is none of 'low', 'high', None")
         try:
             Notation(spec=self.format)(1.0)
         except ValueError as error:
-            raise ReportError(
-                f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one"
-            ) from error
+            raise ReportError(f"column {self.key!r}: format {self.format!r}: {error}; '.2f' is one") from error
 
 
 @dataclass(frozen=True)
@@ -98,7 +94,7 @@ class Table:
             raise ReportError(f"table {self.title!r}: two columns have the same key in {', '.join(keys)}")
 
     def cells(self, column: Column) -> list[Cell]:
-        """The column, one cell per row, written in one notation."""
+        """Return the column, one cell per row, written in one notation."""
         values = [row.get(column.key) for row in self.rows]
         written = Notation.of(values, column.digits, column.format)
         cells = [_cell(value, written) for value in values]
@@ -121,7 +117,7 @@ class Table:
         return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
 
     def to_rich(self, *, stacked: bool = False) -> RichTable:
-        """The table for a terminal; with ``stacked`` headings of several words stand one word below the other."""
+        """Draw the table for a terminal; with ``stacked`` each word of a heading has a line of its own."""
         drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left")
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(self.caption)) if self.caption else None
@@ -140,7 +136,7 @@ class Table:
         return drawn
 
     def fitted(self, width: int) -> list[RichTable]:
-        """The table in parts that a terminal of this width [characters] can show, the first column in each.
+        """Split the table into parts that a terminal of this width [characters] can show, the first column in each.
 
         A column that is wider by itself gets a part of its own. The caption stands below the last part.
         """
@@ -174,17 +170,15 @@ class Table:
         return GAP + max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
 
     def to_text(self) -> str:
-        """The table as plain text, as wide as it needs to be."""
-        console = Console(
-            file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False
-        )
+        """Write the table as plain text, as wide as it needs to be."""
+        console = Console(file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False)
         console.print(self.to_rich())
         written: str = console.file.getvalue()  # type: ignore[attr-defined]
         return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:
-    """Numbers to the right, unless there are none."""
+    """Align numbers to the right, texts to the left."""
     values = [cell for cell in cells if cell.why is None]
     return "right" if all(cell.numeric for cell in values) and cells else "left"
 
@@ -201,7 +195,5 @@ def _cell(value: Any, written: Notation) -> Cell:
 
 
 def _rich(cell: Cell, pad: int) -> Text:
-    spaces = (
-        " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
-    )
+    spaces = " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
     return Text(cell.text + spaces, style="bold" if cell.best else "dim" if cell.why else "")

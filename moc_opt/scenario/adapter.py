@@ -44,16 +44,16 @@ class ControllerAdapter:
         self.controller.start(state, tip_ref, trocar)
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
-        """See ``sim.protocols``."""
+        """Compute the torque (n,) [Nm]; see ``sim.protocols``."""
         self._state = state = self._robot.state(q, v)
         return self.controller.tick(state, tip_ref, trocar)
 
     def set_applied_torque(self, tau: Array) -> None:
-        """See ``sim.protocols``."""
+        """Replace the last torque; see ``sim.protocols``."""
         self.controller.set_applied_torque(tau)
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
-        """The third level's columns; none but the status under DCAC."""
+        """Create the third level's columns; none but the status under DCAC."""
         n = self._robot.n
         found: dict[str, NDArray[Any]] = {
             "status": np.full(ticks, "none", dtype="<U12"),
@@ -68,7 +68,7 @@ class ControllerAdapter:
         return found
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
-        """See ``sim.protocols``."""
+        """Write the last tick's values into a row; see ``sim.protocols``."""
         solution, qp = self.controller.solution, self.controller.subproblem
         if solution is None or qp is None:
             return

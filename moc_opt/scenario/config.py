@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
-from moc_opt.control.safety_filter import SafetyFilterSettings
+from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.settings import Name, Settings
@@ -32,7 +32,7 @@ class RobotTable(Settings):
     tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
 
     def arm(self) -> RobotModel:
-        """A model of it.
+        """Load the robot, and build its model.
 
         Raises:
             MocOptError: no such robot, or something is wrong with its files.
@@ -167,7 +167,7 @@ class Scenario(Settings):
 
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
-        """The third level must not press where the guard pushes back: the arm would stand between the two."""
+        """Refuse a box in which the third level presses against the safety filter's wall: the arm would stand."""
         box, wall = self.control.limit_margin_rad, self.guard.position_margin_rad
         if 0.0 < box < wall and self.control.law == "moc":
             raise ValueError(
@@ -193,7 +193,7 @@ class Scenario(Settings):
             raise
 
     def change(self, **tables: Any) -> Self:
-        """A copy with some fields changed; a mapping changes fields inside a table."""
+        """Copy the scenario with some fields changed; a mapping changes fields inside a table."""
         values: dict[str, Any] = {}
         for name in type(self).model_fields:
             old = getattr(self, name)

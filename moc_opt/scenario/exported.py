@@ -36,7 +36,7 @@ class Exported(NamedTuple):
 
 
 def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported:
-    """Write the whole controller of a scenario as C: tick, supervisor, fallback and guard.
+    """Write the whole controller of a scenario as C: tick, supervisor, fallback and safety filter.
 
     Raises:
         MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.
@@ -68,10 +68,10 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
 def record_with_faults(
     setup: Setup, q: Array, v: Array, tip_ref: Array, trocar: Array, wrench: Array
 ) -> SafeRecording:
-    """Let the Python controller in its guard answer k consecutive measurements, some of which are bad.
+    """Record the Python controller behind its safety filter on k consecutive measurements, some of them bad.
 
-    As many ticks as the guard bears are no numbers, a joint jumps for one, references are infeasible for some, a joint
-    is too fast for one; at the end the measurements are lost for good.
+    As many ticks as the safety filter bridges are NaN, a joint jumps for one, references are infeasible for some, a
+    joint is too fast for one; at the end the measurements are lost for good.
 
     Args:
         setup: of the scenario.

@@ -14,7 +14,7 @@ from moc_opt.procedure.reachability import Reach
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario.config import Scenario, TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
-from moc_opt.trace.parquet import MOST_ROWS
+from moc_opt.trace.parquet_file import MOST_ROWS
 
 Array = NDArray[np.float64]
 

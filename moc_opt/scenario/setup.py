@@ -77,7 +77,7 @@ class Setup:
         return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 
     def solver(self) -> Solver | None:
-        """The solver that the scenario asks for; None under DCAC."""
+        """Make the solver that the scenario asks for; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
         solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
@@ -87,7 +87,7 @@ class Setup:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> Controller:
-        """The law and solver that the scenario asks for."""
+        """Make the law and solver that the scenario asks for."""
         settings, replayed = self.scenario.control, self._replayed_us
         times: Iterator[float] | None = None if replayed is None else itertools.cycle(replayed)
         if self.scenario.faults.solver == "hang" and settings.law == "moc":
@@ -103,14 +103,14 @@ class Setup:
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
 
     def fault_mask(self) -> NDArray[np.bool_]:
-        """At which ticks the solver's answer is replaced by a fault, (N,)."""
+        """Return at which ticks the solver's answer is replaced by a fault, (N,)."""
         faults, ticks = self.scenario.faults, self.ticks
         if faults.solver == "none" or self.scenario.control.law != "moc":
             return np.zeros(ticks, dtype=np.bool_)
         return draw(self._fault_seed, faults.solver_share, ticks)
 
     def adapter(self) -> LoggedController:
-        """The controller as the loop wants it, in Python or compiled."""
+        """Make the controller as the closed loop calls it, in Python or compiled."""
         if self.scenario.control.backend == "c":
             if self.scenario.faults.solver != "none":
                 raise ScenarioError(
@@ -125,7 +125,7 @@ class Setup:
         return ControllerAdapter(self.controller())
 
     def closed_loop(self, controller: TorqueController) -> ClosedLoop:
-        """The plant under a controller behind the scenario's safety filter; it knows no faults and no trace."""
+        """Make the loop of the plant and a controller behind the scenario's safety filter, without faults and trace."""
         safety_filter = make_safety_filter(self.robot, self.scenario)
         return ClosedLoop(self.plant, controller, safety_filter, make_stop(self.scenario))
 
@@ -135,13 +135,13 @@ class Setup:
         return max(1, round(self.duration_s / self.scenario.plant.period_s))
 
     def times(self) -> Array:
-        """Start of every tick [s]."""
+        """Return the start of every tick [s]."""
         return self.scenario.plant.period_s * np.arange(self.ticks, dtype=np.float64)
 
     def trace(
         self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = BLOCK
     ) -> Trace:
-        """Run, judge, and return what is left behind.
+        """Run, check the answers, and return the trace.
 
         Args:
             watch: called with the number of every tick before it.

@@ -133,7 +133,7 @@ class Bindings:
         self.pushes = Pushes(bodies, model.body_ipos)
 
     def checked_trocar(self, trocar: ArrayLike) -> Array | None:
-        """The trocar (2, 3) as contiguous numbers; None where it has another shape or is not finite."""
+        """Return the trocar (2, 3) as contiguous numbers; None where it has another shape or is not finite."""
         if (trocar.shape if isinstance(trocar, np.ndarray) else np.shape(trocar)) != (2, 3):
             return None
         self._told[:] = trocar

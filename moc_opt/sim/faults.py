@@ -90,7 +90,7 @@ class Faults:
         self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """What arrives of a measurement."""
+        """Return what arrives of a measurement."""
         s, t = self.settings, tick * self._period
         q, v = seen.q + self._bias, seen.v
         if s.encoder_noise_rad > 0.0:
@@ -111,7 +111,7 @@ class Faults:
             plant.push(s.bump_link, held + self._bump * (tick == self._bump_on))
 
     def slip(self, trocars: Array, times: Array) -> Array:
-        """The true trocar (N, 2, 3) with its slip: a smooth step of 0.1 s."""
+        """Return the true trocar (N, 2, 3) with its slip: a smooth step of 0.1 s."""
         if self.settings.slip_m == 0.0:
             return trocars
         u = np.clip((times - self.settings.slip_at_s) / 0.1, 0.0, 1.0)

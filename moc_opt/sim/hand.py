@@ -50,7 +50,7 @@ class Hand:
         self._extra = np.zeros(3)
 
     def pull(self, place: Array, velocity: Array, goal: Array) -> Array:
-        """Force (3,) [N] on the tool, all arguments (3,) in world axes [m], [m/s].
+        """Compute the hand's force (3,) [N] on the tool, all arguments (3,) in world axes [m], [m/s].
 
         Raises:
             PlantError: an argument is not finite.

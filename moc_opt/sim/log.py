@@ -54,7 +54,7 @@ class TaskOffset(NamedTuple):
 
     @classmethod
     def nothing(cls) -> TaskOffset:
-        """The robot's frame is the true one."""
+        """Return no offset: the robot's frame is the true one."""
         return cls(np.zeros(3), np.zeros(3))
 
 
@@ -87,7 +87,7 @@ class Block:
         self._places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
 
     def columns(self) -> Columns:
-        """The columns of the rows that are done, errors included."""
+        """Return the columns of the rows that are done, errors included."""
         rows, widths = slice(self.done), np.cumsum([*self._places.values()])[:-1]
         kept: Columns = {name: column[rows] for name, column in self.kept.items()}
         kept |= dict(zip(self._places, np.split(self.truth[rows], widths, axis=1), strict=True))
@@ -122,14 +122,14 @@ class Log:
         return self._make(first, min(self._most, self.total - first), self._begin_s)
 
     def at(self, tick: int) -> Block:
-        """The block that holds a tick, the next one where the last is full."""
+        """Return the block that holds a tick, the next one where the last is full."""
         if tick - self.block.first >= self.block.ticks:
             self._hand_over()
             self.block = self._open(tick)
         return self.block
 
     def close(self) -> Mapping[str, NDArray[Any]]:
-        """The columns so far; none where a sink has them all."""
+        """Return the columns so far; none where a sink has them all."""
         if self._sink is None:
             return self.block.columns()
         self._hand_over()

@@ -32,7 +32,7 @@ class RunAway(PlantError):
 
 @contextmanager
 def no_collector() -> Iterator[None]:
-    """No garbage-collection pause inside a real-time loop.
+    """Keep the garbage collector off inside a real-time loop.
 
     Only young objects are looked through first: a full collection takes 0.1 s once the libraries are loaded.
     """

@@ -46,7 +46,7 @@ class Mismatch:
     def draw(
         cls, data: RobotData, settings: PlantSettings, links: Sequence[str], seed: np.random.SeedSequence
     ) -> Mismatch:
-        """Draw it: factors uniform in 1 +- error, one per link and per joint; directions of offsets uniform.
+        """Draw factors uniform in 1 +- error, one per link and per joint, and directions of offsets uniform.
 
         The random numbers do not depend on the settings: twice the error puts all twice as far off, and each kind of
         error has a stream of its own.

@@ -114,7 +114,7 @@ def compile_model(name: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def heavy_links(spec: mujoco.MjSpec) -> list[str]:
-    """Names of the links with a mass, from the base outwards."""
+    """Return the names of the links with a mass, from the base outwards."""
     return [body.name for body in spec.bodies if body.mass > 0.0]
 
 

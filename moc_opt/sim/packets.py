@@ -83,7 +83,7 @@ class Packets:
         self._tape: list[Measurement] = []
 
     def arrive(self, taken: Measurement, tick: int) -> Measurement:
-        """What the controller gets at this tick, where ``taken`` is what the sensors show."""
+        """Return what the controller gets at this tick, where ``taken`` is what the sensors show."""
         s = self.settings
         since = tick * self._period - s.drift_at_s
         if s.drift_rad_per_s != 0.0 and since > 0.0:

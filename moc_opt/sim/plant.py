@@ -160,7 +160,7 @@ class Plant:
         self._at.write_truth(self.settings.period_s, self._stiffness, self._damping, row)
 
     def measure(self) -> Measurement:
-        """What the sensors showed at the end of the last period; asking twice gives the same."""
+        """Return what the sensors showed at the end of the last period; asking twice gives the same."""
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:

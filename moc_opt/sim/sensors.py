@@ -48,7 +48,7 @@ class _Noise:
         self._quiet = not deviation.any()
 
     def row(self) -> Array:
-        """The next (m,), valid until the one after it is asked for."""
+        """Return the next (m,), valid until the one after it is asked for."""
         if self._quiet:
             return self._rows[0]
         if self._next == _NOISE_ROWS:
@@ -118,7 +118,7 @@ class Encoders:
         )
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """First reading at (q, v), each (n,): the velocity estimate begins at v."""
+        """Read at (q, v), each (n,), for the first time: the velocity estimate begins at v."""
         if self._exact:
             return read_only(q + self._bias), read_only_copy(v)
         self._velocity[:] = v
@@ -218,12 +218,12 @@ class ToolLoad:
         return cls(float(mass), moment[:3] / mass, np.concatenate([force_bias, moment[3:]]))
 
     def tared(self, reading: ArrayLike, rotation: ArrayLike) -> ToolLoad:
-        """The same load, its bias such that this reading (6,), at rest and free of contact, means zero."""
+        """Return the same load, its bias such that this reading (6,), at rest and free of contact, means zero."""
         wrench = _vector("reading", reading, (6,))
         return replace(self, bias=wrench - replace(self, bias=np.zeros(6)).expected(rotation))
 
     def expected(self, rotation: ArrayLike, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
-        """Reading (6,) without contact, for an orientation (3, 3) and an acceleration of the com [m/s^2]."""
+        """Compute the reading (6,) without contact for an orientation (3, 3) and an acceleration of its com [m/s^2]."""
         turn = _vector("rotation", rotation, (3, 3))
         weight = self.mass * (turn.T @ (_GRAVITY - _vector("acceleration", acceleration, (3,))))
         return np.concatenate([weight, np.cross(self.com, weight)]) + self.bias

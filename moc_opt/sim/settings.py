@@ -97,7 +97,7 @@ class PlantSettings(Settings):
 
     @classmethod
     def realistic(cls, **changes: Any) -> PlantSettings:
-        """Wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar 0.5 mm off.
+        """Make wrong masses, friction, noise, a tick of delay, a calibrated arm's kinematics, a trocar 0.5 mm off.
 
         Joints are rigid and torques smooth; docs/plant.md says why. `changes` override fields.
         """
@@ -105,7 +105,7 @@ class PlantSettings(Settings):
 
     @classmethod
     def nominal(cls, **changes: Any) -> PlantSettings:
-        """The plant equals the controller's model and is measured exactly; `changes` override fields."""
+        """Make a plant that equals the controller's model and is measured exactly; `changes` override fields."""
         exact: dict[str, Any] = dict.fromkeys(
             (
                 "mass_error",

@@ -42,8 +42,7 @@ class Line:
 
     def __post_init__(self) -> None:
         length = positive("length", self.length)
-        object.__setattr__(self, "length", length)
-        object.__setattr__(self, "knots", _evenly(length, 1))
+        _keep(self, length=length, knots=_evenly(length, 1))
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`."""
@@ -60,9 +59,8 @@ class Circle:
 
     def __post_init__(self) -> None:
         radius = positive("radius", self.radius)
-        object.__setattr__(self, "radius", radius)
-        object.__setattr__(self, "length", 2.0 * math.pi * radius)
-        object.__setattr__(self, "knots", _evenly(self.length, 16))
+        length = 2.0 * math.pi * radius
+        _keep(self, radius=radius, length=length, knots=_evenly(length, 16))
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`."""
@@ -86,8 +84,7 @@ class Sinusoid:
     _arc: ArcLength = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("amplitude", "wavelength", "periods"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        _keep(self, **{name: positive(name, getattr(self, name)) for name in ("amplitude", "wavelength", "periods")})
         steepness = 2.0 * math.pi * self.amplitude / self.wavelength
         scale = self.wavelength / (2.0 * math.pi)
 
@@ -97,7 +94,7 @@ class Sinusoid:
             return scale * ds, -scale * slope * steepness * np.sin(phase) / ds
 
         arc = ArcLength(speed, 2.0 * math.pi * self.periods, 16 * math.ceil(self.periods))
-        _keep(self, arc)
+        _keep(self, _arc=arc, length=arc.length, knots=arc.knots)
 
     def at(self, s: float) -> PlanePoint:
         """See `PlanarCurve.at`; from y(x), tangent (1, y')/sqrt(1 + y'^2), curvature y''/(1 + y'^2)^(3/2)."""
@@ -123,15 +120,15 @@ class Spiral:
     _arc: ArcLength = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("turns", "radius"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
+        _keep(self, **{name: positive(name, getattr(self, name)) for name in ("turns", "radius")})
         pitch = self._pitch
 
         def speed(angle: Vector) -> tuple[Vector, Vector]:
             ds = np.sqrt(1.0 + angle**2)
             return pitch * ds, pitch * angle / ds
 
-        _keep(self, ArcLength(speed, 2.0 * math.pi * self.turns, 16 * math.ceil(self.turns)))
+        arc = ArcLength(speed, 2.0 * math.pi * self.turns, 16 * math.ceil(self.turns))
+        _keep(self, _arc=arc, length=arc.length, knots=arc.knots)
 
     @property
     def _pitch(self) -> float:
@@ -157,8 +154,7 @@ def _evenly(length: float, panels: int) -> Vector:
     return knots
 
 
-def _keep(curve: Sinusoid | Spiral, arc: ArcLength) -> None:
-    """Store a tabulated arc length in a frozen curve."""
-    object.__setattr__(curve, "_arc", arc)
-    object.__setattr__(curve, "length", arc.length)
-    object.__setattr__(curve, "knots", arc.knots)
+def _keep(curve: PlanarCurve, **values: Any) -> None:
+    """Set attributes of a frozen curve while it is made."""
+    for name, value in values.items():
+        object.__setattr__(curve, name, value)

@@ -16,9 +16,7 @@ from moc_opt.tasks.curves import CURVES, Circle, Line, PlanarCurve, Sinusoid, Sp
 class Path:
     """A planar curve put into space: it begins at `start` and lies in the plane of two unit vectors."""
 
-    def __init__(
-        self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike
-    ) -> None:
+    def __init__(self, curve: PlanarCurve, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike) -> None:
         """Place the curve.
 
         Args:
@@ -45,7 +43,7 @@ class Path:
         )
 
     def at(self, s: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, unit tangent and curvature vector at an arc length.
+        """Return point, unit tangent and curvature vector at an arc length.
 
         Args:
             s: arc length [m] in [0, length], a number or a vector (k,).
@@ -60,7 +58,7 @@ class Path:
         return p, dp, ddp
 
     def point(self, s: float) -> tuple[float, ...]:
-        """The nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
+        """Return the nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
         x, y, tx, ty, k = self.curve.at(s)
         (ox, ax, bx), (oy, ay, by), (oz, az, bz) = self._axes
         u, v = -k * ty, k * tx
@@ -117,13 +115,7 @@ def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, norm
 
 
 def sinusoid(
-    start: ArrayLike,
-    heading: ArrayLike,
-    *,
-    amplitude: float,
-    wavelength: float,
-    periods: float,
-    normal: ArrayLike,
+    start: ArrayLike, heading: ArrayLike, *, amplitude: float, wavelength: float, periods: float, normal: ArrayLike
 ) -> Path:
     """Sine wave about the axis through `start` along `heading`; it begins on the axis, going to the left.
 

@@ -34,7 +34,7 @@ class TipReference(Protocol):
         """Its acceleration is nowhere above this [m/s^2]."""
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as rows (3, 3) at a time [s]; at rest before and after."""
+        """Return X_d, dX_d, ddX_d as rows (3, 3) at a time [s]; at rest before and after."""
 
 
 class ReferenceSequence:
@@ -58,9 +58,7 @@ class ReferenceSequence:
         for i, leg in enumerate(self.legs):
             if i > 0:
                 if number(f"t_start of leg {i}", leg.t_start) < 0.0:
-                    raise TaskError(
-                        f"t_start = {leg.t_start!r} s of leg {i} is negative: give a rest of zero or more"
-                    )
+                    raise TaskError(f"t_start = {leg.t_start!r} s of leg {i} is negative: give a rest of zero or more")
                 last = self.legs[i - 1]
                 gap = leg.rows(leg.t_start)[0] - last.rows(last.t_start + last.duration)[0]
                 if float(np.abs(gap).max()) > _TOUCH_M:
@@ -80,12 +78,12 @@ class ReferenceSequence:
         return [offset + leg.t_start for offset, leg in zip(self._offsets, self.legs, strict=True)]
 
     def at(self, t: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, velocity, acceleration; arguments, shapes and errors as for `Reference.at`."""
+        """Return point, velocity, acceleration; arguments, shapes and errors as for `Reference.at`."""
         x, dx, ddx = sampled("t", t, self.rows)
         return x, dx, ddx
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
 
         Raises:
             TaskError: t is NaN.

@@ -19,11 +19,7 @@ _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 def quintic(u: float) -> tuple[float, float, float]:
     """s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]; from rest at 0 to rest at 1."""
     w = 1.0 - u
-    return (
-        u * u * u * (10.0 + u * (-15.0 + 6.0 * u)),
-        30.0 * u * u * w * w,
-        60.0 * u * w * (1.0 - 2.0 * u),
-    )
+    return (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), 30.0 * u * u * w * w, 60.0 * u * w * (1.0 - 2.0 * u))
 
 
 def duration(path: Path, v_max: float, a_max: float) -> float:
@@ -111,7 +107,7 @@ class Reference:
         object.__setattr__(self, "duration", duration(self.path, self.v_max, self.a_max))
 
     def at(self, t: TimeLike) -> tuple[Vector, Vector, Vector]:
-        """Point, velocity and acceleration of the reference.
+        """Return point, velocity and acceleration of the reference.
 
         Before t_start it rests at the start of the path, after t_start + duration at its end.
 
@@ -128,7 +124,7 @@ class Reference:
         return x, dx, ddx
 
     def rows(self, t: float) -> Vector:
-        """X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
+        """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
 
         Raises:
             TaskError: t is NaN.
@@ -145,10 +141,4 @@ class Reference:
         v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
         x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(s * length, length))
         c = v * v
-        return np.array(
-            (
-                (x, y, z),
-                (v * tx, v * ty, v * tz),
-                (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz),
-            )
-        )
+        return np.array(((x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)))

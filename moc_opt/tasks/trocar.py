@@ -50,7 +50,7 @@ class Trocar:
         object.__setattr__(self, "_axes", tuple(zip(point.tolist(), direction.tolist(), strict=True)))
 
     def at(self, t: TimeLike) -> tuple[Vector, Vector]:
-        """Position and velocity of the trocar.
+        """Return position and velocity of the trocar.
 
         Args:
             t: time [s], a number or a vector (k,).
@@ -106,7 +106,7 @@ def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np
 
 
 def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
-    """How far the tip is beyond the trocar along the shaft, (X - P)^T u [m]; negative while outside the body.
+    """Return how far the tip is beyond the trocar along the shaft, (X - P)^T u [m]; negative while outside the body.
 
     Arguments, shapes and errors as for `shaft_distance`.
     """

@@ -59,10 +59,7 @@ class WaitingReference:
         self.brake_s = long * self.period_s
         """Length of the longer average [s]: one over the steepest slope of the rate."""
         self._first, self._second = _MovingAverage(long), _MovingAverage(max(1, long // 2))
-        self._shift_v, self._shift_a = (
-            positive("shift_v_max", shift_v_max),
-            positive("shift_a_max", shift_a_max),
-        )
+        self._shift_v, self._shift_a = (positive("shift_v_max", shift_v_max), positive("shift_a_max", shift_a_max))
         self._shift_rate = positive("shift_rate_per_s", shift_rate_per_s)
         if 2.0 * self._shift_rate * self.period_s > 1.0:
             raise TaskError(
@@ -112,7 +109,7 @@ class WaitingReference:
         return self._d.copy()
 
     def step(self, go_on: bool, shift: ArrayLike | None = None) -> Array:
-        """The reference of this tick, and on to the next one.
+        """Return the reference of this tick, and go on to the next one.
 
         Args:
             go_on: whether the path may go on; told wrongly, or on and off at every tick, it is only slower.
@@ -205,7 +202,7 @@ def _cut(vector: Array, most: float) -> Array:
 
 
 def flags_at(times: ArrayLike, seen_times: ArrayLike, seen: ArrayLike) -> NDArray[np.bool_]:
-    """The camera's answers at the control ticks: each holds from its picture to the next one.
+    """Carry the camera's answers over to the control ticks: each holds from its picture to the next one.
 
     Args:
         times: (N,) of the ticks [s].

@@ -1,34 +1,33 @@
-"""The Parquet form of a trace: columns of arrays, and JSON about the run in the schema's metadata."""
+"""The Parquet files of a trace: written all or nothing, and read whole or column by column."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import secrets
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import MOST_TEXT, check_regular, check_replaceable, parse_json
+from moc_opt.errors import TraceError
+from moc_opt.inputs.files import check_replaceable
 from moc_opt.inputs.memory import available_bytes
+from moc_opt.trace.parquet_file import (
+    META_KEY,
+    TYPES_KEY,
+    VERSION,
+    VERSION_KEY,
+    Types,
+    described,
+    read_column,
+    to_arrow,
+)
 
 Columns = Mapping[str, NDArray[Any]]
-Types = dict[str, np.dtype[Any]]
-
-MOST_ROWS = 20_000_000
-"""Ticks of a trace: 11 hours at 500 Hz."""
-_VERSION = "1"
-_MOST_BYTES = 2**33
-# Noise does not shrink, a constant does, by this much at most: beyond it a file is made to fill the memory.
-_SHRINKS, _SMALL = 2000, 2**26
-_VERSION_KEY, _META_KEY, _TYPES_KEY = b"moc_opt.trace.trace", b"moc_opt.meta", b"moc_opt.types"
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
@@ -45,7 +44,7 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
     join(path, [columns], {name: array.dtype for name, array in columns.items()}, meta)
 
 
-def join(path: str | os.PathLike[str], blocks: Sequence[Columns], types: Types, meta: Mapping[str, Any]) -> None:
+def join(path: str | os.PathLike[str], blocks: Iterable[Columns], types: Types, meta: Mapping[str, Any]) -> None:
     """Write blocks of rows one after the other, a row group each, all or nothing.
 
     Args:
@@ -62,9 +61,9 @@ def join(path: str | os.PathLike[str], blocks: Sequence[Columns], types: Types, 
     import pyarrow.parquet as pq
 
     metadata = {
-        _VERSION_KEY: _VERSION,
-        _META_KEY: json.dumps(dict(meta), allow_nan=False),
-        _TYPES_KEY: json.dumps({name: dtype.str for name, dtype in types.items()}, allow_nan=False),
+        VERSION_KEY: VERSION,
+        META_KEY: json.dumps(dict(meta), allow_nan=False),
+        TYPES_KEY: json.dumps({name: dtype.str for name, dtype in types.items()}, allow_nan=False),
     }
     target = Path(path)
     check_replaceable(target, "trace", TraceError)
@@ -74,7 +73,7 @@ def join(path: str | os.PathLike[str], blocks: Sequence[Columns], types: Types, 
     try:
         for block in blocks:
             arrays = {name: block[name] for name in types}
-            table = pa.table([_to_arrow(array) for array in arrays.values()], names=list(arrays))
+            table = pa.table([to_arrow(array) for array in arrays.values()], names=list(arrays))
             table = table.replace_schema_metadata(metadata)
             if writer is None:
                 writer = pq.ParquetWriter(partial, table.schema, compression="zstd", write_page_checksum=True)
@@ -126,12 +125,13 @@ class Stored(Mapping[str, NDArray[Any]]):
         self._paths = list(paths)
         self._lengths, self._types, self._widths, self.meta = [], {}, {}, {}  # type: ignore[var-annotated]
         for path in self._paths:
-            length, types, widths, self.meta = _described(path)
+            length, types, widths, self.meta = described(path)
             if self._types and (set(types) != set(self._types) or widths != self._widths):
                 raise TraceError(f"{str(path)!r} has other columns than {str(self._paths[0])!r}: no parts of one trace")
             self._lengths.append(length)
             self._widths = widths
-            self._types = {name: _common(dtype, self._types.get(name)) for name, dtype in types.items()}
+            # Texts may be of different lengths.
+            self._types = {n: np.promote_types(dtype, self._types.get(n, dtype)) for n, dtype in types.items()}
         self.rows = sum(self._lengths) if rows is None else min(rows, sum(self._lengths))
 
     @property
@@ -149,11 +149,11 @@ class Stored(Mapping[str, NDArray[Any]]):
         return sum(self.rows * dtype.itemsize * (self._widths[name] or 1) for name, dtype in self._types.items())
 
     def head(self, rows: int) -> Stored:
-        """The first rows of them."""
+        """Return the first rows of them."""
         return Stored(self._paths, rows)
 
-    def blocks(self) -> Iterator[Columns]:
-        """The rows of one file after the other."""
+    def blocks(self) -> Iterator[Stored]:
+        """Yield the rows of one file after the other."""
         for path in self._paths:
             yield Stored([path])
 
@@ -174,129 +174,8 @@ class Stored(Mapping[str, NDArray[Any]]):
         parts: list[NDArray[Any]] = []
         for path, length in zip(self._paths, self._lengths, strict=True):
             if left > 0 or not parts:
-                parts.append(_column(path, name, dtype)[: max(left, 0)])
+                parts.append(read_column(path, name, dtype)[: max(left, 0)])
             left -= length
         array = parts[0] if len(parts) == 1 else np.concatenate(parts)
         array.setflags(write=False)
         return array
-
-
-def _common(one: np.dtype[Any], other: np.dtype[Any] | None) -> np.dtype[Any]:
-    """The type that holds both: texts may be of different lengths."""
-    return one if other is None else np.promote_types(one, other)
-
-
-@contextmanager
-def _opened(path: str | os.PathLike[str], **options: Any) -> Iterator[Any]:
-    """A Parquet file that was looked at before; what its reader says is turned into TraceError."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    check_regular(path, "trace", TraceError)
-    try:
-        with pq.ParquetFile(
-            path, page_checksum_verification=True, thrift_string_size_limit=MOST_TEXT,
-            thrift_container_size_limit=1_000_000, **options,
-        ) as file:  # fmt: skip
-            yield file
-    except TraceError:
-        raise
-    except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
-        raise TraceError(
-            f"{str(path)!r} is damaged or no Parquet file ({describe(error)}): "
-            "run the scenario again and save its trace"
-        ) from error
-
-
-def _described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int | None], dict[str, Any]]:
-    """Rows, types, widths and meta of a file, from its footer alone."""
-    import pyarrow as pa
-
-    name = str(path)
-    with _opened(path) as file:
-        rows, schema = file.metadata.num_rows, file.schema_arrow
-        _check_size(name, file.metadata, os.path.getsize(path))
-        metadata = schema.metadata or {}
-    version = metadata.get(_VERSION_KEY, b"").decode(errors="replace")
-    if version != _VERSION:
-        found = f"a trace of format {version!r}" if version else "a Parquet file, but no trace"
-        raise TraceError(f"{name!r} is {found}: give a file written by Trace.save of this version")
-    wrong = f"{name!r} holds columns or metadata that no trace has"
-    try:
-        types = parse_json(metadata[_TYPES_KEY], wrong, TraceError)
-        meta = dict(parse_json(metadata[_META_KEY], wrong, TraceError))
-        kinds = {field.name: np.dtype(types[field.name]) for field in schema}
-        widths = {
-            field.name: field.type.list_size if pa.types.is_fixed_size_list(field.type) else None for field in schema
-        }
-    except TraceError:
-        raise
-    except (KeyError, TypeError, AttributeError, ValueError, SyntaxError) as error:
-        raise TraceError(f"{wrong} ({describe(error)}): run the scenario again and save its trace") from error
-    for column, dtype in kinds.items():
-        if dtype.kind not in "fiubU" or dtype.names is not None or dtype.itemsize * rows > _MOST_BYTES:
-            raise TraceError(f"{wrong} (type {dtype.str} of column {column!r}, {rows} rows)")
-    if len(kinds) < len(schema.names):
-        raise TraceError(f"{wrong} (two columns of one name)")
-    return rows, kinds, widths, meta
-
-
-def _check_size(name: str, found: Any, size: int) -> None:
-    """Refuse a file that is made to fill the memory: a few bytes of a repeated value can stand for terabytes."""
-    if found.num_rows > MOST_ROWS:
-        raise TraceError(f"{name!r} is damaged or no trace: {found.num_rows} rows, {MOST_ROWS} at most")
-    asked = 0
-    for group in range(found.num_row_groups):
-        part = found.row_group(group)
-        for i in range(part.num_columns):
-            chunk = part.column(i)
-            asked += max(8 * chunk.num_values, chunk.total_uncompressed_size)
-    if asked > min(_MOST_BYTES, max(_SMALL, _SHRINKS * size)):
-        raise TraceError(f"{name!r} is damaged or no trace: {size} bytes that ask for {asked}")
-
-
-def _column(path: str | os.PathLike[str], name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """One column of one file."""
-    import pyarrow as pa
-
-    with _opened(path, read_dictionary=[name] if dtype.kind == "U" else None) as file:
-        found = file.read([name]).column(name)
-    try:
-        return _from_arrow(found, dtype)
-    except (ValueError, TypeError, MemoryError, pa.ArrowException) as error:
-        raise TraceError(
-            f"{str(path)!r} holds columns or metadata that no trace has ({name!r}: {describe(error)}): "
-            "run the scenario again and save its trace"
-        ) from error
-
-
-def _to_arrow(array: NDArray[Any]) -> Any:
-    """One column as an arrow array; floats as they are, bit by bit, NaN not as null."""
-    import pyarrow as pa
-
-    if array.dtype.kind == "U":
-        return pa.array(array.tolist(), pa.string()).dictionary_encode()
-    values = pa.array(np.ascontiguousarray(array).reshape(math.prod(array.shape)))
-    return values if array.ndim == 1 else pa.FixedSizeListArray.from_arrays(values, array.shape[1])
-
-
-def _from_arrow(column: Any, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """The array that `_to_arrow` was given."""
-    import pyarrow as pa
-
-    array = column.combine_chunks()
-    if array.null_count:
-        raise ValueError("a row is null")
-    if dtype.kind == "U":
-        if dtype.itemsize * len(array) > _MOST_BYTES:
-            raise ValueError(f"type {dtype} for {len(array)} texts")
-        if isinstance(array, pa.ChunkedArray):
-            array = array.unify_dictionaries().combine_chunks()
-        if pa.types.is_dictionary(array.type):  # each text once, whatever the number of rows
-            words = np.array([*array.dictionary.to_pylist(), ""], dtype=dtype)
-            return words[array.indices.to_numpy(zero_copy_only=False)]
-        return np.array(array.to_pylist(), dtype=dtype)
-    if not pa.types.is_fixed_size_list(array.type):
-        return np.asarray(array.to_numpy(zero_copy_only=False), dtype=dtype)
-    width = array.type.list_size
-    return np.array(array.flatten().to_numpy(zero_copy_only=False), dtype=dtype).reshape(-1, width)

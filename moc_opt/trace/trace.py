@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,21 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from moc_opt.errors import TraceError
 from moc_opt.trace import parquet as trace_file
 from moc_opt.trace import writer as trace_writer
-
-_TYPES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "b": (1,)}
+from moc_opt.trace.columns import COLUMNS, Column, check_column, column
 
 
 class MissingDataError(TraceError, AttributeError):
     """A trace lacks what was asked of it: a column, an entry of meta, a second tick."""
-
-
-class Column(NamedTuple):
-    """The documentation of one column."""
-
-    unit: str
-    shape: str
-    meaning: str
-    kind: str = "number"
 
 
 class Trace:
@@ -40,51 +30,7 @@ class Trace:
     there (N ticks, n joints). Arrays are read-only. Nested values of `meta` are plain JSON; leave them alone.
     """
 
-    COLUMNS: ClassVar[Mapping[str, Column]] = MappingProxyType(
-        {
-            "t_s": Column("s", "(N,)", "time at the start of the tick"),
-            "q_rad": Column("rad", "(N, n)", "true joint positions"),
-            "v_rad_per_s": Column("rad/s", "(N, n)", "true joint velocities"),
-            "tau_Nm": Column("Nm", "(N, n)", "joint torques sent to the arm, within the guard's limits"),
-            "limited": Column("1", "(N,)", "joints at which the guard changed the torque that was asked for"),
-            "tip_m": Column("m", "(N, 3)", "true tip X"),
-            "tip_ref_m": Column("m", "(N, 3)", "tip reference X_d"),
-            "wrist_m": Column("m", "(N, 3)", "true wrist centre N"),
-            "trocar_m": Column("m", "(N, 3)", "true trocar P_t"),
-            "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J_T J_T^T))"),
-            "tip_error_m": Column("m", "(N,)", "|X_d - X|: absolute, in the base frame"),
-            "tip_error_registered_m": Column("m", "(N,)", "the same in the frame registered by touch at the start"),
-            "tip_error_model_m": Column("m", "(N,)", "the same by the robot's own kinematics, sensor noise aside"),
-            "rcm_error_m": Column("m", "(N,)", "distance of the shaft's line from the trocar"),
-            "rcm_error_registered_m": Column(
-                "m", "(N,)", "the same from the trocar as registered by touch: less the registration's error"
-            ),
-            "rcm_error_model_m": Column("m", "(N,)", "the latter by the robot's own kinematics, sensor noise aside"),
-            "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
-            "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
-            "status": Column("", "(N,)", "status the solver claimed; 'none' without a third level", "text"),
-            "applied_x_rad_per_s": Column(
-                "rad/s", "(N, n)", "what the third level followed: the answer, or its stand-in"
-            ),
-            "fault": Column(
-                "",
-                "(N,)",
-                "why the answer was refused, as a control.supervisor.Fault; 'stopped': braking, no solver was asked",
-                "text",
-            ),
-            "injected": Column("", "(N,)", "the answer of this tick was spoilt on purpose", "flag"),
-            "solve_us": Column("us", "(N,)", "time of the solver; NaN where there was no subproblem"),
-            "tick_us": Column("us", "(N,)", "time of the whole tick, state to torque"),
-            "tick": Column("1", "(N,)", "number of the tick; without it the rows are consecutive"),
-            "travelling": Column("", "(N,)", "the elbow is still on its way to its optimum", "flag"),
-            "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
-            "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
-            "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
-            "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
-            "mu_bound": Column("m^3", "(N,)", "largest mu on the feasible self-motion; NaN: not scanned"),
-        }
-    )
-    """Name -> unit, shape and meaning of every column that the package itself writes or reads."""
+    COLUMNS: ClassVar[Mapping[str, Column]] = COLUMNS
 
     columns: Mapping[str, NDArray[Any]]
     meta: Mapping[str, Any]
@@ -101,14 +47,13 @@ class Trace:
         Raises:
             TraceError: a column (named) has another shape, type or number of rows; meta is not JSON.
         """
-        checked = {name: _column(name, value) for name, value in columns.items()}
-        rows = {name: len(array) for name, array in checked.items()}
-        for name, count in rows.items():
-            first = next(iter(rows))
-            if count != rows[first]:
+        checked = {_name(name): column(name, value) for name, value in columns.items()}
+        first = next(iter(checked), "")
+        for name, array in checked.items():
+            if len(array) != len(checked[first]):
                 raise TraceError(
-                    f"column {name!r} has {count} rows where {first!r} has {rows[first]}: "
-                    f"give one row per tick"
+                    f"column {name!r} has {len(array)} rows where {first!r} has {len(checked[first])}: "
+                    "give one row per tick"
                 )
         object.__setattr__(self, "columns", MappingProxyType(checked))
         object.__setattr__(self, "meta", MappingProxyType(_plain(meta or {})))
@@ -184,7 +129,7 @@ class Trace:
     def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
         """Return a trace whose columns stay in their files; meta, and errors, as for the constructor."""
         for name, dtype in columns.types.items():
-            _check_column(name, dtype, columns.shape(name))
+            check_column(_name(name), dtype, columns.shape(name))
         return cls._of(columns, MappingProxyType(_plain(meta)))
 
     @classmethod
@@ -230,41 +175,11 @@ class Trace:
         return cls.of_files(columns, columns.meta if meta is None else meta)
 
 
-def _column(name: str, value: ArrayLike) -> NDArray[Any]:
-    """Return one column as a read-only array of its own, or say what is wrong with it."""
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise TraceError(f"column {name!r} has rows of different lengths: give an array") from error
-    if array.dtype == object and all(isinstance(entry, str) for entry in array.flat):
-        array = array.astype(np.str_)
-    _check_column(name, array.dtype, array.shape)
-    # Only an array that nobody else can write through may be kept without a copy.
-    native = array.dtype.newbyteorder("=")
-    if array.flags.writeable or not array.flags.owndata or array.dtype != native:
-        array = np.array(array, dtype=native, order="C")
-    array.setflags(write=False)
-    return array
-
-
-def _check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
-    """Say what is wrong with a column's name, type or shape."""
+def _name(name: str) -> str:
+    """The name of a column, if it can be one."""
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
         raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
-    kind = dtype.kind
-    if kind != "U" and dtype.itemsize not in _TYPES.get(kind, ()):
-        raise TraceError(f"column {name!r} has type {dtype}: give floats, integers, flags or texts")
-    if len(shape) not in ((1,) if kind == "U" else (1, 2)) or shape[1:] == (0,):
-        raise TraceError(f"column {name!r} has shape {shape}: give (N,) or, for numbers, (N, k)")
-    known = Trace.COLUMNS.get(name)
-    if known is not None:
-        wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
-        width = known.shape.removeprefix("(N,").strip(" )")
-        fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", str(shape[1]))
-        if kind not in wanted or not fits:
-            raise TraceError(
-                f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}"
-            )
+    return name
 
 
 def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:

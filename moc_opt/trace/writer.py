@@ -10,11 +10,10 @@ import fcntl
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections import ChainMap
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Self
-
-from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, describe
 from moc_opt.inputs.files import check_replaceable, file_in, read_json
@@ -76,11 +75,11 @@ class TraceWriter:
         write(self.folder / f"{first:09d}.parquet", columns, {})
 
     def rows(self) -> int:
-        """How many there are so far."""
+        """Return how many there are so far."""
         return self.columns().rows if _blocks(self.folder) else 0
 
     def columns(self) -> Stored:
-        """The rows so far.
+        """Return the rows so far.
 
         Raises:
             TraceError: there are none.
@@ -100,7 +99,7 @@ class TraceWriter:
         columns = self.columns()
         added = dict(more or {})
         types = {**columns.types, **{name: array.dtype for name, array in added.items()}}
-        join(self.path, _With(columns, added), types, meta)
+        join(self.path, _with(columns, added), types, meta)
         self._clear()
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -111,7 +110,7 @@ class TraceWriter:
             self.kept = file_in(self.path.parent, f"{self.path.stem}.interrupted{self.path.suffix}")
             try:
                 columns, meta = found(self.folder)
-                join(self.kept, list(columns.blocks()), columns.types, meta or columns.meta)
+                join(self.kept, columns.blocks(), columns.types, meta or columns.meta)
             except TraceError:
                 self.kept = file_in(self.path.parent, f"{self.path.stem}.interrupted.parts")
                 self.kept.mkdir()
@@ -126,42 +125,22 @@ class TraceWriter:
             path.unlink(missing_ok=True)
 
 
-class _With(list[Columns]):
-    """Blocks with more columns, each read when its turn comes."""
-
-    def __init__(self, columns: Stored, more: Columns) -> None:
-        super().__init__(columns.blocks())
-        first = 0
-        for i, block in enumerate(self):
-            assert isinstance(block, Stored)
-            rows = slice(first, first + block.rows)
-            self[i] = _Joined(block, {name: array[rows] for name, array in more.items()})
-            first += block.rows
-
-
-class _Joined(Mapping[str, NDArray[Any]]):
-    """Two mappings of columns as one."""
-
-    def __init__(self, one: Columns, other: Columns) -> None:
-        self._one, self._other = one, other
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        return self._other[name] if name in self._other else self._one[name]
-
-    def __iter__(self) -> Any:
-        return iter({**dict.fromkeys(self._one), **dict.fromkeys(self._other)})
-
-    def __len__(self) -> int:
-        return len({*self._one, *self._other})
+def _with(columns: Stored, more: Columns) -> Iterator[Columns]:
+    """The blocks of `columns`, each with its rows of the columns `more`."""
+    first = 0
+    for block in columns.blocks():
+        rows = slice(first, first + block.rows)
+        yield ChainMap({name: array[rows] for name, array in more.items()}, block)  # type: ignore[arg-type]
+        first += block.rows
 
 
 def parts_of(path: Path) -> Path:
-    """The folder of blocks beside a file."""
+    """Return the folder of blocks beside a file."""
     return path.with_name(f"{path.name}.parts")
 
 
 def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
-    """The columns of a trace's file; where only blocks are there, theirs, and the meta that was known.
+    """Return the columns of a trace's file; where only blocks are there, theirs, and the meta that was known.
 
     Raises:
         TraceError: neither is there, or it is damaged.

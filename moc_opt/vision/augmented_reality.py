@@ -55,7 +55,7 @@ class Watch:
     """the tracked board in the base frame; the last one while it is lost"""
 
     def shifts(self, anchor: Pose, point: ArrayLike) -> Array:
-        """How far a point (3,) of a task, planned at the pose `anchor`, has moved with the board, (k, 3) [m]."""
+        """Return how far a point (3,) of a task, planned at the pose `anchor`, has moved with the board, (k, 3) [m]."""
         place = np.asarray(point, dtype=np.float64)
         return np.array([(board @ anchor.inverse()).apply(place) - place for board in self.boards])
 
@@ -100,7 +100,7 @@ class Augmented:
         self.view, self.why = make_view(robot, self.camera, self.board, seed=noise)
         self.source = "drawn" if isinstance(self.view, DrawnView) else "mujoco"
         self._finder = BoardFinder(self.board, self.believed)
-        self._tracker = BoardTracker((TrackerSettings() if tracker is None else tracker).limits())
+        self._tracker = BoardTracker(tracker)
 
     def look(self, t: float, q: ArrayLike | None = None, *, board_in_base: Pose | None = None) -> Look:
         """Take a picture, find the board in it, and tell the tracker.
@@ -179,9 +179,7 @@ class Augmented:
         seen, boards = [], []
         for t in times.tolist():
             pose = None if q is None else q(t)
-            tracked = self.look(
-                t, pose, board_in_base=None if board_in_base is None else board_in_base(t)
-            ).tracked
+            tracked = self.look(t, pose, board_in_base=None if board_in_base is None else board_in_base(t)).tracked
             if tracked.pose is None:
                 raise TaskError("board: it was not found before the run: call locate() before watch()")
             seen.append(tracked.seen)
@@ -189,11 +187,11 @@ class Augmented:
         return Watch(times, np.array(seen), tuple(boards))
 
     def task(self, task: BoardTask | str, board_in_base: Pose) -> Path:
-        """A virtual task in the base frame, for a board at this (estimated) pose; see `Board.task_in_base`."""
+        """Carry a virtual task into the base frame, for a board at this (estimated) pose; see `Board.task_in_base`."""
         return self.board.task_in_base(task, board_in_base)
 
     def accuracy(self, estimate: Pose, task: BoardTask | str | None = None) -> dict[str, float]:
-        """How far an estimate of the board in the base frame is from the truth, calibration error included.
+        """Measure how far an estimate of the board in the base frame is from the truth, calibration error included.
 
         Returns:
             board_position_mm, board_angle_deg, and with a task: task_error_max_mm, the largest distance between
@@ -209,7 +207,7 @@ class Augmented:
         return found
 
     def film(self, file: str | os.PathLike[str], trace: Trace, path: Path, trocar: ArrayLike) -> int:
-        """The run as the surgeon sees it, one picture for each of the camera's.
+        """Film the run as the surgeon sees it, one picture for each of the camera's.
 
         Args:
             file: .webm, .mp4 or .avi, or a folder for numbered PNG.
@@ -224,9 +222,7 @@ class Augmented:
             PlantError: the film cannot be written.
         """
         return save_video(
-            file,
-            self._frames(trace, path, np.asarray(trocar, dtype=np.float64)),
-            self.camera.settings.rate_Hz,
+            file, self._frames(trace, path, np.asarray(trocar, dtype=np.float64)), self.camera.settings.rate_Hz
         )
 
     def _frames(self, trace: Trace, path: Path, trocar: Array) -> Iterator[Picture]:
@@ -243,6 +239,4 @@ class Augmented:
             markers = len(self._finder.corners(picture))
             text = f"{t:.2f} s   " + (f"{markers} markers" if markers else "board lost")
             share = done / (len(line) - 1)
-            yield overlay.draw(
-                picture, task=line, progress=share, tip=trace.tip_m[k], trocar=trocar, text=text
-            )
+            yield overlay.draw(picture, task=line, progress=share, tip=trace.tip_m[k], trocar=trocar, text=text)

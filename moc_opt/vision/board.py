@@ -64,7 +64,7 @@ class Board:
         return self.columns * pitch + self.gap_m, self.rows * pitch + self.gap_m
 
     def corners(self, marker: int) -> Array:
-        """Corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen.
+        """Return the corners (4, 3) of a marker in the board's frame [m]: top left, then clockwise as seen.
 
         Raises:
             TaskError: the board has no such marker.
@@ -80,7 +80,7 @@ class Board:
         return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
 
     def outline(self) -> Array:
-        """Corners (4, 3) of the whole board in its own frame [m]: top left, then clockwise as seen."""
+        """Return the corners (4, 3) of the whole board in its own frame [m]: top left, then clockwise as seen."""
         x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
         return np.array([[-x, y, 0.0], [x, y, 0.0], [x, -y, 0.0], [-x, -y, 0.0]])
 
@@ -153,7 +153,7 @@ class BoardTask:
         object.__setattr__(self, "_path", path)
 
     def on_board(self) -> Path:
-        """The path in the board's own frame."""
+        """Return the path in the board's own frame."""
         return self._path
 
 
@@ -163,10 +163,7 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType(
         "circle": BoardTask("circle", {"radius": 0.02}, start_m=(0.0, -0.02), depth_m=0.15),
         # 4 cm long, 2 cm from crest to trough.
         "sinusoid": BoardTask(
-            "sinusoid",
-            {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
-            start_m=(-0.02, 0.0),
-            depth_m=0.12,
+            "sinusoid", {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}, start_m=(-0.02, 0.0), depth_m=0.12
         ),
         # 3 cm across, from the middle outwards.
         "spiral": BoardTask("spiral", {"turns": 2.0, "radius": 0.015}, depth_m=0.20),
@@ -176,7 +173,7 @@ BOARD_TASKS: Mapping[str, BoardTask] = MappingProxyType(
 
 
 def board_task(name: str) -> BoardTask:
-    """A preset of `BOARD_TASKS`.
+    """Look up a preset of `BOARD_TASKS`.
 
     Raises:
         UnknownNameError: none of that name.
@@ -186,10 +183,8 @@ def board_task(name: str) -> BoardTask:
     return BOARD_TASKS[name]
 
 
-def board_below(
-    trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)
-) -> Pose:
-    """Pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
+def board_below(trocar: ArrayLike, shaft: ArrayLike, depth_m: float, *, x_axis: ArrayLike = (1.0, 0.0, 0.0)) -> Pose:
+    """Return the pose of a board that faces the trocar, its middle `depth_m` below it: a simple abdomen phantom.
 
     Args:
         trocar: where the shaft enters, in the base's frame, (3,) [m].

@@ -48,29 +48,23 @@ class Camera:
         return self.settings.width_px, self.settings.height_px
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for what is behind the camera."""
-        points = self.camera_in_base.inverse().apply(
-            np.atleast_2d(np.asarray(points_in_base, dtype=np.float64))
-        )
+        """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for what is behind the camera."""
+        points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         pixels = points @ self.matrix.T
         return np.asarray(pixels[:, :2] / depth[:, None])
 
     @classmethod
     def above(cls, settings: CameraSettings, phantom_in_base: Pose) -> Camera:
-        """The camera that the settings describe: it looks at the phantom's middle, its top towards the board's y."""
+        """Place the camera of the settings: it looks at the phantom's middle, its top towards the board's y."""
         tilt, azimuth = math.radians(settings.tilt_deg), math.radians(settings.azimuth_deg)
-        away = [
-            math.sin(tilt) * math.cos(azimuth),
-            math.sin(tilt) * math.sin(azimuth),
-            math.cos(tilt),
-        ]
+        away = [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
         eye = settings.distance_m * np.array(away)
         # Seen from along the board's y, its y is still the upper side while the tilt is below a right angle.
         return cls(settings, phantom_in_base @ looking_at(eye, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
 
     def miscalibrated(self, seed: int) -> Camera:
-        """The same camera where the robot's calibration takes it to be: off by the settings' errors, seeded."""
+        """Return the same camera where the robot's calibration takes it to be: off by the settings' errors, seeded."""
         away, axis = np.random.default_rng(seed).standard_normal((2, 3))
         turn = math.radians(self.settings.calibration_error_deg) * axis / np.linalg.norm(axis)
         error = Pose(rotation_from(turn), self.settings.calibration_error_m * away / np.linalg.norm(away))
@@ -102,7 +96,7 @@ class View(Protocol):
         """The true camera."""
 
     def picture(self, scene: Scene) -> Picture:
-        """The camera's picture (H, W, 3), blue green red, blurred and noisy."""
+        """Take the camera's picture (H, W, 3), blue green red, blurred and noisy."""
 
 
 class Sensor:
@@ -113,7 +107,7 @@ class Sensor:
         self._settings, self._rng = settings, np.random.default_rng(seed)
 
     def expose(self, picture: Picture) -> Picture:
-        """A blurred and noisy copy (H, W, 3)."""
+        """Return a blurred and noisy copy (H, W, 3)."""
         blur, noise = self._settings.blur_px, self._settings.noise
         if blur > 0.0:
             picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), blur), dtype=np.uint8)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def make_view(robot: RobotModel, camera: Camera, board: Board, *, seed: int = 0) -> tuple[View, str | None]:
-    """The source of pictures that the camera's settings ask for, and why it is not MuJoCo if "auto" wanted that.
+    """Make the source of pictures that the camera's settings ask for, and why it is not MuJoCo if "auto" wanted that.
 
     Raises:
         PlantError: "mujoco" was asked for and cannot be used here.
@@ -61,9 +61,7 @@ def pose_accuracy(
     """
     settings = BoardSettings() if board is None else board
     sheet = settings.board()
-    eye = Camera(
-        CameraSettings() if camera is None else camera, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4))
-    )
+    eye = Camera(CameraSettings() if camera is None else camera, Pose(np.diag([1.0, -1.0, -1.0]), (0.6, 0.0, 0.4)))
     view, _ = make_view(robot, eye, sheet, seed=seed)
     finder = BoardFinder(sheet, eye)
     rng = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ _OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, un
 
 
 def board_picture(board: Board, cell_px: int = 16) -> NDArray[np.uint8]:
-    """The board as it is printed (H, W), grey levels.
+    """Draw the board as it is printed (H, W), grey levels.
 
     Args:
         board: the board.
@@ -69,7 +69,7 @@ class BoardFinder:
         self._matrix = camera.matrix
 
     def corners(self, picture: Picture) -> dict[int, Array]:
-        """Corners (4, 2) [px] of every marker of the board that is seen, by its number."""
+        """Return the corners (4, 2) [px] of every marker of the board that is seen, by its number."""
         grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         found, ids, _ = self._detector.detectMarkers(grey)
         if ids is None:
@@ -79,7 +79,7 @@ class BoardFinder:
         return {marker: quad for marker, quad in pairs if marker in self._corners}
 
     def find(self, picture: Picture) -> Sighting | None:
-        """The board's pose in the camera's frame; None where no marker is seen or no pose fits.
+        """Find the board's pose in the camera's frame; None where no marker is seen or no pose fits.
 
         A plane seen from afar fits two poses (mirrored about the line of sight): both are computed (IPPE) and
         refined by Levenberg-Marquardt on all corners, and the better one is taken. Corners far off it, mostly where
@@ -93,9 +93,7 @@ class BoardFinder:
             return None
         points = np.concatenate([self._corners[marker] for marker in seen])
         pixels = np.concatenate(list(seen.values()))
-        count, turns, places, _ = cv2.solvePnPGeneric(
-            points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE
-        )
+        count, turns, places, _ = cv2.solvePnPGeneric(points, pixels, self._matrix, None, flags=cv2.SOLVEPNP_IPPE)
         both = [self._refine(_column(turns[i]), _column(places[i]), points, pixels) for i in range(count)]
         fits = [(pose, self._misses(pose, points, pixels)) for pose in both if pose is not None]
         if not fits:

@@ -41,7 +41,7 @@ class Overlay:
         trocar: ArrayLike | None = None,
         text: str = "",
     ) -> Picture:
-        """A copy of the picture with the overlay.
+        """Draw the overlay into a copy of the picture.
 
         Args:
             picture: (H, W, 3).
@@ -128,9 +128,7 @@ def save_video(path: str | os.PathLike[str], pictures: Iterable[Picture], rate_H
     if not (math.isfinite(rate_Hz) and rate_Hz > 0.0):
         raise PlantError(f"rate_Hz = {rate_Hz!r}: give pictures in a second, above zero")
     if file.suffix and file.suffix.lower() not in _CODECS:
-        raise PlantError(
-            f"film {str(path)!r}: give a name in {', '.join(_CODECS)}, or a folder without a suffix"
-        )
+        raise PlantError(f"film {str(path)!r}: give a name in {', '.join(_CODECS)}, or a folder without a suffix")
     _checked(file)
     count = _numbered(file, pictures) if not file.suffix else _film(file, pictures, rate_Hz)
     if count == 0:
@@ -159,9 +157,7 @@ def _film(file: File, pictures: Iterable[Picture], rate_Hz: float) -> int:
                         f"film {str(file)!r}: this OpenCV cannot write it; give a folder without a suffix, for PNG"
                     )
             elif picture.shape != shape:
-                raise PlantError(
-                    f"film {str(file)!r}: picture {count} is {picture.shape}, the first was {shape}"
-                )
+                raise PlantError(f"film {str(file)!r}: picture {count} is {picture.shape}, the first was {shape}")
             writer.write(picture)
             count += 1
     finally:

@@ -23,13 +23,7 @@ class DrawnView:
     """Draws the board by a perspective warp, covers and the tool's shaft as polygons, then exposes the sensor."""
 
     def __init__(
-        self,
-        camera: Camera,
-        board: Board,
-        *,
-        shaft: Shaft | None = None,
-        radius_m: float = 0.004,
-        seed: int = 0,
+        self, camera: Camera, board: Board, *, shaft: Shaft | None = None, radius_m: float = 0.004, seed: int = 0
     ) -> None:
         """Prepare.
 
@@ -46,9 +40,7 @@ class DrawnView:
         self._to_board = np.linalg.inv(texture_matrix(board))
         self._sensor = Sensor(camera.settings, seed)
         # The middle of pixel u of the picture is at 2 u + 0.5 in the finer one.
-        self._finer = np.array(
-            [[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]]
-        )
+        self._finer = np.array([[_FINER, 0.0, 0.5 * (_FINER - 1)], [0.0, _FINER, 0.5 * (_FINER - 1)], [0.0, 0.0, 1.0]])
 
     @property
     def camera(self) -> Camera:
@@ -56,13 +48,11 @@ class DrawnView:
         return self._camera
 
     def picture(self, scene: Scene) -> Picture:
-        """The camera's picture (H, W, 3), blue green red."""
+        """Take the camera's picture (H, W, 3), blue green red."""
         width, height = self._camera.size_px
         page = np.full((_FINER * height, _FINER * width, 3), TISSUE, dtype=np.uint8)
         pose = self._camera.camera_in_base.inverse() @ scene.board_in_base
-        faces = (
-            float(pose.R[:, 2] @ pose.t) < 0.0 and float(pose.apply(self._board.outline())[:, 2].min()) > 1e-3
-        )
+        faces = float(pose.R[:, 2] @ pose.t) < 0.0 and float(pose.apply(self._board.outline())[:, 2].min()) > 1e-3
         if faces and not scene.dark:
             flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
             onto = self._finer @ self._camera.matrix @ flat @ self._to_board
@@ -108,11 +98,9 @@ def _cover(board: Board, marker: int) -> Array:
     """A round patch (k, 3) over a marker, in the board's frame [m]: it hides all four corners."""
     angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     middle = board.corners(marker).mean(axis=0)
-    return np.asarray(
-        middle + cover_radius(board) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
-    )
+    return np.asarray(middle + cover_radius(board) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))
 
 
 def cover_radius(board: Board) -> float:
-    """Radius of a patch that hides a marker [m]: not so large that it reaches into the neighbours."""
+    """Return the radius of a patch that hides a marker [m]: not so large that it reaches into the neighbours."""
     return min(0.72 * board.marker_m, 0.5 * board.marker_m + 0.9 * board.gap_m)

@@ -58,7 +58,7 @@ class Pose:
         return np.asarray(self.translation)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Points (3,) or (k, 3) [m] of the inner frame, in the outer one."""
+        """Express points (3,) or (k, 3) [m] of the inner frame in the outer one."""
         return np.asarray(np.asarray(points, dtype=np.float64) @ self.R.T + self.t)
 
     def turn(self, vectors: ArrayLike) -> Array:
@@ -66,29 +66,29 @@ class Pose:
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
-        """The outer frame seen from the inner one."""
+        """Return the outer frame seen from the inner one."""
         return Pose(self.R.T, -self.R.T @ self.t)
 
     def __matmul__(self, other: Pose) -> Pose:
         return Pose(_orthonormal(self.R @ other.R), self.apply(other.t))
 
     def distance(self, other: Pose) -> tuple[float, float]:
-        """How far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
+        """Return how far apart two poses are: between the origins [m], and the angle of the turn between [rad]."""
         way = self.t - other.t
         return math.sqrt(float(way @ way)), float(np.linalg.norm(rotation_vector(self.R.T @ other.R)))
 
     def towards(self, other: Pose, share: float) -> Pose:
-        """The pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
+        """Return the pose at a share in [0, 1] of the way to another: straight, at a constant rate of turn."""
         turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
         return Pose(_orthonormal(self.R @ turn), self.t + share * (other.t - self.t))
 
     def to_list(self) -> list[list[float]]:
-        """The (3, 4) matrix [rotation | translation] as JSON can hold it."""
+        """Return the (3, 4) matrix [rotation | translation] as JSON can hold it."""
         return [[*row, place] for row, place in zip(self.R.tolist(), self.t.tolist(), strict=True)]
 
 
 def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
-    """Pose of a camera in the frame that its arguments are given in: x right, y down, z forward.
+    """Return the pose of a camera in the frame that its arguments are given in: x right, y down, z forward.
 
     Args:
         eye: where it is, (3,) [m].
@@ -108,7 +108,7 @@ def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """The rotation (3, 3) about `vector` (3,) by its length [rad]: Rodrigues' formula."""
+    """Return the rotation (3, 3) about `vector` (3,) by its length [rad]: Rodrigues' formula."""
     w = np.asarray(vector, dtype=np.float64)
     angle = math.sqrt(float(w @ w))
     if angle < 1e-12:

@@ -28,7 +28,7 @@ _THIN = 1e-4  # half the thickness of the board and of the covers [m]
 
 
 def gl_platform() -> str:
-    """The off-screen platform of this machine: MUJOCO_GL if it names one, else the first whose library is there.
+    """Return the off-screen platform of this machine: MUJOCO_GL if it names one, else the first whose library is there.
 
     Raises:
         PlantError: there is none; the message says what to install.
@@ -105,7 +105,7 @@ class RenderedView:
         self._closer()
 
     def picture(self, scene: Scene) -> Picture:
-        """The camera's picture (H, W, 3), blue green red.
+        """Take the camera's picture (H, W, 3), blue green red.
 
         Raises:
             PlantError: the view was closed, or the scene's pose is not this arm's.
@@ -126,9 +126,7 @@ class RenderedView:
         mujoco.mj_kinematics(model, state)
         mujoco.mj_camlight(model, state)
         self._context.make_current()
-        mujoco.mjv_updateScene(
-            model, state, self._option, None, self._eye, mujoco.mjtCatBit.mjCAT_ALL, self._scene
-        )
+        mujoco.mjv_updateScene(model, state, self._option, None, self._eye, mujoco.mjtCatBit.mjCAT_ALL, self._scene)
         mujoco.mjr_render(self._rectangle, self._scene, self._drawing)
         mujoco.mjr_readPixels(self._frame, None, self._rectangle, self._drawing)
         # MuJoCo's rows go upwards, and its colours are red green blue.
@@ -138,9 +136,7 @@ class RenderedView:
 def _spec(data: RobotData, camera: Camera, board: Board, radius_m: float) -> mujoco.MjSpec:
     """The arm's model with camera, light, board, covers and shaft."""
     spec = build_spec(data, substep_s=1e-3)
-    spec.compiler.discardvisual = (
-        False  # a model that comes from a URDF drops every shape that cannot collide
-    )
+    spec.compiler.discardvisual = False  # a model that comes from a URDF drops every shape that cannot collide
     spec.visual.global_.offwidth, spec.visual.global_.offheight = camera.size_px
     spec.visual.quality.offsamples = 0
     # Everything is lit alike, so that the print keeps its black and white.
@@ -152,9 +148,7 @@ def _spec(data: RobotData, camera: Camera, board: Board, radius_m: float) -> muj
     # MuJoCo's cameras look along -z with y up; ours along z with y down.
     turned = np.empty(4)
     mujoco.mju_mat2Quat(turned, (camera.camera_in_base.R @ np.diag([1.0, -1.0, -1.0])).ravel())
-    spec.worldbody.add_camera(
-        name="endoscope", pos=camera.camera_in_base.t, quat=turned, fovy=camera.settings.fov_deg
-    )
+    spec.worldbody.add_camera(name="endoscope", pos=camera.camera_in_base.t, quat=turned, fovy=camera.settings.fov_deg)
     _add_board(spec, board)
     tool = spec.body(TOOL_BODY)
     tool.add_geom(
@@ -188,11 +182,7 @@ def _add_board(spec: mujoco.MjSpec, board: Board) -> None:
     page = board_picture(board)
     page = np.repeat(page[:, :, None], 3, axis=2)
     texture = spec.add_texture(
-        name="print",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        width=page.shape[1],
-        height=page.shape[0],
-        nchannel=3,
+        name="print", type=mujoco.mjtTexture.mjTEXTURE_2D, width=page.shape[1], height=page.shape[0], nchannel=3
     )
     texture.data = page.tobytes()
     material = spec.add_material(name="print", texuniform=False)

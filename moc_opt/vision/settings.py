@@ -9,19 +9,23 @@ from pydantic import Field, model_validator
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
 from moc_opt.vision.board import Board
-from moc_opt.vision.tracking import TrackerLimits
 
 
-class CameraSettings(Settings):
-    """An endoscope that looks at the phantom through a port of its own; its pictures are taken as undistorted.
+class VisionSettings(Settings):
+    """Base of the tables below.
 
     Raises:
         PlantError: a value is out of range.
         UnknownNameError: a field does not exist.
     """
 
-    KIND: ClassVar[str] = "[camera]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
+
+
+class CameraSettings(VisionSettings):
+    """An endoscope that looks at the phantom through a port of its own; its pictures are taken as undistorted."""
+
+    KIND: ClassVar[str] = "[camera]"
 
     source: Literal["auto", "mujoco", "drawn"] = Field(
         "auto", description="MuJoCo's renderer, a picture drawn through the pinhole, or the first that works"
@@ -41,16 +45,10 @@ class CameraSettings(Settings):
     calibration_error_deg: float = Field(0.1, ge=0.0, le=10.0, description="and turned by this")
 
 
-class BoardSettings(Settings):
-    """The marker board in the phantom, and what keeps it from being seen.
-
-    Raises:
-        PlantError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+class BoardSettings(VisionSettings):
+    """The marker board in the phantom, and what keeps it from being seen."""
 
     KIND: ClassVar[str] = "[board]"
-    ERROR: ClassVar[type[MocOptError]] = PlantError
 
     columns: int = Field(5, ge=1, le=20)
     rows: int = Field(4, ge=1, le=20)
@@ -71,33 +69,23 @@ class BoardSettings(Settings):
         return self
 
     def board(self) -> Board:
-        """The board that they describe."""
+        """Return the board that they describe."""
         return Board(self.columns, self.rows, self.marker_m, self.gap_m)
 
     def is_lost(self, t: float) -> bool:
-        """Whether nothing of the board can be seen at time t [s]."""
+        """Return whether nothing of the board can be seen at time t [s]."""
         return any(start <= t < end for start, end in self.lost_s)
 
 
-class TrackerSettings(Settings):
-    """When a sighting of the board is believed; see `moc_opt.vision.tracking.TrackerLimits`.
-
-    Raises:
-        PlantError: a value is out of range.
-        UnknownNameError: a field does not exist.
-    """
+class TrackerSettings(VisionSettings):
+    """When a sighting of the board is believed."""
 
     KIND: ClassVar[str] = "[tracker]"
-    ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    min_markers: int = Field(3, ge=1)
-    error_max_px: float = Field(1.0, gt=0.0)
-    jump_m: float = Field(0.004, gt=0.0)
-    jump_rad: float = Field(0.05, gt=0.0)
-    found_after: int = Field(3, ge=1, description="sightings in a row that agree")
-    lost_after_s: float = Field(0.12, gt=0.0)
-    smoothing_s: float = Field(0.3, ge=0.0)
-
-    def limits(self) -> TrackerLimits:
-        """As the tracker takes them."""
-        return TrackerLimits(**self.model_dump())
+    min_markers: int = Field(3, ge=1, description="fewer than this are no sighting")
+    error_max_px: float = Field(1.0, gt=0.0, description="a worse fit is no sighting")
+    jump_m: float = Field(0.004, gt=0.0, description="a sighting farther than this from the estimate is an outlier")
+    jump_rad: float = Field(0.05, gt=0.0, description="and so is one turned by more")
+    found_after: int = Field(3, ge=1, description="sightings in a row that agree: the board is found, or was moved")
+    lost_after_s: float = Field(0.12, gt=0.0, description="without a sighting: the board is lost")
+    smoothing_s: float = Field(0.3, ge=0.0, description="time constant of the estimate; 0: every sighting as it is")

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from moc_opt.errors import TaskError
-from moc_opt.tasks.checks import number, positive
+from moc_opt.tasks.checks import number
 from moc_opt.vision.pose import Pose
+from moc_opt.vision.settings import TrackerSettings
 
 
 class TrackingState(Enum):
@@ -46,41 +47,6 @@ class Tracked:
         return self.state is TrackingState.TRACKING
 
 
-@dataclass(frozen=True)
-class TrackerLimits:
-    """When a sighting is believed.
-
-    Args:
-        min_markers: fewer markers than this are no sighting.
-        error_max_px: a worse fit is no sighting [px].
-        jump_m, jump_rad: a sighting farther than this from the estimate is an outlier [m], [rad].
-        found_after: sightings in a row, near each other, that make a board found, or found elsewhere.
-        lost_after_s: time without a sighting after which the board is lost [s].
-        smoothing_s: time constant of the estimate [s]; 0 takes every sighting as it is.
-
-    Raises:
-        TaskError: a number is out of range.
-    """
-
-    min_markers: int = 3
-    error_max_px: float = 1.0
-    jump_m: float = 0.004
-    jump_rad: float = 0.05
-    found_after: int = 3
-    lost_after_s: float = 0.12
-    smoothing_s: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name in ("min_markers", "found_after"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise TaskError(f"{name} = {value!r}: give a whole number, 1 or more")
-        for name in ("error_max_px", "jump_m", "jump_rad", "lost_after_s"):
-            positive(name, getattr(self, name))
-        if number("smoothing_s", self.smoothing_s) < 0.0:
-            raise TaskError(f"smoothing_s = {self.smoothing_s!r}: give seconds, zero or more")
-
-
 class BoardTracker:
     """Follows a board from picture to picture.
 
@@ -89,9 +55,9 @@ class BoardTracker:
     goes there at once: whoever uses it must not jump with it (see `WaitingReference`).
     """
 
-    def __init__(self, limits: TrackerLimits | None = None) -> None:
+    def __init__(self, limits: TrackerSettings | None = None) -> None:
         """Begin to search."""
-        self.limits = TrackerLimits() if limits is None else limits
+        self.limits = TrackerSettings() if limits is None else limits
         self.state = TrackingState.SEARCHING
         self.pose: Pose | None = None
         self._time = -float("inf")
@@ -111,18 +77,12 @@ class BoardTracker:
         """
         now = number("t", t)
         if now <= self._time:
-            raise TaskError(
-                f"t = {t!r} s is not after the last picture at {self._time!r} s: keep their order"
-            )
+            raise TaskError(f"t = {t!r} s is not after the last picture at {self._time!r} s: keep their order")
         elapsed, self._time = now - self._time, now
         refused = self._judge(sighting)
         if sighting is None or refused is not None:
             self._streak.clear()
-        elif (
-            self.pose is not None
-            and self.state is TrackingState.TRACKING
-            and self._near(self.pose, sighting.pose)
-        ):
+        elif self.pose is not None and self.state is TrackingState.TRACKING and self._near(self.pose, sighting.pose):
             self._streak.clear()
             self.pose = self._blend(self.pose, sighting.pose, elapsed)
             self._last_seen = now

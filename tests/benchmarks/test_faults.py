@@ -8,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import faults
+from benchmarks.config import runnable
 from benchmarks.output import default_config
 from benchmarks.reliability import page
 from benchmarks.reliability.config import Case, Config
@@ -105,7 +106,7 @@ def test_wrong_configurations_are_refused(text, error, message, tmp_path, capsys
     file = tmp_path / "faults.toml"
     file.write_text(text)
     with pytest.raises(error, match=message):
-        faults.check_solvers(Config.load(file))
+        runnable(Config.load(file).solvers)
     assert faults.main([str(file), "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

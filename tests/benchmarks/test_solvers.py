@@ -13,10 +13,11 @@ from benchmarks.solver_study import tables as study_tables
 from benchmarks.solver_study.answers import ask
 from benchmarks.solver_study.cells import Cell, costs_of, load, totals
 from benchmarks.solver_study.config import PARTS, ClosedLoop, Config, TestSets
-from benchmarks.solver_study.parts import Study
-from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.headline import headline
+from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Part
-from benchmarks.solver_study.tables import headline, tables
+from benchmarks.solver_study.study import Study
+from benchmarks.solver_study.tables import tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from tests import broken_solvers
 
@@ -235,7 +236,7 @@ def test_a_library_is_in_the_loop_once(tmp_path):
 
     def controllers(**table):
         study = Study(Config(closed_loop=ClosedLoop(**table)), names, tmp_path, print)
-        return [entry.solver for entry in study._in_the_loop()]
+        return [setting.solver for setting in study.controllers]
 
     assert controllers() == ["exact", "daqp", "qpsolvers:scs"]
     assert controllers(twice=True) == names
@@ -250,6 +251,22 @@ def test_the_nonlinear_solvers_carry_their_footnote(summary):
     assert tables(summary)["testset circle"].caption == ""
     wrong = {"nlp-sqp@recommended": {**summary["testsets"]["exact@recommended"], "silently_wrong": 8}}
     assert "nlp-sqp" not in headline({"testsets": {**summary["testsets"], **wrong}}, {})
+
+
+def test_few_trials_make_no_claim():
+    """Of fewer than five trials no solver is named as best and no interval is given."""
+
+    def said(trials):
+        rows = {name: {"runs": trials, "mu_gain_percent": gain, "mu_gain_percent_low": gain - 1.0,
+                       "mu_gain_percent_high": gain + 1.0} for name, gain in (("a", 12.5), ("b", 3.0))}  # fmt: skip
+        return headline({"closed_loop": rows}, {})
+
+    assert "by 12.5 [11.5, 13.5] % with a and by 3 [2, 4] % with b" in said(5)
+    for trials, words in ((1, "1 random pose,"), (4, "4 random poses,")):
+        assert said(trials).startswith("In closed loop manipulability changed by 3 to 12 % on")
+        assert words in said(trials)
+        assert "with a" not in said(trials)
+        assert "[" not in said(trials)
 
 
 def test_growth_is_said_in_words():
@@ -284,7 +301,8 @@ def test_six_contradicting_rows_are_forgiven_in_every_place_or_in_none():
     answer = {"status": np.array(["infeasible"] * count), "iterations": np.ones(count, int),
               "x": np.full((count, kept.n), np.nan), "y": np.full((count, 6), np.nan)}  # fmt: skip
     for rows, right in ((6, count), (5, 0)):
-        cell = Cell(Entry("osqp", "recommended", {"rows": rows}, ""), kept, Part({"reason": "", "events": []}, answer))
+        setting = SolverSetting("osqp", "recommended", {"rows": rows}, "")
+        cell = Cell(setting, kept, Part({"reason": "", "events": []}, answer))
         assert cell.contradictory.all()
         assert cell.counts()["right"] == right
         costs = costs_of([cell], {kept.name: Part({}, {"solve_us": np.ones((2, count))})})

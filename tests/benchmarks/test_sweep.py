@@ -87,7 +87,7 @@ def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "benchmarks.sweeps.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
+        "benchmarks.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
         Plan(config(solvers=["osqp"]))

@@ -117,7 +117,7 @@ def test_the_former_name_of_the_regularization():
 
 
 def test_unknown_field():
-    with pytest.raises(UnknownNameError, match=r"\[control\] 'k0': did you mean .*c0"):
+    with pytest.raises(UnknownNameError, match=r"\[control\] key 'k0': did you mean .*c0"):
         ControlSettings(k0=2.0)
 
 

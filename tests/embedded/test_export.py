@@ -145,7 +145,8 @@ def swivel_function() -> Any:
     lower, upper = ca.SX.sym("l", 6), ca.SX.sym("u", 6)
     triangle = swivel.triangulate(A)
     z = swivel.null_vector(triangle)
-    found = swivel.solve(triangle, z, b, g, swivel.Box(lower, upper), list(range(6)), 1e-3, 1e-5, 1e-9)
+    box, weights = swivel.Box(lower, upper), {"c2": 1e-3, "rho": 1e-5, "tolerance": 1e-9}
+    found = swivel.solve(triangle, z, b, g, box, list(range(6)), **weights)
     return ca.Function("swivel", [A, b, g, lower, upper], [*found, z])
 
 

@@ -150,7 +150,8 @@ def test_files_from_outside_are_opened_in_one_place():
     """A reader that opens a file by itself would wait for a pipe."""
     # Of the package's own files, and of a trace through the readers of trace_file.
     allowed = {
-        "moc_opt/inputs/files.py", "moc_opt/inputs/memory.py", "moc_opt/trace/parquet.py", "moc_opt/trace/writer.py",
+        "moc_opt/inputs/files.py", "moc_opt/inputs/memory.py", "moc_opt/trace/parquet_file.py",
+        "moc_opt/trace/writer.py",
         "moc_opt/report/document.py", "moc_opt/scenario/setup.py", "moc_opt/embedded/program.py",
     }  # fmt: skip
     found = set()

@@ -39,13 +39,13 @@ def test_frozen():
 
 def test_unknown_field_lists_the_nearest():
     with pytest.raises(
-        UnknownNameError, match=r"unknown \[inner\] 'gian': did you mean 'gain'\? valid names: gain, steps"
+        UnknownNameError, match=r"unknown \[inner\] key 'gian': did you mean 'gain'\? valid names: gain, steps"
     ):
         Inner(gian=1.0)
 
 
 def test_unknown_field_inside_a_table():
-    with pytest.raises(UnknownNameError, match=r"\[inner\] 'step': did you mean 'steps'"):
+    with pytest.raises(UnknownNameError, match=r"\[inner\] key 'step': did you mean 'steps'"):
         Outer(inner={"step": 1})
 
 

@@ -362,3 +362,15 @@ def test_drift_is_quadratic_and_even_in_the_velocity(pose: list[float], v: list[
     s, twice = LWR4.state(pose, v), LWR4.state(pose, -2 * np.array(v))
     np.testing.assert_allclose(twice.drift_tip, 4 * s.drift_tip, atol=1e-10)
     np.testing.assert_allclose(twice.drift_wrist, 4 * s.drift_wrist, atol=1e-10)
+
+
+def test_joints_are_where_pinocchio_has_them(arm: RobotModel) -> None:
+    model = pin.buildModelFromXML(arm.data.urdf)
+    data, rng, places = model.createData(), np.random.default_rng(3), np.empty((arm.n, 12))
+    for _ in range(10):
+        q = rng.uniform(arm.q_min, arm.q_max)
+        pin.forwardKinematics(model, data, q)
+        kernels.place_joints(arm.chain.joints, q, places)
+        for place, known in zip(places, list(data.oMi)[1:], strict=True):
+            np.testing.assert_allclose(place[:9].reshape(3, 3).T, known.rotation, atol=1e-14)
+            np.testing.assert_allclose(place[9:], known.translation, atol=1e-14)

@@ -11,7 +11,7 @@ import pytest
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.redundancy import continuation as kernels
-from moc_opt.redundancy.self_motion import SelfMotion, self_motion
+from moc_opt.redundancy.self_motion import SelfMotion, parabola_peak, self_motion
 from moc_opt.robots import loader
 from tests.conftest import Array, Draw
 
@@ -124,10 +124,7 @@ def test_a_tool_off_the_last_axis_leaves_a_curve(odd_robot: RobotModel) -> None:
 def test_forward_kernel_is_the_model(odd_robot: RobotModel) -> None:
     chain, rng = odd_robot.chain, np.random.default_rng(2)
     arm = kernels.Constraint(
-        chain.rotations,
-        chain.origins,
-        chain.axes,
-        chain.prismatic,
+        chain.joints,
         chain.offsets,
         odd_robot.moves,
         odd_robot.q_min,
@@ -169,3 +166,19 @@ def test_bad_input_is_named(robot: RobotModel) -> None:
             motion.at(fraction)
     with pytest.raises(ValueError, match="read-only"):
         motion.q[0, 0] = 0.0
+
+
+def test_the_peak_of_a_parabola_is_found_from_any_three_samples() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(100):
+        bend, top, height = rng.uniform(-3.0, -0.1), rng.normal(), rng.normal()
+        x = top + rng.uniform(-1.0, 1.0) + np.array([-rng.uniform(0.1, 2.0), 0.0, rng.uniform(0.1, 2.0)])
+        y = bend * (x - top) ** 2 + height
+        step, above = parabola_peak(x, y)
+        if x[0] <= top <= x[2]:
+            np.testing.assert_allclose([x[1] + step, y[1] + above], [top, height], atol=1e-9)
+        else:  # no farther than to a neighbour
+            assert min(abs(x[1] + step - x[0]), abs(x[1] + step - x[2])) < 1e-12
+    assert parabola_peak(np.arange(3.0), np.array([1.0, 0.0, 1.0])) == (0.0, 0.0)
+    assert parabola_peak(np.arange(3.0), np.array([-np.inf, 1.0, 0.5])) == (0.0, 0.0)
+    assert parabola_peak(np.arange(3.0), np.array([0.0, 1.0, 2.0])) == (0.0, 0.0)

@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop
 from benchmarks.solver_study.closed_loop import (
     BASELINE,
     Run,
-    combined,
     placed,
     run_all,
     run_one,
-    settle,
-    summary,
     trials,
     variant,
+    with_steady_errors,
 )
+from benchmarks.solver_study.combine import combined, summary
 from benchmarks.solver_study.store import Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests import broken_solvers
@@ -158,7 +157,7 @@ def test_settled_ticks_are_one_set_for_all_controllers_of_a_trial():
     ramp = np.arange(10.0)
     runs = [traced(BASELINE, range(5, 10), ramp), traced("a", range(0, 3), ramp), traced("b", range(2, 6), ramp),
             Run("broken", "t", {}, error="ran away")]  # fmt: skip
-    found = {run.controller: run.metrics for run in settle(runs)}
+    found = {run.controller: run.metrics for run in with_steady_errors(runs)}
     assert {name: metrics.get("settled_ticks") for name, metrics in found.items()} == {
         BASELINE: 4.0, "a": 4.0, "b": 4.0, "broken": None
     }  # fmt: skip
@@ -168,17 +167,18 @@ def test_settled_ticks_are_one_set_for_all_controllers_of_a_trial():
 
 
 def test_where_no_tick_is_settled_there_is_no_figure():
-    runs = settle([traced(BASELINE, [], np.ones(10)), traced("a", range(10), np.ones(10))])
+    runs = with_steady_errors([traced(BASELINE, [], np.ones(10)), traced("a", range(10), np.ones(10))])
     assert all(run.metrics["settled_ticks"] == 0.0 for run in runs)
     assert not any("tip_error_model_settled_mean_mm" in run.metrics for run in runs)
-    both = [*runs, *settle([traced(BASELINE, [], np.ones(10), "u"), traced("a", [0], 2.0 * np.ones(10), "u")])]
+    others = [traced(BASELINE, [], np.ones(10), "u"), traced("a", [0], 2.0 * np.ones(10), "u")]
+    both = [*runs, *with_steady_errors(others)]
     assert summary(both)["a"]["tip_error_model_settled_mean_mm"] == pytest.approx(2.0)
     assert summary(both)["a"]["settled_ticks"] == 9.0
 
 
 def test_trials_count_by_their_settled_ticks():
-    one = settle([traced("a", range(9), np.ones(10), "t")])  # one settled tick at 1 mm
-    other = settle([traced("a", [], 4.0 * np.ones(10), "u")])  # ten at 4 mm
+    one = with_steady_errors([traced("a", range(9), np.ones(10), "t")])  # one settled tick at 1 mm
+    other = with_steady_errors([traced("a", [], 4.0 * np.ones(10), "u")])  # ten at 4 mm
     assert combined([*one, *other])["tip_error_model_settled_mean_mm"] == pytest.approx(41.0 / 11.0)
 
 

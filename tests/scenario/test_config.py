@@ -58,23 +58,23 @@ def written(folder, text):
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"sede": 1}, r"scenario: 'sede': did you mean 'seed'"),
-        ({"robot": {"tool_length": 0.3}}, r"\[robot\] 'tool_length': did you mean 'tool_length_m'"),
-        ({"start": {"swivl": 0.3}}, r"\[start\] 'swivl': did you mean 'swivel'"),
-        ({"trocar": {"depth": 0.1}}, r"\[trocar\] 'depth': did you mean 'depth_m'"),
-        ({"task": {"pathh": "line"}}, r"\[task\] 'pathh': did you mean 'path'"),
-        ({"control": {"K_x": 1.0}}, r"\[control\] 'K_x': did you mean 'K_X'"),
+        ({"sede": 1}, r"unknown scenario key 'sede': did you mean 'seed'"),
+        ({"robot": {"tool_length": 0.3}}, r"\[robot\] key 'tool_length': did you mean 'tool_length_m'"),
+        ({"start": {"swivl": 0.3}}, r"\[start\] key 'swivl': did you mean 'swivel'"),
+        ({"trocar": {"depth": 0.1}}, r"\[trocar\] key 'depth': did you mean 'depth_m'"),
+        ({"task": {"pathh": "line"}}, r"\[task\] key 'pathh': did you mean 'path'"),
+        ({"control": {"K_x": 1.0}}, r"\[control\] key 'K_x': did you mean 'K_X'"),
         ({"control": {"preset": "papre"}}, r"control preset 'papre': did you mean 'paper'"),
-        ({"control": {"preset": "paper", "gain": "moc"}}, r"\[control\] 'gain': did you mean 'gains'"),
-        ({"solver": {"nane": "exact"}}, r"\[solver\] 'nane': did you mean 'name'"),
-        ({"plant": {"frictoin": 1.0}}, r"\[plant\] 'frictoin': did you mean 'friction'"),
+        ({"control": {"preset": "paper", "gain": "moc"}}, r"\[control\] key 'gain': did you mean 'gains'"),
+        ({"solver": {"nane": "exact"}}, r"\[solver\] key 'nane': did you mean 'name'"),
+        ({"plant": {"frictoin": 1.0}}, r"\[plant\] key 'frictoin': did you mean 'friction'"),
         (
             {"plant": {"preset": "nominla"}},
             r"plant preset 'nominla': did you mean 'nominal'.*nominal, realistic",
         ),
         (
             {"plant": {"preset": "nominal", "mass_eror": 0.1}},
-            r"\[plant\] 'mass_eror': did you mean 'mass_error'",
+            r"\[plant\] key 'mass_eror': did you mean 'mass_error'",
         ),
     ],
 )
@@ -277,11 +277,11 @@ def test_change_of_the_plant_keeps_what_it_is():
 
 
 def test_change_is_validated():
-    with pytest.raises(UnknownNameError, match="scenario: 'colour'"):
+    with pytest.raises(UnknownNameError, match=r"unknown scenario key .colour"):
         Scenario().change(colour="red")
-    with pytest.raises(UnknownNameError, match=r"\[control\] 'C2'"):
+    with pytest.raises(UnknownNameError, match=r"\[control\] key 'C2'"):
         Scenario().change(control={"C2": 1.0})
-    with pytest.raises(UnknownNameError, match=r"\[plant\] 'masses'"):
+    with pytest.raises(UnknownNameError, match=r"\[plant\] key 'masses'"):
         Scenario().change(plant={"masses": 1.0})
     with pytest.raises(MocOptError, match=r"c2 = -1.0"):
         Scenario().change(control={"c2": -1.0})
@@ -553,3 +553,11 @@ def test_observer_helps_moc_too():
         run(base.change(control={"observer_gain_per_s": g})).tip_error_m[800:].mean() for g in (20.0, 0.0)
     ]
     assert tips[0] < 0.5 * tips[1]
+
+
+def test_recorded_solve_times_are_replayed_from_the_first_tick_on():
+    """The discarded tick before the loop uses up none of them, and they begin anew at their end."""
+    times = [11.0, 12.0, 13.0]
+    setup = Setup(Scenario(duration_s=0.01, solver={"replay_us": times}, **BARE))
+    assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]
+    assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]

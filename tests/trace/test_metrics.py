@@ -281,3 +281,16 @@ def test_every_metric_is_documented_and_public() -> None:
     for name, function in METRICS.items():
         assert getattr(metrics, name) is function
         assert function.__doc__
+        assert function.about
+        assert "\n" not in function.about
+
+
+def test_the_unit_of_a_metric_is_that_of_its_name() -> None:
+    named = {"mm": "mm", "us": "us", "N": "N", "Nm": "Nm", "percent": "percent", "rad_per_s": "rad/s",
+             "Nm_per_s": "Nm/s"}  # fmt: skip
+    for name, function in METRICS.items():
+        units = [unit for ending, unit in named.items() if name.endswith(f"_{ending}")]
+        if units:
+            assert function.unit == units[-1], name
+    bare = {name: of.unit for name, of in METRICS.items() if not any(name.endswith(f"_{e}") for e in named)}
+    assert {name for name, unit in bare.items() if unit != "1"} == {"mu_mean", "mu_final", "primal_max", "natural_max"}

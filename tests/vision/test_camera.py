@@ -123,4 +123,3 @@ def test_settings_make_what_they_describe():
     assert BoardSettings().board() == Board()
     lost = BoardSettings(lost_s=((1.0, 2.0), (3.0, 4.0)))
     assert [lost.is_lost(t) for t in (0.5, 1.0, 1.99, 2.0, 3.5)] == [False, True, True, False, True]
-    assert TrackerSettings(min_markers=5).limits().min_markers == 5

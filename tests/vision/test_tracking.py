@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from moc_opt.errors import TaskError
+from moc_opt.errors import PlantError, TaskError
 from moc_opt.vision.pose import Pose, rotation_from
-from moc_opt.vision.tracking import BoardTracker, Sighting, TrackerLimits, TrackingState
+from moc_opt.vision.settings import TrackerSettings
+from moc_opt.vision.tracking import BoardTracker, Sighting, TrackingState
 
 DT = 1 / 30
 HERE = Pose(rotation_from((0.3, -0.2, 0.1)), (0.0, 0.0, 0.15))
@@ -52,7 +53,7 @@ def test_a_resting_board_is_averaged():
 
 
 def test_without_smoothing_every_sighting_is_taken():
-    tracker = BoardTracker(TrackerLimits(smoothing_s=0.0))
+    tracker = BoardTracker(TrackerSettings(smoothing_s=0.0))
     rng = np.random.default_rng(1)
     sightings = [noisy(rng) for _ in range(6)]
     feed(tracker, sightings)
@@ -80,7 +81,7 @@ def test_outliers_change_nothing(bad, reason):
 
 
 def test_a_lost_board_is_told_after_a_while_and_its_pose_is_kept():
-    tracker = BoardTracker(TrackerLimits(lost_after_s=0.12))
+    tracker = BoardTracker(TrackerSettings(lost_after_s=0.12))
     feed(tracker, [sight()] * 5)
     last = 4 * DT
     answers = {k: tracker.update(last + DT * k, None) for k in range(1, 7)}
@@ -110,7 +111,7 @@ def test_sightings_that_disagree_never_move_the_estimate():
 
 @given(st.lists(st.sampled_from(["good", "none", "far", "bad"]), max_size=60))
 def test_tracking_is_only_claimed_while_sightings_were_accepted_lately(kinds):
-    limits = TrackerLimits()
+    limits = TrackerSettings()
     tracker, last_good = BoardTracker(limits), -np.inf
     table = {"good": sight(), "none": None, "far": sight(THERE), "bad": sight(error_px=9.0)}
     for k, kind in enumerate(kinds):
@@ -133,5 +134,5 @@ def test_time_must_rise():
     [{"min_markers": 0}, {"found_after": 1.5}, {"jump_m": 0.0}, {"smoothing_s": -1.0}, {"lost_after_s": 0.0}],
 )
 def test_bad_limits_name_the_field(field):
-    with pytest.raises(TaskError, match=next(iter(field))):
-        TrackerLimits(**field)
+    with pytest.raises(PlantError, match=next(iter(field))):
+        TrackerSettings(**field)

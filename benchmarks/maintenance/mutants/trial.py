@@ -128,12 +128,7 @@ def run_tests(
 
 
 def _run(
-    root: Path,
-    module: str,
-    source: str | None,
-    plain: Collection[str],
-    tests: Sequence[str],
-    keep_going: bool,
+    root: Path, module: str, source: str | None, plain: Collection[str], tests: Sequence[str], keep_going: bool
 ) -> Iterator[tuple[str, list[tuple[str, bool, float]]]]:
     """Run the tests, in a worker: the first that failed, and (name, passed, seconds) of all that ran."""
     import pytest

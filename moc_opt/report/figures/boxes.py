@@ -16,7 +16,7 @@ from moc_opt.report.notation import pretty_units
 def box_plots(
     groups: Mapping[str, Samples], value_label: str, *, log: bool = False, styles: Styles | None = None
 ) -> go.Figure:
-    """Box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
+    """Draw box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
 
     Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths (Tukey); samples
     beyond are points, at most forty a box, the outermost always among them.
@@ -30,15 +30,10 @@ def box_plots(
     Raises:
         ReportError: a sample is infinite, or not positive under `log`.
     """
-    drawn, styles = (
-        figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32),
-        styles or Styles(groups),
-    )
+    drawn, styles = (figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32), styles or Styles(groups))
     shown: list[float] = []
     for name, group in groups.items():
-        known = {
-            task: known_samples(f"{name}, {task}", values, signed=True) for task, values in group.items()
-        }
+        known = {task: known_samples(f"{name}, {task}", values, signed=True) for task, values in group.items()}
         boxes = {task: _box(f"{name}, {task}", values, log) for task, values in known.items() if len(values)}
         shown += [value for *five, beyond in boxes.values() for value in (*five, *beyond)]
         lower, q1, median, q3, upper, beyond = zip(*boxes.values(), strict=True) if boxes else [()] * 6

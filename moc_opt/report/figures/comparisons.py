@@ -40,7 +40,7 @@ def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual",
     floor: float = 1e-18, styles: Styles | None = None,
 ) -> go.Figure:  # fmt: skip
-    """Error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
+    """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
 
     Args:
         points: name -> (time, error); both at least 0, errors below `floor` are drawn at `floor`; entries that
@@ -56,9 +56,7 @@ def accuracy_against_time(
     known = {name: point for name, point in points.items() if np.isfinite(point).all()}
     for name, (time, error) in known.items():
         if time <= 0.0 or error < 0.0:
-            raise ReportError(
-                f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0"
-            )
+            raise ReportError(f"{name!r}: time {time}, error {error}: a log axis needs time > 0 and error >= 0")
     known = {name: (time, max(error, floor)) for name, (time, error) in known.items()}
     log_axis(drawn, "x", x_label, [time for time, _ in known.values()], margin=MARGIN)
     log_axis(drawn, "y", y_label, [error for _, error in known.values()], powers=True, margin=MARGIN)
@@ -98,7 +96,7 @@ def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float,
 
 
 def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
-    """Names that no other beats in both coordinates (less is better), by the first coordinate."""
+    """Return the names that no other beats in both coordinates (less is better), by the first coordinate."""
     best, front = np.inf, []
     for name in sorted(points, key=lambda name: points[name]):
         if points[name][1] < best:
@@ -108,7 +106,7 @@ def pareto(points: Mapping[str, tuple[float, float]]) -> list[str]:
 
 
 def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
-    """Stacked bars, one per solver: how many answers were optimal, how many were said to have failed, how many wrong.
+    """Draw a stacked bar per solver: how many answers were optimal, said to have failed, or wrong.
 
     Args:
         counts: name -> outcome -> number of answers; the outcomes are the keys of `OUTCOMES`, absent ones are 0.
@@ -120,9 +118,7 @@ def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
     for name, outcomes in counts.items():
         for outcome, number in outcomes.items():
             if outcome not in OUTCOMES or not number >= 0.0:
-                raise ReportError(
-                    f"{name!r}: {outcome!r} = {number}: give numbers >= 0 of {', '.join(OUTCOMES)}"
-                )
+                raise ReportError(f"{name!r}: {outcome!r} = {number}: give numbers >= 0 of {', '.join(OUTCOMES)}")
     totals = np.array([sum(counts[name].values()) for name in names])
     drawn = figure(barmode="stack", bargap=0.35)
     for outcome, (words, color, shape) in OUTCOMES.items():
@@ -142,7 +138,7 @@ def solution_quality(counts: Mapping[str, Mapping[str, float]]) -> go.Figure:
 
 
 def outcomes(summary: Mapping[str, float], total: float) -> dict[str, float]:
-    """The outcomes of `solution_quality` from a summary's claimed_solved, verified_solved and silently_wrong.
+    """Return the outcomes of `solution_quality` from a summary's claimed_solved, verified_solved and silently_wrong.
 
     Args:
         summary: with those three metrics.
@@ -151,9 +147,4 @@ def outcomes(summary: Mapping[str, float], total: float) -> dict[str, float]:
     both = summary["claimed_solved"] - summary["silently_wrong"]
     unclaimed = summary["verified_solved"] - both
     failed = total - summary["claimed_solved"] - unclaimed
-    return {
-        "verified": both,
-        "unclaimed": unclaimed,
-        "failed": failed,
-        "silently_wrong": summary["silently_wrong"],
-    }
+    return {"verified": both, "unclaimed": unclaimed, "failed": failed, "silently_wrong": summary["silently_wrong"]}

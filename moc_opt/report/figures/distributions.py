@@ -22,7 +22,7 @@ _ECDF_POINTS, _STRIP_POINTS, _KERNEL_POINTS = 400, 160, 161
 def latency_ecdf(
     samples: Samples, deadline_us: float | None = None, *, tail: bool = False, styles: Styles | None = None
 ) -> go.Figure:
-    """The fraction of solves or ticks that are done within a time, on a log axis of time.
+    """Draw the fraction of solves or ticks that are done within a time, on a log axis of time.
 
     Args:
         samples: name -> times [us]; NaN (no solve) is left out, infinity (never done) counts as late; a name
@@ -62,10 +62,8 @@ def latency_ecdf(
     return drawn
 
 
-def latency_violin(
-    samples: Samples, deadline_us: float | None = None, *, styles: Styles | None = None
-) -> go.Figure:
-    """One violin per name on a log axis of time: density of log10(time), median, quartiles, 99th percentile.
+def latency_violin(samples: Samples, deadline_us: float | None = None, *, styles: Styles | None = None) -> go.Figure:
+    """Draw one violin per name on a log axis of time: density of log10(time), median, quartiles, 99th percentile.
 
     Infinite times have no place on the axis: their number stands beside the name.
 
@@ -82,9 +80,7 @@ def latency_violin(
         ends += [at[0], at[-1]]
         outline = np.concatenate([row + 0.4 * density, row - 0.4 * density[::-1]])
         q1, q25, q50, q75, q99 = np.percentile(times, (1, 25, 50, 75, 99))
-        text = (
-            f"median {q50:.3g} µs, 1 % {q1:.3g}, 99 % {q99:.3g}, longest {times.max():.3g}, n = {len(times)}"
-        )
+        text = f"median {q50:.3g} µs, 1 % {q1:.3g}, 99 % {q99:.3g}, longest {times.max():.3g}, n = {len(times)}"
         drawn.add_scatter(
             x=np.concatenate([at, at[::-1]]), y=outline, fill="toself", fillcolor=style.fill(0.28), mode="lines",
             line={"color": style.color, "width": 1}, hoveron="fills", text=text, hoverinfo="text", name=label(name),
@@ -102,7 +98,7 @@ def residual_strip(
     samples: Samples, value_label: str, *,
     limit: float | None = None, floor: float = 1e-18, styles: Styles | None = None,
 ) -> go.Figure:  # fmt: skip
-    """One row per name on a log axis: its residuals as points, the middle half as a bar, the worst as a cross.
+    """Draw one row per name on a log axis: its residuals as points, the middle half as a bar, the worst as a cross.
 
     Args:
         samples: name -> residuals, not negative; NaN is left out, zeros and less than `floor` are drawn at `floor`,
@@ -146,9 +142,7 @@ def _rows(drawn: go.Figure, names: list[str], samples: Samples) -> None:
     for name in names:
         known = known_samples(name, samples[name])
         infinite = int(np.isinf(known).sum())
-        words.append(
-            label(name) + (f" ({infinite} × ∞)" if infinite else "" if len(known) else " (no sample)")
-        )
+        words.append(label(name) + (f" ({infinite} × ∞)" if infinite else "" if len(known) else " (no sample)"))
     drawn.update_yaxes(
         tickvals=list(range(len(names))), ticktext=words, range=[-0.6, len(names) - 0.4],
         showgrid=False, ticks="", showline=False,
@@ -177,7 +171,7 @@ def _marks(drawn: go.Figure, row: int, name: str, style: Style, values: Mapping[
 
 
 def known_samples(name: str, values: ArrayLike, *, signed: bool = False) -> Floats:
-    """The samples that are not NaN, maybe none; not negative unless `signed`."""
+    """Return the samples that are not NaN, maybe none; not negative unless `signed`."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[~np.isnan(known)]
     if not signed and (known < 0.0).any():
@@ -195,9 +189,7 @@ def _span(ends: list[float], limit: float | None) -> list[float]:
 def _ranks(count: int) -> NDArray[np.int64]:
     """Which of `count` sorted samples to draw: evenly, and every one of the largest."""
     even = np.linspace(0, count - 1, _ECDF_POINTS)
-    return np.unique(
-        np.concatenate([even, count - np.geomspace(1, count, _ECDF_POINTS).astype(int)]).astype(np.int64)
-    )
+    return np.unique(np.concatenate([even, count - np.geomspace(1, count, _ECDF_POINTS).astype(int)]).astype(np.int64))
 
 
 def _log_density(times: Floats) -> tuple[Floats, Floats]:

@@ -11,10 +11,8 @@ CHARACTER_PX, LINE_PX, MARKER_PX = 6.3, 14.0, 7.0
 TOLERATED_PX2, SHYNESS_PX2 = 25.0, 20.0
 
 
-def label_sides(
-    points: Mapping[str, tuple[float, float]], front: Collection[str] = ()
-) -> dict[str, str | None]:
-    """On which side of its point each name stands, in plotly's words.
+def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str] = ()) -> dict[str, str | None]:
+    """Choose on which side of its point each name stands, in plotly's words.
 
     Greedy: the names of `front` choose first, then the others in their order; each takes the side where it covers
     least of what is there.
@@ -26,9 +24,7 @@ def label_sides(
     Returns:
         Name -> "top center" and the like; None where there is no room.
     """
-    markers = {
-        name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()
-    }
+    markers = {name: (x - MARKER_PX, y - MARKER_PX, x + MARKER_PX, y + MARKER_PX) for name, (x, y) in points.items()}
     placed: list[Box] = []
     sides: dict[str, str | None] = {}
     for name in sorted(points, key=lambda name: name not in front):

@@ -28,7 +28,7 @@ def time_series(
     runs: Mapping[str, Trace], panels: Sequence[str] | None = None, *,
     styles: Styles | None = None, points: int = 1200,
 ) -> go.Figure:  # fmt: skip
-    """Several runs over time, one panel per column, one legend entry per run for all panels.
+    """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
     Beside mu the largest mu that the self-motion allowed is dotted in, where it was scanned.
     Long runs are thinned to the smallest and largest value of each stretch of time: peaks stay as high as they
@@ -63,9 +63,7 @@ def time_series(
             )  # fmt: skip
             named.add(name)
             scanned = (
-                ~np.isnan(trace.mu_bound)
-                if column == "mu" and "mu_bound" in trace.columns
-                else np.zeros(1, bool)
+                ~np.isnan(trace.mu_bound) if column == "mu" and "mu_bound" in trace.columns else np.zeros(1, bool)
             )
             if scanned.any():
                 drawn.add_scatter(
@@ -75,7 +73,7 @@ def time_series(
                     hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
                 )  # fmt: skip
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
-        # Upright, above its panel: no reader turns the head, and no phone loses width.
+        # Horizontal, above its panel: it can be read on a narrow screen.
         drawn.add_annotation(
             text=words, xref="paper", x=0.0, xanchor="left", yref=f"y{row if row > 1 else ''} domain", y=1.0,
             yanchor="bottom", showarrow=False, font={"size": 12}, xshift=-2,

@@ -53,7 +53,7 @@ class Style:
     symbol: str
 
     def fill(self, opacity: float) -> str:
-        """The colour as "#rrggbbaa": the first seven characters stay those that a dark page exchanges."""
+        """Return the colour as "#rrggbbaa": the first seven characters stay those that a dark page exchanges."""
         return f"{self.color}{round(255 * opacity):02x}"
 
 
@@ -108,17 +108,17 @@ TEMPLATE = go.layout.Template(
 
 
 def label(name: object) -> str:
-    """A name as plotly shows it: never as the markup that plotly would read in it."""
+    """Return a name as plotly shows it: never as the markup that plotly would read in it."""
     return html.escape(printable(str(name)), quote=False)
 
 
 def figure(**layout: object) -> go.Figure:
-    """An empty figure in the house style."""
+    """Make an empty figure in the house style."""
     return go.Figure(layout={"template": TEMPLATE, **layout})
 
 
 def legend_height(names: Iterable[str], width: float = 620.0) -> int:
-    """Height that a legend above a plot takes [px]: what the figure must be higher, to leave the plot its own."""
+    """Return the height that a legend above a plot takes [px]: the figure is made higher by it."""
     lengths = [len(name) for name in names]
     columns = max(1, int(width / (6.6 * max(lengths, default=1) + 46.0)))
     return 20 * math.ceil(len(lengths) / columns)
@@ -142,9 +142,7 @@ def log_axis(
     """
     shown = np.asarray(values, dtype=np.float64)
     if shown.size == 0 or not (shown > 0.0).all():
-        raise ReportError(
-            f"{title}: a log axis needs values, and positive ones; leave the figure out and say why"
-        )
+        raise ReportError(f"{title}: a log axis needs values, and positive ones; leave the figure out and say why")
     logs = np.log10(shown)
     low, high = float(logs.min()), float(logs.max())
     free = margin * max(high - low, 0.5)
@@ -153,10 +151,7 @@ def log_axis(
     if powers:
         step = max(1, math.ceil((high - low) / MAX_POWERS))
         exponents = range(step * math.ceil(low / step), math.floor(high) + 1, step)
-        ticks = {
-            "tickvals": [10.0**power for power in exponents],
-            "ticktext": [*map(pretty_power, exponents)],
-        }
+        ticks = {"tickvals": [10.0**power for power in exponents], "ticktext": [*map(pretty_power, exponents)]}
     else:
         ticks = {"nticks": 7, "exponentformat": "none"}
     # Chosen here: left to itself, plotly strews thousands between labels that it did not choose.

@@ -50,7 +50,7 @@ class Part:
 
 
 def arm_parts(robot: RobotModel) -> list[Part]:
-    """The parts of an arm and its tool."""
+    """Build the parts of an arm and its tool."""
     chain, n = robot.chain, robot.n
     tip, wrist = chain.offsets
     along = (tip - wrist) / np.linalg.norm(tip - wrist)

@@ -59,7 +59,7 @@ class Replay:
 
     @classmethod
     def load(cls, files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Self:
-        """A replay of saved traces, named as their files are.
+        """Load a replay of saved traces, named as their files are.
 
         Raises:
             ReportError: they are not of one robot and tool, or cannot be shown.
@@ -69,7 +69,7 @@ class Replay:
         return cls(traces, robot, title=title)
 
     def data(self) -> tuple[dict[str, Any], str]:
-        """What the page shows: a JSON value, and the block of numbers it points into."""
+        """Return what the page shows: a JSON value, and the block of numbers it points into."""
         block, times = Block(), frame_times(self.traces)
         runs = []
         for name, trace in self.traces.items():
@@ -85,7 +85,7 @@ class Replay:
         return value, block.packed()
 
     def html(self) -> str:
-        """The whole file as text."""
+        """Return the whole file as text."""
         value, packed = self.data()
         robot = self.robot.data
         return render(

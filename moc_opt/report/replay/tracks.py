@@ -46,7 +46,7 @@ class Block:
 
 
 def frame_times(runs: Mapping[str, Trace]) -> Array:
-    """Times [s] of the frames, the same for all runs: from the first tick of any to the last of any."""
+    """Return times [s] of the frames, the same for all runs: from the first tick of any to the last of any."""
     start = min(float(trace.t_s[0]) for trace in runs.values())
     end = max(float(trace.t_s[-1]) for trace in runs.values())
     count = int(np.ceil((end - start) * FRAMES_PER_S)) + 1
@@ -108,8 +108,5 @@ def _panel(trace: Trace, column: str, ticks: NDArray[np.intp], block: Block) -> 
     if column == "mu" and "mu_bound" in trace.columns:
         known = np.isfinite(trace.mu_bound)
         if known.any():
-            panel |= {
-                "bound_t": block.put(trace.t_s[known]),
-                "bound": block.put(trace.mu_bound[known]),
-            }
+            panel |= {"bound_t": block.put(trace.t_s[known]), "bound": block.put(trace.mu_bound[known])}
     return panel

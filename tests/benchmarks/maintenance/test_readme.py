@@ -97,7 +97,7 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 15 | 7 |" in text
     assert "means over 15 trials from random poses" in text
     assert "`exact`: 65.5 [50, 80] %" in text
-    assert "Settled are the ticks of a trial at which" in text
+    assert "Steady are the ticks of a trial at which" in text
     assert "`nlp-sqp`*" in text
     assert "qpsolvers" not in text
     assert "50 problems" in text

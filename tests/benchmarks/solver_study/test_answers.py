@@ -5,19 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.processes import Worker
 from benchmarks.solver_study import answers, growth, settings
 from benchmarks.solver_study.answers import Data, Limits, asked, timed
 from benchmarks.solver_study.cells import Cell, asked_all, load, time_figures, totals
-from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, Entry, entries
+from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, SolverSetting, solver_settings
 from benchmarks.solver_study.store import Part, Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
 from tests import broken_solvers
 
 LIMITS = Limits(patience_s=1.0, rounds=2, seconds=0.2, cold=4)
-EXACT = Entry("exact", "recommended", {}, "")
+EXACT = SolverSetting("exact", "recommended", {}, "")
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +44,8 @@ def some():
     return load("infeasible", 8)
 
 
-def cell(worker, entry, data, warm=True):
-    return Cell(entry, data, asked(Store(None), worker, entry, data, LIMITS, warm))
+def cell(worker, setting, data, warm=True):
+    return Cell(setting, data, asked(Store(None), worker, setting, data, LIMITS, warm))
 
 
 def test_exact_is_right_on_every_set(worker, some):
@@ -59,14 +59,14 @@ def test_exact_is_right_on_every_set(worker, some):
 
 def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
     data = load("circle", 8)
-    found = cell(broken, Entry("hangs", "recommended", {"at": 3}, ""), data)
+    found = cell(broken, SolverSetting("hangs", "recommended", {"at": 3}, ""), data)
     # a fresh session after each hang: the fourth and the eighth problem; then the rest is left alone
     assert np.flatnonzero(found.status == "hung").tolist() == [3, 7]
     assert (found.status[8:] == "not asked").all()
     counts = found.counts()
     assert (counts["hung"], counts["claimed_solved"], counts["not_asked"]) == (2, 6, 8)
     assert not found.complete
-    times = timed(Store(None), broken, found.entry, data, LIMITS, found.complete)
+    times = timed(Store(None), broken, found.setting, data, LIMITS, found.complete)
     assert time_figures(times)["timed_solves"] == 0
     assert "not every problem was answered" in times.values["reason"]
 
@@ -74,7 +74,7 @@ def test_a_solver_that_hangs_is_stopped_and_recorded(broken):
 def test_a_solver_that_hangs_everywhere_is_given_up(broken):
     sets = [load(name, 32) for name in ("circle", "spiral", "sinusoid", "random", "jumps")]
     limits = Limits(patience_s=0.5, rounds=2, seconds=0.1, cold=2)
-    cells = asked_all(Store(None), broken, Entry("hangs", "recommended", {"at": 0}, ""), sets, limits)
+    cells = asked_all(Store(None), broken, SolverSetting("hangs", "recommended", {"at": 0}, ""), sets, limits)
     assert [found.counts()["hung"] for found in cells] == [2, 2, 2, 0, 0]
     assert [found.counts()["not_asked"] for found in cells] == [2, 2, 2, 4, 4]
 
@@ -82,7 +82,7 @@ def test_a_solver_that_hangs_everywhere_is_given_up(broken):
 def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
     sets = [load(name, 32) for name in ("circle", "spiral")]
     first, second = asked_all(
-        Store(None), broken, Entry("stuck", "recommended", {}, ""), sets, Limits(patience_s=0.5, setup_s=2.0)
+        Store(None), broken, SolverSetting("stuck", "recommended", {}, ""), sets, Limits(patience_s=0.5, setup_s=2.0)
     )
     assert (first.counts()["hung"], first.counts()["not_asked"]) == (1, 3)
     assert "while setting up" in first.part.values["events"][0]
@@ -90,13 +90,13 @@ def test_a_solver_that_hangs_while_it_is_set_up_is_not_asked_again(broken):
 
 
 def test_a_crash_is_recorded_with_its_signal(broken):
-    found = cell(broken, Entry("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
+    found = cell(broken, SolverSetting("crashes", "recommended", {"at": 1}, ""), load("circle", 16))
     assert np.flatnonzero(found.status == "crashed").tolist() == [1, 3]
     assert all("SIGSEGV" in event for event in found.part.values["events"])
 
 
 def test_an_exception_costs_one_answer(broken):
-    found = cell(broken, Entry("raises", "recommended", {"at": 2}, ""), load("circle", 16))
+    found = cell(broken, SolverSetting("raises", "recommended", {"at": 2}, ""), load("circle", 16))
     assert np.flatnonzero(found.status == "raised").tolist() == [2, 5]
     counts = found.counts()
     assert (counts["raised"], counts["failed"], counts["verified_solved"]) == (2, 2, 6)
@@ -104,28 +104,28 @@ def test_an_exception_costs_one_answer(broken):
 
 @pytest.mark.parametrize(("name", "reason"), [("quits", "SystemExit: no more"), ("empty", "start returned None")])
 def test_a_solver_that_cannot_even_be_started_is_a_row_with_its_reason(broken, name, reason):
-    found = cell(broken, Entry(name, "recommended", {}, ""), load("circle", 64))
+    found = cell(broken, SolverSetting(name, "recommended", {}, ""), load("circle", 64))
     assert reason in found.refused
     assert found.counts()["not_asked"] == 2
 
 
 def test_a_solver_that_starts_only_once_costs_the_answers_after_its_exception(broken):
-    found = cell(broken, Entry("once", "recommended", {"at": 1}, ""), load("circle", 32))
+    found = cell(broken, SolverSetting("once", "recommended", {"at": 1}, ""), load("circle", 32))
     assert found.status.tolist() == ["solved", "raised", "raised", "raised"]
     assert "RuntimeError: only once" in found.part.values["events"][-1]
 
 
 def test_an_answer_without_form_costs_one_answer(broken):
-    found = cell(broken, Entry("untyped", "recommended", {}, ""), load("circle", 64))
+    found = cell(broken, SolverSetting("untyped", "recommended", {}, ""), load("circle", 64))
     assert found.status.tolist() == ["raised", "raised"]
     assert "solve returned a NoneType" in found.part.values["events"][0]
 
 
 def test_a_solver_that_refuses_is_not_asked(worker):
-    found = cell(worker, Entry("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
+    found = cell(worker, SolverSetting("quadprog", "recommended", {}, ""), load("circle-rho0", 16))
     assert "regularization" in found.refused
     assert found.counts()["not_asked"] == 8
-    assert cell(worker, Entry("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
+    assert cell(worker, SolverSetting("no-such", "recommended", {}, ""), load("circle", 64)).refused.startswith(
         "UnknownName"
     )
 
@@ -196,8 +196,8 @@ def test_a_part_is_asked_once(worker, tmp_path, monkeypatch):
 def test_cold_sessions_know_nothing_of_each_other(worker):
     """The network forgets: cold, every answer starts from rest."""
     data = load("circle", 16)
-    entry = Entry("rnn", "x", {"steps": 5}, "")
-    warm, cold = cell(worker, entry, data), cell(worker, entry, data, warm=False)
+    setting = SolverSetting("rnn", "x", {"steps": 5}, "")
+    warm, cold = cell(worker, setting, data), cell(worker, setting, data, warm=False)
     assert np.abs(warm.part.arrays["x"][-1] - cold.part.arrays["x"][-1]).max() > 1e-3
     np.testing.assert_array_equal(warm.part.arrays["x"][0], cold.part.arrays["x"][0])
 
@@ -206,13 +206,13 @@ def test_cold_sessions_know_nothing_of_each_other(worker):
 
 
 @pytest.mark.parametrize(
-    "entry", entries([n for n, why in available().items() if why is None]), ids=lambda e: e.label
+    "setting", solver_settings([n for n, why in available().items() if why is None]), ids=lambda e: e.label
 )
-def test_every_setting_exists_and_has_its_reason(entry, robot):
-    assert len(entry.reason) > 10
-    solver = make_solver(entry.solver, robot, **entry.options)
-    assert solver.name == entry.solver
-    assert all(accepts(entry.solver, option) for option in entry.options)
+def test_every_setting_exists_and_has_its_reason(setting, robot):
+    assert len(setting.reason) > 10
+    solver = make_solver(setting.solver, robot, **setting.options)
+    assert solver.name == setting.solver
+    assert all(accepts(setting.solver, option) for option in setting.options)
 
 
 def test_the_table_names_no_solver_that_does_not_exist():
@@ -229,7 +229,7 @@ def test_the_page_shows_the_table_as_it_is():
 
 
 def test_recommended_is_what_an_adapter_does_untold():
-    by_label = {e.label: settings.effective(e) for e in entries(["osqp", "qpsolvers:osqp", "exact"])}
+    by_label = {e.label: settings.effective(e) for e in solver_settings(["osqp", "qpsolvers:osqp", "exact"])}
     assert by_label["osqp@recommended"]["cost_scale"] == 100.0
     assert by_label["osqp@default"]["rows"] == 6
     assert by_label["qpsolvers:osqp@recommended"]["eps_abs"] == 1e-8
@@ -237,7 +237,7 @@ def test_recommended_is_what_an_adapter_does_untold():
 
 
 def test_overrides_change_the_recommended_setting_alone():
-    found = {e.setting: e.options for e in entries(["osqp"], {"osqp": {"eps": 0.5}})}
+    found = {e.name: e.options for e in solver_settings(["osqp"], {"osqp": {"eps": 0.5}})}
     assert found["recommended"] == {"eps": 0.5}
     assert found["default"]["eps"] == 1e-3
 

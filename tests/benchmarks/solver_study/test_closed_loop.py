@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from benchmarks.solver_study import loop
+from benchmarks.processes import Worker
+from benchmarks.solver_study import sweeps
 from benchmarks.solver_study.closed_loop import trials
-from benchmarks.solver_study.loop import (
+from benchmarks.solver_study.store import Store
+from benchmarks.solver_study.sweeps import (
     accuracy_sweeps,
     beginning_of_cost,
     box_sweep,
     damping_sweep,
     deadline_sweep,
 )
-from benchmarks.solver_study.store import Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.errors import ScenarioError
 from moc_opt.scenario import Scenario, make_solver, run
 
@@ -86,9 +86,9 @@ def test_every_point_of_every_sweep_is_a_scenario(robot):
             changed = SHORT.change(**{k: dict(v) for k, v in point.changes.items()})
             assert changed.control.law == "moc"
             make_solver(changed.solver.name, robot, **changed.solver.settings)
-            if point.entry is not None:
+            if point.setting is not None:
                 assert not changed.control.supervisor.check
-                assert dict(point.entry.options) == changed.solver.settings
+                assert dict(point.setting.options) == changed.solver.settings
 
 
 def test_one_step_of_the_network_loses_manipulability():
@@ -96,8 +96,8 @@ def test_one_step_of_the_network_loses_manipulability():
     (sweep,) = (s for s in accuracy_sweeps(False) if s.name == "rnn.steps")
     chosen = [p for p in sweep.points if p.label in ("steps=1", "steps=300")]
     with Worker() as worker:
-        bases = {name: loop.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
-        one, many = (loop.run_sweep(Store(None), worker, sweep, p, cases, bases) for p in chosen)
+        bases = {name: sweeps.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
+        one, many = (sweeps.run_sweep(Store(None), worker, sweep, p, cases, bases) for p in chosen)
     assert one["mu_mean"] < 0.98 * many["mu_mean"]
     assert 0.0 < one["mu_fraction_of_bound"] < many["mu_fraction_of_bound"] <= 1.0
     assert one["primal_max"] > 3.0 * many["primal_max"]
@@ -108,9 +108,9 @@ def test_a_narrow_box_is_infeasible_and_the_share_is_counted():
     cases = trials(Scenario(duration_s=4.0, bound_samples=2), ["circle"], [0])
     points = {p.label: p for p in box_sweep(False).points}
     with Worker() as worker:
-        bases = {name: loop.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
+        bases = {name: sweeps.run_baseline(Store(None), worker, trial) for name, trial in cases.items()}
         found = {
-            label: loop.run_sweep(Store(None), worker, box_sweep(False), points[label], cases, bases)
+            label: sweeps.run_sweep(Store(None), worker, box_sweep(False), points[label], cases, bases)
             for label in ("k0=0.1 hold", "k0=5 hold")
         }
     assert found["k0=0.1 hold"]["infeasible_percent"] > 0.0

@@ -9,6 +9,7 @@ from scipy import stats
 from benchmarks.solver_study import compare
 from benchmarks.solver_study.cells import load
 from benchmarks.solver_study.compare import (
+    LEAST_TRIALS,
     correlations,
     disagreements,
     dual_distances,
@@ -33,9 +34,12 @@ def test_what_is_better_in_both_correlates_by_one():
     found = correlations(*tables(residual, -residual, -residual))
     assert found["primal_p50 ~ mu_mean"]["rank_correlation"] == pytest.approx(1.0)
     assert found["primal_p50 ~ tip_error_model_mean_mm"]["rank_correlation"] == pytest.approx(-1.0)
-    said = verdict(found)
+    said = verdict(found, 15)
     assert "anipulability follows" in said
     assert "goes against" in said
+    assert verdict(found, 1) == "1 trial is too few to say what open loop predicts."
+    assert "too few" in verdict(found, LEAST_TRIALS - 1)
+    assert verdict(found, LEAST_TRIALS) == said
 
 
 def test_it_is_spearman_s_coefficient():
@@ -51,8 +55,8 @@ def test_chance_is_called_no_prediction():
     opened, closed = tables([1, 2, 3, 4, 5, 6, 7, 8], [4, 8, 1, 6, 3, 7, 2, 5], [5] * 8)
     found = correlations(opened, closed)
     assert list(found) == ["primal_p50 ~ mu_mean"]  # a table without spread has no ranks
-    assert "no residual of open loop predicts manipulability" in verdict(found).lower()
-    assert "Too few" in verdict({})
+    assert "no residual of open loop predicts manipulability" in verdict(found, 15).lower()
+    assert "Too few" in verdict({}, 15)
 
 
 def test_disagreements_name_who_and_by_how_much():

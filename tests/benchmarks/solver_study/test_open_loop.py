@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.solver_study.closed_parts import JOBS
 from benchmarks.solver_study.config import Config, OpenLoop
 from benchmarks.solver_study.open_loop import expand, record
-from benchmarks.solver_study.parts import Study
+from benchmarks.solver_study.study import Study, run_study
 from moc_opt.scenario import Scenario, run
 
 
@@ -37,8 +38,8 @@ def test_expanding_leaves_nothing_to_compute(scenario):
 def test_the_study_s_sequence_is_thinned_for_cold_sessions(tmp_path):
     config = Config(open_loop=OpenLoop(ticks=40, cold=4), parts=["open_loop"])
     study = Study(config, ["exact", "quadprog"], tmp_path, lambda _: None)
-    study.run()
-    warm, cold = study.summary["open_loop_warm"]["exact"], study.summary["open_loop_cold"]["exact"]
+    found = run_study(study, JOBS)
+    warm, cold = found.summary["open_loop_warm"]["exact"], found.summary["open_loop_cold"]["exact"]
     assert (warm["solves"], cold["solves"]) == (40, 4)
     assert warm["verified_solved"] == 40
     assert {"solve_p99_9_us", "timed_solves"} <= set(warm)
@@ -46,6 +47,6 @@ def test_the_study_s_sequence_is_thinned_for_cold_sessions(tmp_path):
     # without regularization one of them cannot take the problems, and says so
     bare = config.model_copy(update={"scenario": config.scenario.change(control={"regularization": 0.0})})
     study = Study(bare, ["exact", "quadprog"], tmp_path, lambda _: None)
-    study.run()
-    assert "regularization" in study.summary["not_run"]["quadprog"]["reason"]
-    assert set(study.summary["open_loop_warm"]) == {"exact"}
+    found = run_study(study, JOBS)
+    assert "regularization" in found.summary["not_run"]["quadprog"]["reason"]
+    assert set(found.summary["open_loop_warm"]) == {"exact"}

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.solver_study import closed_loop
+from benchmarks.processes import Worker
+from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study.closed_loop import BASELINE, Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
-from benchmarks.solver_study.settings import Entry
+from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Store
-from benchmarks.solver_study.worker import Worker
 from moc_opt.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 # Without the supervisor's residual check: what is swept is the effect of an answer, not of its replacement.
 UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}
 BOUND_SAMPLES = 9
+LATE = ("hold", "zero", "iterate")  # what answers a solve that comes too late
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,13 @@ class Point:
         label: of the value.
         value: on the axis of a figure.
         changes: of the trial's tables.
-        entry: the solver to ask in open loop too; None where the sweep is not about a solver's accuracy.
+        setting: the solver to ask in open loop too; None where the sweep is not about a solver's accuracy.
     """
 
     label: str
     value: float
     changes: Mapping[str, Mapping[str, Any]]
-    entry: Entry | None = None
+    setting: SolverSetting | None = None
 
 
 @dataclass(frozen=True)
@@ -53,19 +54,19 @@ class Sweep:
     suffix: str = ""
 
 
-def accuracy(solver: str, setting: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
-    """A solver's own setting from loose to tight."""
+def accuracy(solver: str, option: str, values: Sequence[float], about: str, **fixed: Any) -> Sweep:
+    """Sweep an option of one solver from loose to tight."""
     points = []
     for value in values:
-        options = {**fixed, setting: value}
-        label = f"{setting}={value:g}"
+        options = {**fixed, option: value}
+        label = f"{option}={value:g}"
         changes = {"solver": {"name": solver, "settings": options}, "control": UNCHECKED}
-        points.append(Point(label, float(value), changes, Entry(solver, label, options, about)))
-    return Sweep(f"{solver}.{setting}", about, points, solver, "accuracy")
+        points.append(Point(label, float(value), changes, SolverSetting(solver, label, options, about)))
+    return Sweep(f"{solver}.{option}", about, points, solver, "accuracy")
 
 
 def accuracy_sweeps(full: bool) -> list[Sweep]:
-    """Tolerances, iterations and steps; costs unscaled, so that a tolerance means what it says."""
+    """Sweep tolerances, iterations and steps; costs unscaled, so that tolerances hold for the cost itself."""
     powers = [10.0**-k for k in range(1, 10)] if full else [1e-1, 1e-2, 1e-3, 1e-5, 1e-7, 1e-9]
     raw = {"cost_scale": 1.0}
     tolerance = "tolerance on the unscaled cost, five rows"
@@ -89,7 +90,7 @@ def accuracy_sweeps(full: bool) -> list[Sweep]:
 
 
 def damping_sweep() -> Sweep:
-    """rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
+    """Sweep rho from 0, the paper's, up: from a vertex that chatters to an answer that does not move."""
     values = [0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
     points = [
         Point(f"rho={v:g}", v, {"control": {**UNCHECKED, "regularization": v}, "solver": {"name": "exact"}})
@@ -99,7 +100,7 @@ def damping_sweep() -> Sweep:
 
 
 def box_sweep(full: bool) -> Sweep:
-    """k0 from the paper's 0.1 up, and what stands for the answer of an infeasible subproblem."""
+    """Sweep k0 from the paper's 0.1 up, and what replaces the answer of an infeasible subproblem."""
     values = [0.1, 0.2, 0.5, 1.0, 2.0, 5.0] if full else [0.1, 0.5, 2.0, 5.0]
     points = [
         Point(
@@ -113,7 +114,7 @@ def box_sweep(full: bool) -> Sweep:
 
 
 def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sweep:
-    """A budget that so many percent of the recorded times exceed, and what is fed back for a late answer.
+    """Sweep a budget that so many percent of the recorded times exceed, and what replaces a late answer.
 
     The times are replayed from the recording, tick by tick, so that the run can be repeated exactly.
     """
@@ -121,7 +122,7 @@ def deadline_sweep(name: str, recorded_us: Array, shares: Sequence[float]) -> Sw
     points = []
     for share in shares:
         budget = max(float(np.percentile(times, 100.0 - share)), 1e-3)
-        for late in ("hold", "zero", "iterate"):
+        for late in LATE:
             changes: dict[str, dict[str, Any]] = {
                 "solver": {"name": name, "settings": {}, "replay_us": times},
                 "control": {"supervisor": {"budget_us": budget, "late": late}},
@@ -138,7 +139,7 @@ def run_sweep(
     cases: Mapping[str, Scenario],
     baselines: Mapping[str, Run],
 ) -> dict[str, Any]:
-    """One point on all trials; several run at a time, so its times say nothing and are left out.
+    """Run one point on all trials; several run at a time, so its times are left out.
 
     The bound is taken at few ticks and travel not at all: a sweep compares its points with each other.
     """
@@ -153,14 +154,14 @@ def run_sweep(
                 baselines[trial.name], timed=False, travel=False,
             )
         )
-    found = closed_loop.combined(runs)
+    found = combine.combined(runs)
     values = {name: value for name, value in found.items() if not name.endswith("_us")}
-    values |= closed_loop.changes(runs, [baselines[trial] for trial in cases])
+    values |= combine.changes(runs, [baselines[trial] for trial in cases])
     return {"value": point.value, **values}
 
 
 def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
-    """DCAC with the gains of the others."""
+    """Run DCAC with the gains of the others."""
     return closed_loop.run_one(
         store, worker, closed_loop.variant(trial.change(bound_samples=BOUND_SAMPLES), BASELINE), BASELINE, None,
         timed=False, travel=False,
@@ -168,7 +169,7 @@ def run_baseline(store: Store, worker: Worker, trial: Scenario) -> Run:
 
 
 def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
-    """What `beginning_of_cost` found, a clause for each sweep."""
+    """Say in words what `beginning_of_cost` found, a clause for each sweep."""
     said = []
     for name, found in begins.items():
         labels = set(found.values())
@@ -182,7 +183,7 @@ def begins_in_words(begins: Mapping[str, Mapping[str, str]]) -> str:
 
 
 def beginning_of_cost(points: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
-    """From loose to tight: from which value on a metric stays within its tolerance of the tightest one's.
+    """Find from which value on, from loose to tight, a metric stays within its tolerance of the tightest one's.
 
     Returns:
         Metric -> label of the loosest value from which on every tighter one is as good as the tightest.

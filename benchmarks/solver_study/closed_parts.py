@@ -1,0 +1,155 @@
+"""The parts of the study in closed loop: every controller on the trials, the sweeps, and what open loop predicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.crew import spread
+from benchmarks.processes import Worker
+from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
+from benchmarks.solver_study.answers import Data, Limits, asked, recorded
+from benchmarks.solver_study.cells import Cell
+from benchmarks.solver_study.closed_loop import Run
+from benchmarks.solver_study.config import ClosedLoop, Sweeps
+from benchmarks.solver_study.study import Findings, Part, Study
+from benchmarks.solver_study.sweeps import Point, Sweep
+from moc_opt.inputs.names import file_stem
+from moc_opt.scenario import Scenario
+
+
+def cases(study: Study, part: ClosedLoop | Sweeps) -> dict[str, Scenario]:
+    """Return the trials of a part, by name."""
+    base = study.config.scenario.change(duration_s=part.duration_s)
+    return closed_loop.trials(base, part.tasks, [study.config.seed + i for i in range(part.seeds)])
+
+
+def controllers(study: Study, so_far: Findings) -> Findings:
+    """Run every solver in the controller, and the baseline, on every trial."""
+    part = study.config.closed_loop
+    runs = closed_loop.run_all(
+        cases(study, part), {s.solver: s.options for s in study.controllers}, study.advance, study.store,
+        timed=part.timed, processes=study.config.processes,
+    )  # fmt: skip
+    return Findings({"closed_loop": combine.summary(runs)}, runs=runs)
+
+
+def chosen_sweeps(study: Study) -> list[Sweep]:
+    """Return the sweeps over accuracy, damping and box whose solvers can run here."""
+    values = study.config.sweeps.values
+    many = values == "many"
+    found = [*sweeps.accuracy_sweeps(many), sweeps.damping_sweep(), sweeps.box_sweep(many)]
+    if values == "few":
+        found = [replace(sweep, points=sweep.points[::3]) for sweep in found]
+    return [sweep for sweep in found if sweep.needs in study.names]
+
+
+def all_sweeps(study: Study, so_far: Findings) -> Findings:
+    """Sweep accuracy, damping, box and deadlines; the accuracy sweeps' points in open loop too."""
+    store, processes = study.store, study.config.processes
+    trials = cases(study, study.config.sweeps)
+    done = spread(list(trials.values()), lambda w, trial: sweeps.run_baseline(store, w, trial), processes)
+    baselines = dict(zip(trials, done, strict=True))
+    chosen = [*chosen_sweeps(study), *_deadlines(study, trials, baselines)]
+    jobs = [(sweep, point) for sweep in chosen for point in sweep.points]
+    limits, data = study.config.testsets.limits(), recorded("recorded", so_far.sequence)
+
+    def work(worker: Worker, job: tuple[Sweep, Point]) -> tuple[dict[str, Any], Cell | None]:
+        sweep, point = job
+        metrics = sweeps.run_sweep(store, worker, sweep, point, trials, baselines)
+        cell = _in_open_loop(study, worker, point, data, limits)
+        study.advance(f"sweep {sweep.name} {point.label}")
+        return metrics, cell
+
+    found = Findings()
+    opened, closed = {}, {}
+    for (sweep, point), (metrics, cell) in zip(jobs, spread(jobs, work, processes), strict=True):
+        found.summary.setdefault(f"sweep {sweep.name}", {})[point.label] = metrics
+        if cell is not None and not cell.refused:
+            name = f"{sweep.name.partition('.')[0]} {point.label}{sweep.suffix}"
+            opened[name], closed[name] = cell.summary(), metrics
+    if study.config.sweeps.duration_s == study.config.closed_loop.duration_s:
+        for name, (metrics, mine) in _recommended(so_far, set(trials)).items():
+            opened[name], closed[name] = metrics, mine
+    found.add(prediction(opened, closed, len(trials)))
+    begins = {
+        sweep.name: sweeps.beginning_of_cost(found.summary[f"sweep {sweep.name}"])
+        for sweep in chosen
+        if sweep.group == "accuracy"
+    }
+    found.summary["cost_begins"] = {name: begin for name, begin in begins.items() if begin}
+    found.words["cost_begins"] = sweeps.begins_in_words(found.summary["cost_begins"])
+    return found
+
+
+def _in_open_loop(study: Study, worker: Worker, point: Point, data: Data, limits: Limits) -> Cell | None:
+    """The answers of a point's solver to the recorded sequence; None where the sweep is not about accuracy."""
+    if point.setting is None:
+        return None
+    return Cell(point.setting, data, asked(study.store, worker, point.setting, data, limits))
+
+
+def _deadlines(study: Study, trials: Mapping[str, Scenario], baselines: Mapping[str, Run]) -> list[Sweep]:
+    """Sweeps over recorded times; one run at a time makes the recording, and it is kept as a file."""
+    found, first = [], next(iter(trials.values()))
+    with Worker() as worker:
+        for name in study.deadline_solvers:
+            trial = closed_loop.variant(first, name, study.config.settings.get(name, {}))
+            run = closed_loop.run_one(study.store, worker, trial, name, baselines[first.name])
+            if not run.columns:
+                continue
+            times = run.columns["solve_us"]
+            study.out.mkdir(parents=True, exist_ok=True)
+            np.save(study.out / f"solve_us_{file_stem(name)}.npy", times)
+            found.append(sweeps.deadline_sweep(name, times, study.config.sweeps.late_percent))
+    return found
+
+
+def _recommended(so_far: Findings, trials: set[str]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """The recommended settings in open and in closed loop, of the solvers that ran on all these trials."""
+    found = {}
+    for name, metrics in so_far.summary.get("open_loop_warm", {}).items():
+        mine = [run for run in so_far.runs if run.controller == name and run.trial in trials]
+        if {run.trial for run in mine} == trials:
+            found[f"{name} as recommended"] = metrics, combine.combined(mine)
+    return found
+
+
+def prediction(opened: compare.Figures, closed: compare.Figures, trials: int) -> Findings:
+    """Say whether open loop predicts closed loop, over the accuracy sweeps' points and the recommended settings."""
+    pairs = {
+        "relative_p50": "mu_mean", "primal_p50": "tip_error_model_mean_mm", "loss_p50": "torque_rate_rms_Nm_per_s",
+    }  # fmt: skip
+    found = compare.correlations(opened, closed)
+    disagreements = {
+        f"{one} ~ {other}: {d['name']}": d
+        for one, other in pairs.items()
+        for d in compare.disagreements(opened, closed, one, other)
+    }
+    return Findings(
+        {"prediction": found, "disagreements": disagreements}, words={"prediction": compare.verdict(found, trials)}
+    )
+
+
+JOBS: dict[str, Part] = {
+    "testsets": open_parts.certified_sets, "open_loop": open_parts.recorded_sequence, "growth": open_parts.more_joints,
+    "closed_loop": controllers, "sweeps": all_sweeps, "duals": open_parts.duals,
+}  # fmt: skip
+"""Name in the configuration -> what runs, in the order in which they need each other."""
+
+
+def steps(study: Study) -> int:
+    """Return how often the parts call ``study.advance``."""
+    config = study.config
+    points = sum(len(sweep.points) for sweep in chosen_sweeps(study))
+    points += len(sweeps.LATE) * len(config.sweeps.late_percent) * len(study.deadline_solvers)
+    trials = len(config.closed_loop.tasks) * config.closed_loop.seeds
+    counts = {
+        "open_loop": 2 * len(study.recommended), "testsets": 2 * len(study.settings), "growth": len(study.growing),
+        "closed_loop": trials * (1 + len(study.controllers)), "sweeps": points, "duals": len(study.with_duals),
+        "qpbenchmark": 1,
+    }  # fmt: skip
+    return 1 + sum(counts[part] for part in config.parts)

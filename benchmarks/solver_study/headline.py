@@ -1,0 +1,97 @@
+"""The result of the study in words, computed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from benchmarks.solver_study.cells import RIGHTLY, answers_rightly, share_right
+from benchmarks.solver_study.closed_loop import BASELINE
+from benchmarks.solver_study.compare import LEAST_TRIALS
+from benchmarks.solver_study.study import NONLINEAR
+from benchmarks.statistics import spread
+
+Rows = Mapping[str, Mapping[str, Any]]
+
+
+def headline(summary: Mapping[str, Rows], words: Mapping[str, str]) -> str:
+    """Say the result in words.
+
+    Args:
+        summary: part -> solver or controller -> metric.
+        words: verdicts of the parts; that on "prediction" is appended.
+    """
+    every = {n: m for n, m in summary.get("testsets", {}).items() if not n.startswith(NONLINEAR)}
+    parts = [
+        *_answers(every), *_growth(summary.get("growth", {})), *_closed_loop(summary.get("closed_loop", {})),
+    ]  # fmt: skip
+    text = ". ".join(part[0].upper() + part[1:] for part in parts) + "." if parts else "Nothing was run."
+    return " ".join([text, *(words[key] for key in ("prediction",) if key in words)])
+
+
+def _answers(every: Rows) -> Iterator[str]:
+    """What the answers to the certified sets are worth; `every` is "solver@setting" -> metric."""
+    linear = _under("recommended", every)
+    if linear:
+        right = sum(m["right"] == m["solves"] for m in linear.values())
+        text = f"{right} of {len(linear)} solvers answered every problem of the certified sets rightly"
+        times = {n: m.get("solve_p50_us_worst_set") for n, m in linear.items() if answers_rightly(m)}
+        timed = {n: us for n, us in times.items() if us is not None}
+        if timed:
+            fastest = min(timed, key=timed.__getitem__)
+            text += (
+                f"; of those right at {100 * RIGHTLY:g} % or more the fastest is {fastest} "
+                f"({100 * share_right(linear[fastest]):.1f} %) with a median of {timed[fastest]:.1f} us on its slowest "
+                "set"
+            )
+        yield text
+    for rows, settings in ((linear, "under our settings"), (_under("default", every), "as the libraries come")):
+        wrong = [f"{n} ({m['silently_wrong']})" for n, m in rows.items() if m["silently_wrong"]]
+        if wrong:
+            yield f"claimed success for wrong answers {settings} (how often): {', '.join(wrong)}"
+    for key, said in (("hung", "never returned"), ("crashed", "took their process with them")):
+        names = [n for n, m in every.items() if m[key]]
+        if names:
+            yield f"{said}: {', '.join(names)}"
+
+
+def _under(setting: str, every: Rows) -> Rows:
+    """Solver -> metric under one setting."""
+    return {n.partition("@")[0]: m for n, m in every.items() if n.endswith(f"@{setting}")}
+
+
+def _growth(rows: Rows) -> Iterator[str]:
+    """How the median time grows with the joints."""
+    ratios = {
+        name: (value, key.rpartition("us_")[2].split("_over_"))
+        for name, row in rows.items()
+        for key, value in row.items()
+        if key.startswith("solve_p50_us_") and "_over_" in key
+    }
+    if ratios:
+        least, most = min(ratios, key=lambda n: ratios[n][0]), max(ratios, key=lambda n: ratios[n][0])
+        last, first = ratios[most][1]
+        yield (
+            f"from {first} to {last} joints the median time grows {ratios[least][0]:.1f} times with {least} and "
+            f"{ratios[most][0]:.1f} times with {most}"
+        )
+
+
+def _closed_loop(rows: Rows) -> Iterator[str]:
+    """What the solvers do to manipulability; of few trials no solver is named and no interval given."""
+    gains = {n: m["mu_gain_percent"] for n, m in rows.items() if n != BASELINE and "mu_gain_percent" in m}
+    if not gains:
+        return
+    best, worst = max(gains, key=gains.__getitem__), min(gains, key=gains.__getitem__)
+    trials = rows[best]["runs"]
+    if trials < LEAST_TRIALS:
+        yield (
+            f"in closed loop manipulability changed by {gains[worst]:.2g} to {gains[best]:.2g} % on "
+            f"{trials} random {'pose' if trials == 1 else 'poses'}, too few to tell the solvers apart"
+        )
+        return
+    yield (
+        f"in closed loop, over {trials} trials from random poses, manipulability changed by "
+        f"{spread(rows[best], 'mu_gain_percent')} % with {best} and by {spread(rows[worst], 'mu_gain_percent')} % "
+        f"with {worst}"
+    )

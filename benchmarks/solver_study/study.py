@@ -1,0 +1,131 @@
+"""The solver study: what is asked for, what is found, and the parts in the order in which they need each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from benchmarks.solver_study import open_loop
+from benchmarks.solver_study.closed_loop import Run, trials
+from benchmarks.solver_study.config import Config
+from benchmarks.solver_study.settings import QPSOLVERS, RECOMMENDED, SolverSetting, solver_settings
+from benchmarks.solver_study.store import Store
+from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.solvers.registry import accepts
+
+Advance = Callable[[str], None]
+Summary = dict[str, dict[str, dict[str, Any]]]
+
+NONLINEAR = "nlp-"
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is asked for.
+
+    Attributes:
+        config: what is compared.
+        names: of the solvers that can run here.
+        out: folder of the results; finished parts are kept in ``out/parts``.
+        advance: called with a few words after each step.
+    """
+
+    config: Config
+    names: Sequence[str]
+    out: Path
+    advance: Advance
+
+    @cached_property
+    def store(self) -> Store:
+        """Finished parts, those of earlier runs among them."""
+        return Store(self.out / "parts")
+
+    @cached_property
+    def settings(self) -> list[SolverSetting]:
+        """Every setting of every solver."""
+        return solver_settings(self.names, self.config.settings)
+
+    @property
+    def recommended(self) -> list[SolverSetting]:
+        """Each solver under the setting that we recommend."""
+        return [setting for setting in self.settings if setting.name == RECOMMENDED]
+
+    @property
+    def growing(self) -> list[SolverSetting]:
+        """Those whose times are taken for arms with more joints."""
+        nonlinear = self.config.growth.nonlinear
+        return [s for s in self.recommended if nonlinear or not s.solver.startswith(NONLINEAR)]
+
+    @property
+    def controllers(self) -> list[SolverSetting]:
+        """Those that run in closed loop; without the libraries that run there through an adapter of their own."""
+        native = {f"{QPSOLVERS}{name}" for name in self.names}
+        return [s for s in self.recommended if self.config.closed_loop.twice or s.solver not in native]
+
+    @property
+    def with_duals(self) -> list[str]:
+        """Solvers that can be given six rows or five."""
+        return [name for name in self.names if accepts(name, "rows")]
+
+    @property
+    def deadline_solvers(self) -> list[str]:
+        """Those whose recorded times are replayed against a budget."""
+        return [name for name in self.config.sweeps.deadline_solvers if name in self.names]
+
+
+@dataclass
+class Findings:
+    """What was found: by one part of the study, or by all of them together.
+
+    Attributes:
+        summary: part -> solver or controller -> metric.
+        rows: of rows.parquet, without those of `runs`.
+        samples: of the figures.
+        words: verdicts in words.
+        runs: in closed loop.
+        seconds: that each part took, of the wall clock.
+        sequence: the recorded subproblems.
+    """
+
+    summary: Summary = field(default_factory=dict)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    samples: dict[str, Any] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+    runs: list[Run] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    sequence: list[NullSpaceQP] = field(default_factory=list)
+
+    def add(self, other: Findings) -> None:
+        """Take in what one part found."""
+        self.summary |= other.summary
+        self.rows += other.rows
+        self.samples |= other.samples
+        self.words |= other.words
+        self.runs += other.runs
+
+
+Part = Callable[[Study, Findings], Findings]
+"""A part of the study: what it finds, given what was found before it."""
+
+
+def record_sequence(config: Config) -> list[NullSpaceQP]:
+    """Record the subproblems of a closed-loop run with ``exact``, one a tick."""
+    (case,) = trials(config.scenario, [config.open_loop.task], [config.seed]).values()
+    return open_loop.record(case.change(duration_s=config.open_loop.ticks * config.scenario.plant.period_s))
+
+
+def run_study(study: Study, parts: dict[str, Part]) -> Findings:
+    """Run the parts that the configuration asks for, in the order given, and put their findings together."""
+    found = Findings(sequence=record_sequence(study.config))
+    study.advance("recorded the sequence")
+    for name, part in parts.items():
+        if name in study.config.parts:
+            begin = perf_counter()
+            found.add(part(study, found))
+            found.seconds[name] = round(perf_counter() - begin, 1)
+    found.summary.setdefault("not_run", {})
+    return found

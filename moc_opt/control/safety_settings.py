@@ -1,0 +1,119 @@
+"""The levels of the safety filter: ``[guard]`` of a scenario."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from moc_opt.errors import ControlError, MocOptError
+from moc_opt.inputs.settings import Level, Settings
+
+Array = NDArray[np.float64]
+
+
+class MotionSettings(Settings):
+    """When a measurement is not believed to show the arm: part of ``[guard]``."""
+
+    motion: bool = Field(True, description="whether age and motion of the measurements are watched")
+    motion_s: float = Field(0.1, gt=0.0, description="how long q - integral of v is remembered")
+    motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")
+    motion_lag_s: float = Field(
+        0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
+    )
+    repeat_m: float = Field(
+        0.003, gt=0.0,
+        description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
+        "much to overcome static friction",
+    )  # fmt: skip
+    repeat_torque: float = Field(
+        0.06, gt=0.0, description="change of a torque meanwhile, of tau_max: static friction holds as much"
+    )
+    repeat_whole_torque: float = Field(
+        0.0005, gt=0.0, description="the same where the wrench sensor, too, repeats its reading to the last bit"
+    )
+    repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
+    repeat_whole_ticks: int = Field(
+        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise, and of a recording"
+    )
+    stuck_torque: float = Field(
+        0.06, ge=0.0,
+        description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
+        "repeats one reading",
+    )  # fmt: skip
+    stuck_rad_per_s: float = Field(
+        0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
+    )
+    residual_torque: float = Field(
+        0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
+    )
+    residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
+    residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
+
+    @property
+    def levels(self) -> Array:
+        """(13,) as the kernels take them."""
+        return np.array([
+            self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
+            self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
+            self.residual_rate_per_s, self.residual_s,
+            self.repeat_whole_m, self.repeat_whole_ticks,
+        ])  # fmt: skip
+
+
+class SafetyFilterSettings(MotionSettings):
+    """Safety limits."""
+
+    KIND: ClassVar[str] = "[guard]"
+    ERROR: ClassVar[type[MocOptError]] = ControlError
+
+    torque_rate_Nm_per_s: float = Field(20000.0, gt=0.0, description="largest change of a joint's torque")
+    position_margin_rad: float = Field(
+        0.045, ge=0.0, description="the wall begins this far inside a joint limit"
+    )
+    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
+    wall_damping_Nm_s_per_rad: float = Field(
+        20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
+    )
+    wall_brake_rad_per_s2: float = Field(
+        2.0, gt=0.0, description="allowed speed at a distance d from a wall: sqrt(2 d wall_brake)"
+    )
+    jump_rad: float = Field(
+        0.05, gt=0.0, description="a measured step beyond what v_max explains: not believed"
+    )
+    speed_factor: float = Field(5.0, gt=1.0, description="of v_max: a measured speed above it: not believed")
+    patience_ticks: int = Field(
+        3, ge=0, description="ticks with a bad measurement that are bridged before the stop"
+    )
+    tip_error_m: float = Field(
+        0.01, gt=0.0, description="root mean square of the tip's error: above it, the loop is out of control"
+    )
+    tip_error_s: float = Field(0.1, gt=0.0, description="time constant of that mean")
+    rcm_error_m: Level = Field(
+        0.012, description="root mean square of the shaft's distance from the registered trocar: above it, stop"
+    )
+    rcm_warning_m: Level = Field(0.006, description="above it, a warning is recorded")
+    trocar_force_N: Level = Field(
+        15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
+    )
+    trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
+    incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
+    stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
+    stop_holding: float = Field(
+        0.25, ge=0.0, le=1.0,
+        description="dry friction of the brakes in a stop, of tau_max; 0: damping alone, under which an arm sinks",
+    )
+    stop_yield_N: Level = Field(
+        8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
+    )
+    stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
+
+    @model_validator(mode="after")
+    def _warned_before_it_stops(self) -> Self:
+        for warning, limit in (("rcm_warning_m", "rcm_error_m"), ("trocar_force_warning_N", "trocar_force_N")):
+            low, high = getattr(self, warning), getattr(self, limit)
+            if low is not None and high is not None and low > high:
+                raise ValueError(f"{warning} = {low:g} is above {limit} = {high:g}: give a lower one")
+        return self

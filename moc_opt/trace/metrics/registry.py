@@ -1,0 +1,154 @@
+"""The registry of metrics: a function becomes one by `@metric`, and `summarize` computes all that a trace allows."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.trace.trace import MissingDataError, Trace
+
+Floats = NDArray[np.float64]
+Phase = Literal["travelling", "settled"]
+PHASES = ("travelling", "settled")
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A registered metric: call it with a trace, and with a baseline where it compares two runs.
+
+    Attributes:
+        name: key in every summary, with the unit in it.
+        unit: "mm", "us"; "1" for counts and shares.
+        about: one line on what it measures.
+        function: `(trace) -> number` or `(trace, baseline) -> number`.
+    """
+
+    name: str
+    unit: str
+    about: str
+    function: Callable[..., float] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "__doc__", inspect.getdoc(self.function))
+        object.__setattr__(self, "__wrapped__", self.function)
+
+    def __call__(self, trace: Trace, baseline: Trace | None = None) -> float:
+        """Return the number.
+
+        Raises:
+            MissingDataError: the trace lacks the data.
+            TraceError: the trace or the baseline is empty.
+        """
+        for role, run in (("trace", trace), ("baseline", baseline)):
+            if run is not None and len(run) == 0:
+                raise TraceError(f"the {role} is empty: {self.name} needs at least one tick")
+        compares = len(inspect.signature(self.function).parameters) > 1
+        return float(self.function(trace, baseline) if compares else self.function(trace))
+
+
+METRICS: dict[str, Metric] = {}
+"""Name -> metric, in the order of a summary."""
+
+
+@overload
+def metric(unit: Callable[..., float]) -> Metric: ...
+@overload
+def metric(unit: str) -> Callable[[Callable[..., float]], Metric]: ...
+def metric(unit: str | Callable[..., float]) -> Any:
+    """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and shares.
+
+    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line says what it measures. It
+    raises MissingDataError, as the access to an absent column does, to be left out of a summary.
+
+    Raises:
+        TraceError: it has no docstring, or another function has its name already.
+    """
+    if callable(unit):
+        return _registered("1", unit)
+    return lambda function: _registered(unit, function)
+
+
+def _registered(unit: str, function: Callable[..., float]) -> Metric:
+    name, about = function.__name__, (inspect.getdoc(function) or "").strip()
+    if not about:
+        raise TraceError(f"metric {name!r} has no docstring: say in one line what it measures")
+    known = METRICS[name].function if name in METRICS else function
+    # A module that is loaded a second time may bring its own metrics again.
+    if (known.__module__, known.__qualname__) != (function.__module__, function.__qualname__):
+        raise TraceError(f"metric {name!r} is there already, from {known.__module__}: choose another name")
+    METRICS[name] = Metric(name, unit, about.splitlines()[0], function)
+    return METRICS[name]
+
+
+def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None = None) -> dict[str, float]:
+    """Compute every metric that the trace has the data for.
+
+    Args:
+        trace: a run.
+        baseline: the run to compare with: DCAC with the same gains on the same trial.
+        phase: only the ticks while the elbow is "travelling" to its optimum, or has "settled", by the trace's
+            column `travelling`; the baseline is then read at the same ticks.
+
+    Returns:
+        Name -> number, in the order of METRICS; metrics whose data are absent are left out. Empty when the
+        run has no tick in that phase.
+
+    Raises:
+        TraceError: the trace or the baseline is empty; a phase is asked for and the trace has no column
+            `travelling`, or the baseline has not the same number of ticks.
+        UnknownNameError: no such phase.
+    """
+    for role, run in (("trace", trace), ("baseline", baseline)):
+        if run is not None and len(run) == 0:
+            raise TraceError(f"the {role} is empty: run the scenario for at least one tick")
+    if phase is not None:
+        if phase not in PHASES:
+            raise UnknownNameError("phase", phase, PHASES)
+        ticks = trace.travelling if phase == "travelling" else ~trace.travelling
+        if baseline is not None and len(baseline) != len(trace):
+            raise TraceError(
+                f"the baseline has {len(baseline)} ticks where the trace has {len(trace)}: "
+                f"a phase is compared at the same ticks, give a baseline of the same trial"
+            )
+        if not ticks.any():
+            return {}
+        trace, baseline = trace.select(ticks), None if baseline is None else baseline.select(ticks)
+    summary = {}
+    for name, function in METRICS.items():
+        try:
+            summary[name] = function(trace, baseline)
+        except MissingDataError:
+            # By contract: a metric without its data has no number, and no key.
+            continue
+    return summary
+
+
+def floats(trace: Trace, column: str) -> Floats:
+    """Return a column of numbers; of vectors, their lengths."""
+    values = np.asarray(getattr(trace, column), dtype=np.float64)
+    return values if values.ndim == 1 else lengths(values)
+
+
+def known(trace: Trace, column: str) -> Floats:
+    """Return the entries of a column that are not NaN; there must be one."""
+    values = floats(trace, column)
+    values = values[~np.isnan(values)]
+    if values.size == 0:
+        raise MissingDataError(f"column {column!r} is NaN at every tick: there was nothing to measure")
+    return values
+
+
+def count(ticks: NDArray[Any]) -> float:
+    """Return how many ticks are marked."""
+    return float(np.count_nonzero(ticks))
+
+
+def lengths(rows: Floats) -> Floats:
+    """Return the Euclidean length of each row."""
+    return np.asarray(np.sqrt((rows * rows).sum(axis=1)), dtype=np.float64)
