@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import null_space as manipulability
 from moc_opt.control import tick
+from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.session import check_references, start_session
@@ -21,6 +22,7 @@ from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
+from moc_opt.qp.layout import offsets
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
 
@@ -45,6 +47,7 @@ class Controller:
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times that replace the clock where a solve has a time budget.
+        guide: what the third level follows in place of the gradient of mu; needs regularization and c2 above 0.
 
     Raises:
         ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
@@ -57,6 +60,7 @@ class Controller:
         solver: Solver | None = None,
         period: float = 0.002,
         times_us: Iterator[float] | None = None,
+        guide: Guide | None = None,
     ) -> None:
         if (settings.law == "moc") != (solver is not None):
             raise ControlError(
@@ -65,6 +69,9 @@ class Controller:
             )
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = law_of(settings, robot)
+        self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
+        if guide is not None:
+            settings.check_guided()
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         gain = settings.observer_gain_per_s
         self._observer = MomentumObserver(robot, gain, period) if gain else None
@@ -135,6 +142,8 @@ class Controller:
         self._forget()
         self._Z = manipulability.null_space(state.A)
         self._tau = read_only(np.array(state.h))
+        if self._guide is not None:
+            self._guide.start()
         if self._observer is not None:
             self._observer.start(state)
         if self.solver is not None:
@@ -193,6 +202,8 @@ class Controller:
         row = np.empty(self._row_length)
         if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
             self._Z = manipulability.null_space(state.A, like=self._Z)
+        if self._guide is not None:  # in the place of grad mu
+            row[self._gradient] = self.settings.regularization / self.settings.c2 * self._guide.wish(state)
         self.subproblem = qp = NullSpaceQP.from_row(row)
         v = state.v if self._observes else None
         self.solution, self.answer = self._supervisor.solve(session, qp, self._Z, v)

@@ -129,6 +129,9 @@ class ControlSettings(Settings):
     limit_torque: bool = True
 
     k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
+    third_level: Literal["local", "planned"] = Field(
+        default="local", description="under moc: climb mu where the arm is, or follow a course planned before the run"
+    )
     c0: NotNegative = 0.01
     c1: NotNegative = 0.01
     c2: NotNegative = 0.001
@@ -188,6 +191,18 @@ class ControlSettings(Settings):
             raise UnknownNameError("control preset", name, PRESETS)
         make: Callable[..., ControlSettings] = getattr(cls, name)
         return make(**changes)
+
+    def check_guided(self) -> None:
+        """Refuse settings under which the third level cannot follow a guide.
+
+        Raises:
+            ControlError: rho or c2 is 0.
+        """
+        if not min(self.regularization, self.c2) > 0.0:
+            raise ControlError(
+                f"third_level = {self.third_level!r} with c2 = {self.c2:g}, regularization = {self.regularization:g}: "
+                "set both above 0, so that the subproblem has one answer"
+            )
 
     @property
     def damping(self) -> float:

@@ -118,29 +118,31 @@ def make_plan(
     start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
     answers = [search(found, step, objective, start=begin, margin_rad=margin_rad) for begin in (start, None)]
     searched = time.perf_counter()
+    bounds = [
+        search(found, step, objective, start=begin, margin_rad=margin_rad, generous=True) for begin in (start, None)
+    ]
+    bounded = time.perf_counter()
     courses = []
-    for answer, free in zip(answers, (False, True), strict=True):
+    for answer, bound, free in zip(answers, bounds, (False, True), strict=True):
         course = None if answer.q_rad is None else make_course(robot, targets, answer.q_rad, margin_rad, speed_share)
-        if course is not None and refined:
-            course = refine(
-                robot, targets, course, objective, free_start=free, margin_rad=margin_rad, speed_share=speed_share
-            )
+        # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
+        for guess in (None, bound.q_rad) if refined and course is not None else ():
+            if course is not None and (guess is None or np.isfinite(guess).all()):
+                course = refine(
+                    robot, targets, course, objective, guess=guess, free_start=free, margin_rad=margin_rad,
+                    speed_share=speed_share,
+                )  # fmt: skip
         courses.append(course)
-    took = mapped - began, searched - mapped, time.perf_counter() - searched
+    took = mapped - began, searched - mapped, time.perf_counter() - bounded
     mine, best = courses
     if mine is not None and best is not None and mine.value(objective) > best.value(objective):
         best = mine  # of all starts one is the given one
-    bounds = [
-        search(found, step, objective, start=begin, margin_rad=margin_rad, generous=True).value
-        if course is not None else np.nan
-        for begin, course in ((start, mine), (None, best))
-    ]  # fmt: skip
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
     return Plan(
         objective, targets, mine, best,
         make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
-        bounds[0], bounds[1],
+        np.nan if mine is None else bounds[0].value, np.nan if best is None else bounds[1].value,
         None if mine is not None else blocked(robot, found, answers[0], start[0], step, margin_rad),
         float(elbow.swivel(start[0][None])[0]),
         np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),

@@ -41,6 +41,7 @@ def refine(
     course: Course,
     objective: Objective = "mean",
     *,
+    guess: Array | None = None,
     free_start: bool = False,
     margin_rad: float = 0.0,
     speed_share: float = 1.0,
@@ -50,7 +51,8 @@ def refine(
     Args:
         robot: the arm.
         targets: tip and wrist over time.
-        course: where to begin; all times.
+        course: that is to be improved; all times.
+        guess: (k,n) poses to begin with in place of the course's; they may break constraints.
         objective: as for the search.
         free_start: whether the first pose may change, too.
         margin_rad: from the joint limits.
@@ -79,14 +81,14 @@ def refine(
     rows.append((ca.vec(x[:, 1:] - x[:, :-1]), -most, most))
     keep = margin_rad + INSIDE
     low, high = (np.tile(limit[moving], k) for limit in (robot.q_min + keep, robot.q_max - keep))
-    guess = np.array(course.q_rad[:, moving]).ravel()
+    begin = np.array((course.q_rad if guess is None else guess)[:, moving]).ravel()
     if not free_start:
-        low[:a] = high[:a] = guess[:a]
+        low[:a] = high[:a] = course.q_rad[0, moving]
     weight, variables = weights(k) / weights(k).sum(), ca.vec(x)
     scale = float(np.mean(course.mu))
     if objective == "worst":
         least = ca.MX.sym("s")
-        variables, guess = ca.vertcat(variables, least), np.append(guess, course.mu.min() / scale)
+        variables, begin = ca.vertcat(variables, least), np.append(begin, course.mu.min() / scale)
         low, high = np.append(low, -np.inf), np.append(high, np.inf)
         rows.append((mu.T / scale - least, 0.0, np.inf))
         cost = -least
@@ -96,7 +98,7 @@ def refine(
     problem = {"x": variables, "f": cost, "g": ca.vertcat(*(g for g, _, _ in rows))}
     solver = ca.nlpsol("course", "ipopt", problem, OPTIONS)
     answer = solver(
-        x0=guess, lbx=low, ubx=high, lbg=np.concatenate([lo for lo, _ in bounds]),
+        x0=begin, lbx=low, ubx=high, lbg=np.concatenate([lo for lo, _ in bounds]),
         ubg=np.concatenate([hi for _, hi in bounds]),
     )  # fmt: skip
     poses = np.array(course.q_rad)

@@ -22,6 +22,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
 from moc_opt.scenario.layout import breathing, lay_out
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
+from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.sim.closed_loop import ClosedLoop
 from moc_opt.sim.faults import Faults
@@ -57,6 +58,7 @@ class Setup:
             require_freedom(self.robot)
         self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
+        self.layout = layout
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
@@ -101,7 +103,9 @@ class Setup:
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
             times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
-        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times)
+        guided = settings.law == "moc" and settings.third_level == "planned"
+        guide = follower(self.scenario, self.robot, self.layout) if guided else None
+        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """Return at which ticks the solver's answer is replaced by a fault, (N,)."""

@@ -1,0 +1,102 @@
+"""A followed course is where it should be at every tick, and in the closed loop the arm goes along it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.control import Controller
+from moc_opt.errors import ControlError, MocOptError, ScenarioError, TaskError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import Course
+from moc_opt.planning.follow import Follower
+from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario.planned import follower
+
+
+def straight(robot: RobotModel) -> Course:
+    t = np.linspace(0.0, 1.0, 11)
+    q = robot.data.q_home + 0.1 * t[:, None]
+    return Course(t, q, np.ones(11), 0.0)
+
+
+def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) -> None:
+    guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
+    for tick in range(400):
+        wish = guide.wish(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
+        np.testing.assert_allclose(wish, 0.1, atol=1e-9)
+    guide.start()
+    np.testing.assert_allclose(guide.wish(robot.state(robot.data.q_home)), 0.1, atol=1e-9)
+
+
+def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: RobotModel) -> None:
+    guide = Follower(straight(robot), 0.002, gain_per_s=5.0, lead=2.0)
+    off = robot.state(robot.data.q_home + 0.01)
+    np.testing.assert_allclose(guide.wish(off), 2.0 * (0.1 - 0.05), atol=1e-9)
+    for _ in range(600):
+        last = guide.wish(robot.state(robot.data.q_home + 0.2))
+    np.testing.assert_allclose(last, 2.0 * 5.0 * (0.1 - 0.2), atol=1e-9)
+
+
+def test_bad_settings_are_named(robot: RobotModel) -> None:
+    with pytest.raises(TaskError, match="period_s = 0"):
+        Follower(straight(robot), 0.0)
+
+
+# --- in the loop ---
+
+FOLLOWED = Scenario(bound_samples=0).change(control={"third_level": "planned"}, plant={"preset": "nominal"})
+
+
+def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -> None:
+    """x is the references' motion plus the projection of the wish on ker A: by pseudo-inverse, not by the solver."""
+    setup = Setup(FOLLOWED)
+    controller = setup.controller()
+    assert isinstance(controller, Controller)
+    guide = follower(FOLLOWED, setup.robot, setup.layout)
+    state = setup.robot.state(setup.q_start)
+    tip, trocar = setup.reference.rows(0.0), setup.registered.rows(0.0)
+    controller.start(state, tip, trocar)
+    controller.tick(state, tip, trocar)
+    wish = guide.wish(state)
+    qp = controller.subproblem
+    assert qp is not None
+    inverse = np.linalg.pinv(state.A, rcond=1e-6)
+    expected = inverse @ qp.b + wish - inverse @ (state.A @ wish)
+    assert np.abs(expected).max() > 1e-3
+    assert ((expected > qp.lower) & (expected < qp.upper)).all()
+    np.testing.assert_allclose(controller.answer, expected, atol=1e-7)
+
+
+def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
+    setup = Setup(FOLLOWED)
+    trace = mo.run(FOLLOWED)
+    assert trace.meta["ended"] == "completed"
+    guide = follower(FOLLOWED, setup.robot, setup.layout)
+    wanted = guide._q[np.minimum(np.arange(len(trace)), len(guide._q) - 1)]
+    late = trace.t_s > 1.0
+    assert np.abs(trace.q_rad - wanted)[late].max() < 0.05
+    climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
+    assert trace.mu.mean() > climbed.mu.mean() - 1e-4
+    assert trace.columns["verified"].mean() > 0.99
+
+
+@pytest.mark.parametrize(
+    ("control", "message"),
+    [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0"), ({"backend": "c"}, "third_level")],
+)
+def test_what_cannot_follow_is_refused(control: dict[str, object], message: str) -> None:
+    with pytest.raises((ControlError, MocOptError), match=message):
+        Setup(FOLLOWED.change(control=control)).adapter()
+
+
+def test_a_path_without_a_course_is_refused_before_the_run() -> None:
+    fast = FOLLOWED.change(task={"v_max_m_per_s": 2.0, "a_max_m_per_s2": 20.0}, start={"check_path": False})
+    with pytest.raises(ScenarioError, match=r"third_level = 'planned'.*mm along the path"):
+        Setup(fast).controller()
+
+
+def test_without_a_third_level_nothing_is_planned() -> None:
+    setup = Setup(FOLLOWED.change(control={"law": "dcac"}))
+    assert setup.controller()._guide is None
