@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model import place_kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
@@ -30,7 +31,7 @@ _FILL_STATE = CompiledKernel(
     kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
 _TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, VECTOR, MATRIX, MATRIX, MATRIX, FLAGS)
-_TOOL_POSE = CompiledKernel(kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
+_TOOL_POSE = CompiledKernel(place_kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them

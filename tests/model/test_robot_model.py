@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model import kinematics_kernels as kernels
+from moc_opt.model import place_kernels
 from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
 from tests.conftest import Draw
 
@@ -370,7 +371,7 @@ def test_joints_are_where_pinocchio_has_them(arm: RobotModel) -> None:
     for _ in range(10):
         q = rng.uniform(arm.q_min, arm.q_max)
         pin.forwardKinematics(model, data, q)
-        kernels.place_joints(arm.chain.joints, q, places)
+        place_kernels.place_joints(arm.chain.joints, q, places)
         for place, known in zip(places, list(data.oMi)[1:], strict=True):
             np.testing.assert_allclose(place[:9].reshape(3, 3).T, known.rotation, atol=1e-14)
             np.testing.assert_allclose(place[9:], known.translation, atol=1e-14)

@@ -1,0 +1,85 @@
+"""Forward kinematics, compiled: where joints, points of the last link and the tool are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True)
+def point_in_world(rotation_t: Array, origin: Array, local: Array, out: Array) -> None:
+    """out = origin + R local; the rotation comes transposed, as pinocchio stores it by columns."""
+    for i in range(3):
+        out[i] = (
+            origin[i]
+            + rotation_t[0, i] * local[0]
+            + rotation_t[1, i] * local[1]
+            + rotation_t[2, i] * local[2]
+        )
+
+
+@njit(cache=True)
+def place_joints(joints: Array, q: Array, places: Array) -> None:
+    """Forward kinematics: write every joint's frame in the world.
+
+    Args:
+        joints: (n,16) as in `Chain.joints`.
+        q: (n,).
+        places: (n,12) written: the rotation by columns, then the origin.
+    """
+    for j in range(q.shape[0]):
+        for i in range(3):  # as it stands at q_j = 0
+            if j == 0:
+                x, y, z = (1.0 if i == 0 else 0.0), (1.0 if i == 1 else 0.0), (1.0 if i == 2 else 0.0)
+                before = 0.0
+            else:
+                x, y, z = places[j - 1, i], places[j - 1, 3 + i], places[j - 1, 6 + i]
+                before = places[j - 1, 9 + i]
+            for c in range(3):
+                places[j, 3 * c + i] = x * joints[j, c] + y * joints[j, 3 + c] + z * joints[j, 6 + c]
+            places[j, 9 + i] = before + x * joints[j, 9] + y * joints[j, 10] + z * joints[j, 11]
+        a, b, d = joints[j, 12], joints[j, 13], joints[j, 14]
+        ax = places[j, 0] * a + places[j, 3] * b + places[j, 6] * d
+        ay = places[j, 1] * a + places[j, 4] * b + places[j, 7] * d
+        az = places[j, 2] * a + places[j, 5] * b + places[j, 8] * d
+        if joints[j, 15] > 0.0:
+            places[j, 9] += ax * q[j]
+            places[j, 10] += ay * q[j]
+            places[j, 11] += az * q[j]
+            continue
+        cos, sin = math.cos(q[j]), math.sin(q[j])
+        for c in range(3):  # Rodrigues' formula on each column of the rotation
+            x, y, z = places[j, 3 * c], places[j, 3 * c + 1], places[j, 3 * c + 2]
+            along = (1.0 - cos) * (ax * x + ay * y + az * z)
+            places[j, 3 * c] = cos * x + sin * (ay * z - az * y) + along * ax
+            places[j, 3 * c + 1] = cos * y + sin * (az * x - ax * z) + along * ay
+            places[j, 3 * c + 2] = cos * z + sin * (ax * y - ay * x) + along * az
+
+
+@njit(cache=True)
+def tool_pose(joints: Array, q: Array, mount: Array, tip: Array, pose: Array) -> None:
+    """Write the tool's axes and tip, (4,3) rows x, y, z, X in world axes.
+
+    Args:
+        joints, q: as in `place_joints`.
+        mount: (3,3) rows: the tool's axes in that frame.
+        tip: (3,) the tip in that frame [m].
+        pose: (4,3) written.
+    """
+    n = q.shape[0]
+    places = np.empty((n, 12))
+    place_joints(joints, q, places)
+    place = places[n - 1]
+    rotation_t = place[:9].reshape((3, 3))
+    for k in range(3):
+        for i in range(3):
+            pose[k, i] = (
+                rotation_t[0, i] * mount[k, 0] + rotation_t[1, i] * mount[k, 1] + rotation_t[2, i] * mount[k, 2]
+            )
+    point_in_world(rotation_t, place[9:], tip, pose[3])
