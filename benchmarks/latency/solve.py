@@ -17,7 +17,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.exact.solver import Exact, solve_row
+from moc_opt.solvers.exact.solver import Exact, solve_row, workspace
 
 Array = NDArray[np.float64]
 
@@ -41,9 +41,10 @@ def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSp
 @njit(cache=True)
 def _solve_many(rows: Array, tolerance: float, x: Array, y: Array, times: int) -> int:
     failed = 0
+    work, indices = workspace(x.shape[0])
     for _ in range(times):
         for i in range(rows.shape[0]):
-            failed += solve_row(rows[i], tolerance, x, y) != 0
+            failed += solve_row(rows[i], tolerance, x, y, work, indices) != 0
     return failed
 
 

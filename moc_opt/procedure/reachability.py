@@ -240,10 +240,15 @@ def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
 
 
 def _middle(robot: RobotModel, q: Array) -> Array | None:
-    """The pose of the feasible self-motion that is farthest from all joint limits; None where it cannot be scanned."""
+    """Choose the pose of the feasible self-motion that is farthest from all joint limits; None where none can be found.
+
+    A joint that the self-motion does not move has the same room at each of them, and may have the least: many poses
+    would be equal to rounding. So the joints that it moves decide.
+    """
     try:
         poses = self_motion(robot, q).q
     except RobotError:
         return None  # a singular start, or one outside the limits: there is nothing to choose from
-    room = np.minimum(poses - robot.q_min, robot.q_max - poses).min(axis=1)
+    moved = np.ptp(poses, axis=0) > 1e-6
+    room = np.minimum(poses - robot.q_min, robot.q_max - poses)[:, moved].min(axis=1, initial=np.inf)
     return np.array(poses[int(np.argmax(room))])
