@@ -164,7 +164,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
             for piece in table.fitted(screen.width):
                 screen.print(piece)
     if given.out is not None:
-        path = save_course(found, scenario.robot.arm(), given.out)
+        path = save_course(found, scenario, given.out)
         print(path, file=sys.stderr if given.json else sys.stdout)
     return 0 if found.executable else 3
 

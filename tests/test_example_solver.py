@@ -58,6 +58,13 @@ def test_it_is_found_by_its_entry_point(python, tmp_path):
     assert str(EXAMPLE) not in printed  # the installed one
 
 
+def test_it_passes_the_conformance_suite(python):
+    suite = "tests/solvers/test_conformance.py"
+    code, output, _ = call(python, "-m", "pytest", suite, "-k", "slsqp", "-p", "no:cacheprovider", cwd=ROOT)
+    assert code == 0, output
+    assert int(output.split(" passed")[0].split()[-1]) >= 8
+
+
 def test_it_is_compared_with_the_rest(python, tmp_path):
     """The main job's own command, in the fresh environment."""
     (tmp_path / "small.toml").write_text(

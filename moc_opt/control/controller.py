@@ -9,10 +9,10 @@ import numpy as np
 from numba import float64
 from numpy.typing import NDArray
 
-from moc_opt.control import null_space as manipulability
 from moc_opt.control import tick
 from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
+from moc_opt.control.null_space import follow_null_space, null_space
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.session import check_references, start_session
 from moc_opt.control.settings import ControlSettings
@@ -140,7 +140,7 @@ class Controller:
             ControlError: the solver says that it cannot take the subproblem, or raises when it is asked or started.
         """
         self._forget()
-        self._Z = manipulability.null_space(state.A)
+        self._Z = null_space(state.A)
         self._tau = read_only(np.array(state.h))
         if self._guide is not None:
             self._guide.start()
@@ -201,7 +201,7 @@ class Controller:
         """The x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
         row = np.empty(self._row_length)
         if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
-            self._Z = manipulability.null_space(state.A, like=self._Z)
+            self._Z = null_space(state.A, like=self._Z)
         if self._guide is not None:  # in the place of grad mu
             row[self._gradient] = self.settings.regularization / self.settings.c2 * self._guide.wish(state)
         self.subproblem = qp = NullSpaceQP.from_row(row)
@@ -211,5 +211,5 @@ class Controller:
 
     def _follow_null_space(self, state: RobotState) -> None:
         views = state_views.py_func(state.record, state.n)
-        if not manipulability.follow_null_space(views.A, views.u, self._Z):
-            self._Z = manipulability.null_space(state.A, like=self._Z)
+        if not follow_null_space(views.A, views.u, self._Z):
+            self._Z = null_space(state.A, like=self._Z)

@@ -16,7 +16,7 @@ class Guide(Protocol):
     """Says at every tick how the arm should move on its self-motion.
 
     The controller puts (rho / c2) x_d in the place of grad mu: on the feasible set the subproblem then is
-    min rho/2 |x - x_d|^2, and box, solver, supervisor and judge are those of every other run.
+    min rho/2 |x - x_d|^2, and box, solver, supervisor and residual check are those of every other run.
     """
 
     def start(self) -> None:

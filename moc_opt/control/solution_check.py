@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 AT_BOUND = 1e-4  # a joint this near to a bound is at it [rad/s]
 SWEEPS = 200
-PASSES = 2e-3  # natural residuals up to here may be verified by the judge: the line is not looked at any further
+PASSES = 2e-3  # natural residuals up to here may be verified: the line is not looked at any further
 
 MOST_ITERATIONS = 2**31 - 1
 """The largest number that a trace can hold."""
@@ -150,7 +150,7 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     Returns:
         |A x - b|_inf, NaN where x is not finite; box violation; natural residual along the line with the best duals
         and the cost divided by c2 |grad_mu|_inf, with several freedoms by the size of the reduced gradient: never
-        above the judge's ``relative``; distance from the optimum and from the opposite optimum [rad/s].
+        above the residuals' ``relative``; distance from the optimum and from the opposite optimum [rad/s].
     """
     row, Z, x = borrowed(row), borrowed(Z), borrowed(x)
     if not all_finite(x):

@@ -27,7 +27,7 @@ from moc_opt.trace.trace import Trace
 Array = NDArray[np.float64]
 
 UNREACHABLE, FEASIBLE = -1, 0
-COURSE_POINTS = 500
+TRAJECTORY_POINTS = 500
 STEP_RAD = 0.05
 SAME_PATH_M = 1e-6
 OTHER_BRANCH_RAD = 0.5
@@ -196,7 +196,7 @@ def _onto(angles: Array, swivel: Array) -> Array:
 
 
 def _trajectory(robot: RobotModel, elbow: Elbow, trace: Trace, times: Array, swivel: Array, q: Array) -> Trajectory:
-    ticks = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), COURSE_POINTS)).round().astype(int))
+    ticks = np.unique(np.linspace(0, len(trace) - 1, min(len(trace), TRAJECTORY_POINTS)).round().astype(int))
     poses = trace.q_rad[ticks]
     angles = _onto(elbow.swivel(poses), swivel)
     columns = np.abs(times[None] - trace.t_s[ticks][:, None]).argmin(axis=1)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError, ScenarioError
+from moc_opt.model.carried import carried
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.procedure import preflight
 from moc_opt.procedure.reachability import Reach
 from moc_opt.redundancy.self_motion import self_motion
+from moc_opt.robots import available_robots
 from moc_opt.scenario.config import Scenario, TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.trace.parquet_file import MOST_ROWS
@@ -101,3 +104,12 @@ def breathing(scenario: Scenario) -> tuple[float, float, tuple[float, float, flo
     """Return how the trocar moves: amplitude [m], period [s], direction."""
     trocar = scenario.trocar
     return trocar.breathing_amplitude_m, trocar.breathing_period_s, trocar.breathing_direction
+
+
+def described(scenario: Scenario, robot: RobotModel) -> dict[str, Any]:
+    """Describe scenario and arm for the `meta` of a trace; an arm that is not of the package goes with it whole.
+
+    Its files may not be where the trace is looked at.
+    """
+    found = {"scenario": scenario.model_dump(mode="json"), "robot": robot.data.name}
+    return found if scenario.robot.name in available_robots() else {**found, "robot_data": carried(robot)}

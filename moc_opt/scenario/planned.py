@@ -14,7 +14,7 @@ from moc_opt.planning.follow import Follower
 from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, lay_out
+from moc_opt.scenario.layout import Layout, described, lay_out
 from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.025
@@ -95,7 +95,7 @@ def follower(scenario: Scenario, robot: RobotModel, layout: Layout) -> Follower:
     )
 
 
-def save_course(found: Plan, robot: RobotModel, to: str | os.PathLike[str]) -> Path:
+def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str]) -> Path:
     """Write the plan's course as a Parquet file that `Trace.load` reads: t_s, q_rad, mu, swivel_rad, tip_ref_m, tip_m.
 
     Raises:
@@ -105,6 +105,7 @@ def save_course(found: Plan, robot: RobotModel, to: str | os.PathLike[str]) -> P
     course = found.course
     if course is None:
         raise ScenarioError("no course goes all the way from any swivel: there is nothing to write; change the [task]")
+    robot = scenario.robot.arm()
     tips, wrists = robot.tool_along(course.q_rad)
     columns = {
         "t_s": course.t_s, "q_rad": course.q_rad, "mu": course.mu, "swivel_rad": found.swivel_rad,
@@ -112,7 +113,7 @@ def save_course(found: Plan, robot: RobotModel, to: str | os.PathLike[str]) -> P
     }  # fmt: skip
     meta = {
         "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
-        "certified": course.certified, "robot": robot.data.name,
+        "certified": course.certified, **described(scenario, robot),
     }  # fmt: skip
     path = Path(to)
     Trace(columns, meta).save(path)

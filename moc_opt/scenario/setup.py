@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.errors import ScenarioError, describe
-from moc_opt.model.carried import carried
 from moc_opt.redundancy.freedoms import require_freedom
-from moc_opt.robots import available_robots
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
-from moc_opt.scenario.layout import breathing, lay_out
+from moc_opt.scenario.layout import breathing, described, lay_out
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
 from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
@@ -162,11 +160,9 @@ class Setup:
             self.plant.reset(self.q_start)
         check_room(self.scenario, self.ticks, to)
         meta = {
-            "scenario": self.scenario.model_dump(mode="json"), "deadline_us": self.scenario.deadline_us,
-            "robot": self.robot.data.name, "start_q_rad": self.q_start.tolist(),
+            **described(self.scenario, self.robot), "deadline_us": self.scenario.deadline_us,
+            "start_q_rad": self.q_start.tolist(),
         }  # fmt: skip
-        if self.scenario.robot.name not in available_robots():
-            meta["robot_data"] = carried(self.robot)  # its files may not be where the trace is looked at
         if to is not None:
             # Absolute: a solver may leave the process in another working directory.
             return self._streamed(Path(to).absolute(), meta, watch, block)

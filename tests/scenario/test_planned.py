@@ -42,7 +42,7 @@ def test_no_run_beats_the_bound_of_its_plan() -> None:
 def test_a_course_is_written_and_read_back(tmp_path: Path) -> None:
     scenario = mo.Scenario()
     found = plan(scenario, swivels=180, times=60)
-    trace = mo.Trace.load(save_course(found, scenario.robot.arm(), tmp_path / "course.parquet"))
+    trace = mo.Trace.load(save_course(found, scenario, tmp_path / "course.parquet"))
     assert found.from_start is not None
     np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
     np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
@@ -54,7 +54,7 @@ def test_where_no_course_exists_nothing_is_written(tmp_path: Path) -> None:
     found = plan(scenario, swivels=180, times=60, margin_rad=1.0)
     assert found.course is None
     with pytest.raises(ScenarioError, match="nothing to write"):
-        save_course(found, scenario.robot.arm(), tmp_path / "course.parquet")
+        save_course(found, scenario, tmp_path / "course.parquet")
 
 
 def test_too_few_times_are_refused() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers import Solver, Status, create
+from moc_opt.solvers import Solver, Status, create, registry
 from moc_opt.solvers.base import TruncatingSession, UpdatingSession
 from moc_opt.solvers.registry import available
 from tests.hard_problems import hard_problems
@@ -84,7 +84,9 @@ EXPECT = {
 
 
 def expect(name: str) -> Expect:
-    return EXPECT.get(name, Expect())
+    """What is asked of a solver; a plug-in need not prove a problem infeasible, only not call it solved."""
+    built_in = name in registry.BUILT_IN or name.startswith("qpsolvers:")
+    return EXPECT.get(name, Expect() if built_in else Expect(certified=0.0))
 
 
 @cache
@@ -137,8 +139,10 @@ def test_claimed_answers_are_optimal(name):
 @every_solver
 def test_duals_follow_the_sign_convention(name):
     qps, limits = of(name), expect(name)
-    told_apart = 0
-    for qp, solution in zip(qps, answers(name, qps), strict=True):
+    told_apart, found = 0, answers(name, qps)
+    if name not in registry.BUILT_IN and all(solution.y is None for solution in found):
+        return  # a plug-in may give no duals
+    for qp, solution in zip(qps, found, strict=True):
         if solution.status is not Status.SOLVED or solution.y is None:
             continue
         assert solution.y.shape == (6,)

@@ -11,7 +11,7 @@
 #include "moc_singular.h"
 #endif
 
-static void give_up(moc_safe_state *state, int reason)
+static void request_stop(moc_safe_state *state, int reason)
 {
     if (state->reason == MOC_RUNNING)
         state->reason = reason;
@@ -136,16 +136,16 @@ int moc_safe_step(const double q[MOC_N], const double v[MOC_N], int64_t stamp, c
         clear(state, MOC_STOP_STATE);
     state->limited = 0;
     if (state->reason == MOC_RUNNING) {
-        give_up(state, moc_guard_believe(q, v, stamp, state->sent, wrench, guard));
-        give_up(state, moc_incision_look(guard->q, trocar, wrench, &state->incision));
+        request_stop(state, moc_guard_believe(q, v, stamp, state->sent, wrench, guard));
+        request_stop(state, moc_incision_look(guard->q, trocar, wrench, &state->incision));
     }
     if (state->reason == MOC_RUNNING) {
         ask(guard->q, guard->v, tip_ref, trocar, state, seen, tau);
-        give_up(state, moc_guard_follow(seen->tip, tip_ref, guard));
-        give_up(state, moc_motion_weigh(seen, guard->v, state->sent, &guard->motion));
+        request_stop(state, moc_guard_follow(seen->tip, tip_ref, guard));
+        request_stop(state, moc_motion_weigh(seen, guard->v, state->sent, &guard->motion));
         state->limited = moc_guard_limit(state->sent, guard->q, guard->v, tau);
         if (state->limited < 0)
-            give_up(state, MOC_STOP_TORQUE);
+            request_stop(state, MOC_STOP_TORQUE);
         if (state->limited > 0)
             for (int i = 0; i < MOC_N; i++)
                 state->law.torque[i] = tau[i]; /* what really went out: the observer uses it */
