@@ -18,7 +18,6 @@ from moc_opt.commissioning.shaft import Shaft, find_shaft
 from moc_opt.commissioning.toml import robot_toml
 from moc_opt.commissioning.vendor import VendorArm, chain_joints, read_vendor
 from moc_opt.errors import RobotError
-from moc_opt.inputs.names import file_stem
 from moc_opt.model.gains import derived_gains
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.redundancy.freedoms import require_freedom
@@ -62,12 +61,15 @@ def new_robot(
     """
     if out.suffix.lower() != ".toml":
         raise RobotError(f"--out {str(out)!r}: give a name that ends in .toml")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", out.stem):
+        raise RobotError(f"--out {out.name!r}: the robot is called like it: give letters, digits, _ and -, then .toml")
+    _check_options(tool_m, wrist_m, lock or {}, base_rpy, seed)
     beside = out.with_suffix(".urdf")
     for file in (out, beside):
         if file.exists():
             raise RobotError(f"{str(file)!r} exists: choose another --out, or move it away")
     arm = read_vendor(source, tip=tip, lock=lock)
-    name = file_stem(re.sub(r"[^A-Za-z0-9_-]+", "_", out.stem).strip("_-") or "arm")
+    name = out.stem
     arm.root.set("name", name)
     _stand(arm, base_rpy)
     weak = choose_limits(arm)
@@ -98,6 +100,23 @@ def new_robot(
     )
     out.write_text(toml, encoding="utf-8")
     return NewRobot(out, beside, load_robot(out), home, tuple(arm.notes))
+
+
+def _check_options(
+    tool_m: float, wrist_m: float | None, lock: Mapping[str, float], base_rpy: tuple[float, float, float], seed: int
+) -> None:
+    """Raise RobotError, with the option's name, where a number is none or of no arm's size."""
+    if not 1e-3 <= tool_m <= 10.0:
+        raise RobotError(f"--tool {tool_m}: give the tool's length, 0.001 to 10 m")
+    if wrist_m is not None and not abs(wrist_m) <= 10.0:
+        raise RobotError(f"--wrist {wrist_m}: give a distance of at most 10 m")
+    if not all(abs(angle) <= 10.0 for angle in base_rpy):
+        raise RobotError(f"--base-rpy {base_rpy}: give three angles of at most 10 rad")
+    for joint, value in lock.items():
+        if not abs(value) <= 1e3:
+            raise RobotError(f"--lock {joint}={value}: give a position of at most 1000 rad or m")
+    if seed < 0:
+        raise RobotError(f"--seed {seed}: give 0 or more")
 
 
 def _plain(text: str) -> str:

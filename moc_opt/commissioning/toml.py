@@ -77,7 +77,8 @@ def robot_toml(
 
 
 def _list(values: Sequence[float] | np.ndarray) -> str:
-    return f"[{', '.join(repr(float(value) + 0.0) for value in values)}]"
+    # Twelve decimals: what lies below is rounding, and a number below 1e-30 is refused when the file is read.
+    return f"[{', '.join(repr(round(float(value), 12) + 0.0) for value in values)}]"
 
 
 def _wrapped(note: str) -> list[str]:

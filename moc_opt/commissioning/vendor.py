@@ -134,6 +134,21 @@ class _Tree:
                 f"urdf has {len(bases)} links that hang on no joint {bases[:5]}: one base is needed"
             )
         self.base = bases[0]
+        self._check_reached()
+
+    def _check_reached(self) -> None:
+        """Raise where links hang on one another in a loop: no way leads to them from the base."""
+        waiting, reached = [self.base], {self.base}
+        while waiting:
+            new = {end(joint, "child") for joint in self.carried[waiting.pop()]} - reached
+            waiting += sorted(new)
+            reached |= new
+        lost = [link for link in self.links if link not in reached]
+        if lost:
+            raise RobotError(
+                f"urdf links {lost[:5]} hang on one another in a loop, not on the base {self.base!r}: mend the "
+                "parent of one of their joints"
+            )
 
     def path(self, link: str) -> list[ET.Element]:
         """The joints from base to link."""

@@ -1,8 +1,9 @@
 """The control tick as dependency-free C: written out by CasADi, exported, or compiled and loaded back.
 
-Read first: ``export`` (which files a folder gets) and ``source`` (how the equations become C); ``symbolic``
-and ``dynamics`` hold the equations. ``c/`` holds the files that are copied as they are, and the templates
-(``.in``); ``native`` loads the bare tick into Python, ``guarded`` the whole of it. ``support`` refuses settings that the C does not have.
+Read first: ``export`` (which files a folder gets) and ``source`` (how the equations become C); ``symbolic`` and
+``dynamics`` hold the equations. ``c/`` holds the files that are copied as they are, and the templates (``.in``);
+``native`` loads the bare tick into Python, ``guarded`` the whole of it. ``support`` refuses settings that the C
+does not have.
 Imported by scenario; what users read is docs/embedded.md.
 """
 

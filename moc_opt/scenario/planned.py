@@ -48,6 +48,8 @@ def plan(
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
     """
+    if not isinstance(scenario, Scenario):
+        raise ScenarioError(f"plan({scenario!r:.80}): give a Scenario, such as Scenario.load(path)")
     if times is not None and not 2 <= times <= 100_000:
         raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()

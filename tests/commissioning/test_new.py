@@ -117,6 +117,41 @@ def test_the_file_to_write_is_a_toml(name: str, tmp_path: Path) -> None:
         new_robot(tmp_path / "a.urdf", tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tool_m": float("nan")}, "--tool nan"), ({"tool_m": 0.0}, "--tool 0.0"),
+        ({"wrist_m": float("inf")}, "--wrist"),
+        ({"base_rpy": (float("nan"), 0.0, 0.0)}, "--base-rpy"), ({"lock": {"joint_3": float("nan")}}, "--lock joint_3"),
+        ({"seed": -1}, "--seed -1"),
+    ],
+)  # fmt: skip
+def test_options_that_are_no_numbers_are_refused(options: dict[str, object], words: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=words):
+        made(tmp_path, text_of(), **options)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("stem", ['a "b" c', "a\nb", ".", "-x", "a" * 101])
+def test_a_name_that_no_robot_has_is_refused(stem: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="letters, digits"):
+        new_robot(tmp_path / "a.urdf", tmp_path / f"{stem}.toml")
+
+
+def test_links_in_a_loop_are_named(tmp_path: Path) -> None:
+    looped = changed(text_of(), ('<parent link="link_3"/>', '<parent link="link_4"/>'))
+    with pytest.raises(RobotError, match=r"'link_4'.*in a loop"):
+        made(tmp_path, looped)
+
+
+def test_numbers_of_rounding_do_not_stand_in_the_file(tmp_path: Path) -> None:
+    """A joint without an axis turns about x: the mount's angles come out as 1e-31."""
+    bare = re.sub(r'(<joint name="joint_7".*?)<axis [^>]*/>', r"\1", text_of("iiwa14"), flags=re.DOTALL)
+    assert bare != text_of("iiwa14")
+    found = made(tmp_path, bare).toml.read_text(encoding="utf-8")  # type: ignore[attr-defined]
+    assert "e-" not in found.split("[joints]")[0]
+
+
 def test_nothing_is_written_over(panda) -> None:
     with pytest.raises(RobotError, match="exists"):
         new_robot(panda.urdf, panda.toml)

@@ -110,3 +110,9 @@ def test_a_path_that_cannot_be_executed_exits_with_three(
 def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "--speed-share", "2"]) == 2
     assert "speed_share = 2.0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("given", ["scenario.toml", None, 3])
+def test_what_is_no_scenario_is_refused(given):
+    with pytest.raises(ScenarioError, match="give a Scenario"):
+        mo.plan(given)
