@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 import xml.etree.ElementTree as ET
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from moc_opt.commissioning import bodies
+from moc_opt.commissioning.tree import LinkTree, end, moves
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
@@ -63,7 +63,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     arm = VendorArm(_bare(given), "")
     _rename(arm)
     positions = _known(arm.root, dict(lock or {}))
-    tree = _Tree(arm.root)
+    tree = LinkTree(arm.root)
     if tip is not None and tip not in tree.links:
         raise UnknownNameError("link (--tip)", tip, tree.links)
     arm.last_link = tip or _last_link(tree, positions, arm.notes)
@@ -118,67 +118,7 @@ def _rename(arm: VendorArm) -> None:
                             end.set("link", f"{old}_{kind}")
 
 
-class _Tree:
-    """Who carries whom."""
-
-    def __init__(self, root: ET.Element) -> None:
-        self.links = [link.get("name", "") for link in root.findall("link")]
-        self.carrier: dict[str, ET.Element] = {}
-        self.carried: dict[str, list[ET.Element]] = defaultdict(list)
-        for joint in root.findall("joint"):
-            self.carrier[end(joint, "child")] = joint
-            self.carried[end(joint, "parent")].append(joint)
-        bases = [link for link in self.links if link not in self.carrier]
-        if len(bases) != 1:
-            raise RobotError(
-                f"urdf has {len(bases)} links that hang on no joint {bases[:5]}: one base is needed"
-            )
-        self.base = bases[0]
-        self._check_reached()
-
-    def _check_reached(self) -> None:
-        """Raise where links hang on one another in a loop: no way leads to them from the base."""
-        waiting, reached = [self.base], {self.base}
-        while waiting:
-            new = {end(joint, "child") for joint in self.carried[waiting.pop()]} - reached
-            waiting += sorted(new)
-            reached |= new
-        lost = [link for link in self.links if link not in reached]
-        if lost:
-            raise RobotError(
-                f"urdf links {lost[:5]} hang on one another in a loop, not on the base {self.base!r}: mend the "
-                "parent of one of their joints"
-            )
-
-    def path(self, link: str) -> list[ET.Element]:
-        """The joints from base to link."""
-        found: list[ET.Element] = []
-        while link in self.carrier and len(found) <= len(self.links):
-            found.append(self.carrier[link])
-            link = end(found[-1], "parent")
-        return found[::-1]
-
-    def depth(self, link: str, locked: Mapping[str, float]) -> int:
-        """Most moving joints in a row that hang on this link."""
-        return max(
-            (moves(j, locked) + self.depth(end(j, "child"), locked) for j in self.carried[link]), default=0
-        )
-
-
-def end(joint: ET.Element, which: str) -> str:
-    """The link at the joint's "parent" or "child" end."""
-    found = joint.find(which)
-    if found is None or not found.get("link"):
-        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{which} link=...>: add it")
-    return str(found.get("link"))
-
-
-def moves(joint: ET.Element, locked: Mapping[str, float]) -> bool:
-    """Whether it is a moving joint that nobody locks."""
-    return joint.get("type") in MOVING and joint.get("name") not in locked
-
-
-def _last_link(tree: _Tree, locked: Mapping[str, float], notes: list[str]) -> str:
+def _last_link(tree: LinkTree, locked: Mapping[str, float], notes: list[str]) -> str:
     """Follow the one long chain from the base to where fingers branch off, or to its end.
 
     Raises:
@@ -225,7 +165,7 @@ def _known(root: ET.Element, lock: dict[str, float]) -> dict[str, float]:
     return lock
 
 
-def _prune(arm: VendorArm, tree: _Tree, first: ET.Element) -> None:
+def _prune(arm: VendorArm, tree: LinkTree, first: ET.Element) -> None:
     """Leave out what hangs on links that never move: other arms, heads, tables."""
     still = end(first, "parent")
     keep = {first, *tree.path(still)}
