@@ -67,6 +67,7 @@ PAPER: dict[str, Any] = {
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
     "limit_margin_m": 0.0,
+    "shaft_margin_m2": 0.0,
     "fallback": "damping",
     "ramp_s": 0.0,
 }
@@ -147,6 +148,11 @@ class ControlSettings(Settings):
     )
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides; guard.position_margin_rad is one number for both"
+    )
+    shaft_margin_m2: NotNegative = Field(
+        default=0.025,
+        description="where motion that leaves the tip alone turns the shaft by less than this (mu_shaft), the climb also "
+        "leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
