@@ -1,4 +1,4 @@
-"""Show plotly figures of the gallery as they are, with one copy of plotly's script in the site: no other host is asked."""
+"""Show plotly figures of the gallery, with one copy of plotly's script in the site: no other host is asked."""
 
 from __future__ import annotations
 

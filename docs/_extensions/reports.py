@@ -25,8 +25,8 @@ class PublishedReports(Directive):
     def run(self) -> list[nodes.Node]:
         """Return the list, or a sentence that says how to make a report."""
         if not found():
-            text = "This site was built where no benchmark had been run: `python -m benchmarks.solvers` makes the first report."
-            return [nodes.paragraph(text, text.replace("`", ""))]
+            text = "No benchmark has been run where this site was built: python -m benchmarks.solvers makes a report."
+            return [nodes.paragraph(text, text)]
         listed = nodes.bullet_list()
         for folder in found():
             entry = nodes.paragraph()

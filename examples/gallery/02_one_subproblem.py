@@ -2,8 +2,8 @@
 One subproblem, one judged answer
 =================================
 
-Build the problem of one tick by hand, solve it, and judge the answer by its residuals: how far it is from A x = b and the
-box, how far from optimal, and which share of the cost's range it gives away.
+Build the problem of one tick by hand, solve it, and judge the answer by its residuals: how far it is from A x = b and
+the box, how far from optimal, and which share of the cost's range it gives away.
 """
 
 import numpy as np
@@ -23,9 +23,10 @@ print(f"|A x - b| {residuals.primal:.1e}, natural residual {residuals.natural:.1
 print("verified:", residuals.verified())
 
 # %%
-# A wrong answer that satisfies every constraint is refused all the same: the middle of the self-motion's interval moves
-# tip and wrist as asked, and gives manipulability away.
-direction = np.linalg.svd(qp.A)[2][-1]
-wrong = solution.x - 0.3 * direction * np.sign(direction @ state.grad_mu)
+# A wrong answer that satisfies every constraint is refused all the same: another point of the self-motion moves tip and
+# wrist as asked, and gives manipulability away.
+kernel = np.linalg.svd(qp.A)[2][5:]
+uphill = kernel.T @ (kernel @ state.grad_mu)
+wrong = solution.x - 0.3 * uphill / np.linalg.norm(uphill)
 print("moves tip and wrist as asked:", bool(np.abs(qp.A @ wrong - qp.b).max() < 1e-9))
 print(f"verified: {qp.residuals(wrong, None).verified()}, loss {qp.residuals(wrong, None).loss:.2f}")

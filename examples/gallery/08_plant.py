@@ -2,8 +2,8 @@
 What a defect of the robot costs
 ================================
 
-The realistic plant differs from the controller's model: masses, friction, delay, noise, calibration. Switch parts of that
-off, and see what each costs.
+The realistic plant differs from the controller's model: masses, friction, delay, noise, calibration. Switch parts of
+that off, and see what each costs.
 """
 
 import moc_opt as mo

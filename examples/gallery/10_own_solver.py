@@ -2,8 +2,8 @@
 A solver of your own
 ====================
 
-A solver has settings, `supports` and `start`; a session has `solve`. This one walks along the self-motion until it meets
-the box: right for one freedom and a small regularization, and the residuals say so.
+A solver has settings, `supports` and `start`; a session has `solve`. This one walks along the self-motion until it
+meets the box: right for one freedom and a small regularization, and the residuals say so.
 """
 
 from dataclasses import dataclass
@@ -28,11 +28,12 @@ class Walk:
 
     def solve(self, qp):
         x = np.linalg.lstsq(qp.A, qp.b, rcond=None)[0]
-        direction = np.linalg.svd(qp.A)[2][-1]
-        direction = direction * -np.sign(direction @ (qp.P @ x + qp.p))
-        with np.errstate(divide="ignore"):
-            room = np.where(direction > 0, (qp.upper - x) / direction, (qp.lower - x) / direction)
-        return Solution(x + room.min() * direction, None, Status.SOLVED, 1)
+        kernel = np.linalg.svd(qp.A)[2][5:]
+        downhill = -kernel.T @ (kernel @ (qp.P @ x + qp.p))
+        moves = np.abs(downhill) > 1e-9 * np.abs(downhill).max()
+        wall = np.where(downhill > 0, qp.upper, qp.lower)
+        step = ((wall - x)[moves] / downhill[moves]).min()
+        return Solution(x + step * downhill, None, Status.SOLVED, 1)
 
 
 robot = mo.load_robot("lwr4")

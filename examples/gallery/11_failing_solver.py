@@ -2,8 +2,8 @@
 What a bad answer does: nothing
 ===============================
 
-A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the optimum at
-one tick in five: the answers are refused, a safe one takes their place, and the trace keeps the count.
+A supervisor checks every answer before the arm follows it. Here a solver claims success for the opposite of the
+optimum at one tick in five: the answers are refused, a safe one takes their place, and the trace keeps the count.
 """
 
 import moc_opt as mo

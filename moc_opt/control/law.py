@@ -61,9 +61,13 @@ def law_views(law: Array, n: int) -> Law:
 def packed(
     n: int, *, gains: Sequence[float] = (0.0, 0.0, 0.0, 0.0), rcm_lambda: float = 0.0, projector: int = DYNAMIC,
     feedforward: bool = False, k0: float = 0.0, weights: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    shaft_margin: float = 0.0, limits: ArrayLike = 0.0, K_N2: ArrayLike = 0.0, D_N2: ArrayLike = 0.0, tau_max: ArrayLike = np.inf,
+    shaft_margin: float = 0.0, limits: ArrayLike = 0.0, K_N2: ArrayLike = 0.0, D_N2: ArrayLike = 0.0,
+    tau_max: ArrayLike = np.inf,
 ) -> Array:  # fmt: skip
-    """Pack the parts of a law for n joints, (13 + 6 n,); ``gains`` are K_X, D_X, K_N, D_N, the rest as in ``Law``."""
+    """Pack the parts of a law for n joints, (13 + 6 n,).
+
+    ``gains`` are K_X, D_X, K_N, D_N, the rest as in ``Law``.
+    """
     rows = np.empty((_ROWS, n))
     rows[:3], rows[3], rows[4], rows[5] = limits, K_N2, D_N2, tau_max
     return np.concatenate([gains, [rcm_lambda, projector, feedforward, k0], weights, [shaft_margin], rows.ravel()])

@@ -151,7 +151,7 @@ class ControlSettings(Settings):
     )
     shaft_margin_m2: NotNegative = Field(
         default=0.025,
-        description="where motion that leaves the tip alone turns the shaft by less than this (mu_shaft), the climb also "
+        description="where mu_shaft, what motion that leaves the tip alone does to the shaft, is below this, the climb "
         "leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(

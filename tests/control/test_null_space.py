@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
-from moc_opt.control import ControlSettings
+from moc_opt.control import ControlSettings, tick
 from moc_opt.control import null_space as level3
-from moc_opt.control import tick
 from moc_opt.control.law import law_of, law_views
 from moc_opt.errors import ControlError, ScenarioError
 from moc_opt.model.robot_model import load_robot
