@@ -16,7 +16,8 @@ for name, trace in runs.items():
     found = mo.summarize(trace, baseline)
     print(
         f"{name:6s} mu {found['mu_gain_percent']:+.1f} %, "
-        f"verified {found['verified_solved']:.0f} of {len(trace)} answers, tip {found['tip_error_model_mean_mm']:.3f} mm"
+        f"verified {found['verified_solved']:.0f} of {len(trace)} answers, "
+        f"tip {found['tip_error_model_mean_mm']:.3f} mm"
     )
 
 # %%
