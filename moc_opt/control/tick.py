@@ -33,7 +33,9 @@ from moc_opt.qp.equalities import offsets
 Array = NDArray[np.float64]
 
 SHAFT_PULL = 0.1
-"""Weight of log mu_shaft beside mu [m^3], full where mu_shaft is zero and none at ``shaft_margin``."""
+"""Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
+SHAFT_LOST = 0.1
+"""Share of ``shaft_margin`` below which the push fades out again: where the shaft is lost it has no direction."""
 
 
 @njit(cache=True, nogil=True)
@@ -82,12 +84,14 @@ def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, di
 
 @njit(cache=True, nogil=True)
 def shaft_push(mu_shaft: float, margin: float) -> float:
-    """Weight of grad mu_shaft beside grad mu [m]: SHAFT_PULL (1 - mu_shaft/margin)/mu_shaft, zero from the margin on.
+    """Weight of grad mu_shaft beside grad mu [m], zero from the margin on.
 
-    It is the slope of a barrier that is zero at the margin, smooth there, and grows without bound towards mu_shaft = 0.
+    SHAFT_PULL (1 - mu_shaft/margin) mu_shaft/(mu_shaft^2 + lost^2), lost = SHAFT_LOST margin: the slope of a barrier that
+    begins smoothly at the margin. Times grad mu_shaft it has no kink where mu_shaft is zero.
     """
-    if 0.0 < mu_shaft < margin:
-        return SHAFT_PULL * (1.0 - mu_shaft / margin) / mu_shaft
+    if mu_shaft < margin:
+        lost = SHAFT_LOST * margin
+        return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft * mu_shaft + lost * lost)
     return 0.0
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
-from moc_opt.control.tick import SHAFT_PULL
+from moc_opt.control.tick import SHAFT_LOST, SHAFT_PULL
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
@@ -208,9 +208,9 @@ class _Law:
         gradient = self.grad_mu
         if settings.shaft_margin_m2 > 0.0:
             mu_shaft, slope = dynamics.shaft_manipulability(self.at)
-            near = ca.logic_and(mu_shaft > 0, mu_shaft < settings.shaft_margin_m2)
-            weight = SHAFT_PULL * (1 - mu_shaft / settings.shaft_margin_m2) / ca.if_else(near, mu_shaft, 1)
-            gradient = gradient + ca.if_else(near, weight, 0) * slope
+            left, lost = 1 - mu_shaft / settings.shaft_margin_m2, SHAFT_LOST * settings.shaft_margin_m2
+            weight = SHAFT_PULL * ca.fmax(left, 0) * mu_shaft / (mu_shaft**2 + lost**2)  # tick.shaft_push
+            gradient = gradient + weight * slope
         answer = swivel.solve(
             triangle, z, ca.vertcat(v_wrist, rates), gradient, box, active,
             c2=settings.c2, rho=settings.regularization, tolerance=tolerance,
