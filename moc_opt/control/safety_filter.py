@@ -70,7 +70,7 @@ class SafetyFilter:
         self._step = settings.torque_rate_Nm_per_s * period
         self._unknown, self._rest = np.empty(0), np.zeros(data.n)
         self._gravity, self._state = gravity, state
-        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max)
+        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max, data.coulomb_friction)
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
         self._press_share = min(1.0, PRESS_PER_S * period)

@@ -14,6 +14,10 @@ from moc_opt.inputs.settings import Level, Settings
 Array = NDArray[np.float64]
 
 
+def _or_never(ticks: int | None) -> float:
+    return np.inf if ticks is None else float(ticks)
+
+
 class MotionSettings(Settings):
     """When a measurement is not believed to show the arm: part of ``[guard]``."""
 
@@ -43,6 +47,14 @@ class MotionSettings(Settings):
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
         "repeats one reading",
     )  # fmt: skip
+    stuck_friction: float = Field(
+        6.0, gt=0.0, description="the same as a multiple of the Coulomb friction in the robot's file; the lesser counts"
+    )
+    repeat_joint_ticks: int | None = Field(
+        None, ge=1,
+        description="ticks in a row in which one encoder may repeat its reading to the last bit; where it is left out, "
+        "a scenario works it out from its encoders' noise and step, and without noise there is no limit",
+    )  # fmt: skip
     stuck_rad_per_s: float = Field(
         0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
     )
@@ -52,12 +64,17 @@ class MotionSettings(Settings):
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
 
+    def held(self, tau_max: Array, coulomb: Array) -> Array:
+        """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""
+        known = np.where(coulomb > 0.0, self.stuck_friction * coulomb, np.inf)
+        return np.minimum(self.stuck_torque * tau_max, known)
+
     @property
     def levels(self) -> Array:
         """(13,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
-            self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
+            self.repeat_whole_torque, _or_never(self.repeat_joint_ticks), self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
             self.repeat_whole_m, self.repeat_whole_ticks,
         ])  # fmt: skip

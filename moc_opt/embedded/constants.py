@@ -28,6 +28,7 @@ def constants(tick: Tick, spec: TickSpec, guard: SafetyFilterSettings) -> dict[s
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
     arrays = {
         "moc_q_min": robot.q_min, "moc_q_max": robot.q_max, "moc_v_max": robot.v_max, "moc_tau_max": robot.tau_max,
+        "moc_held": guard.held(robot.tau_max, robot.data.coulomb_friction),
         "moc_pull": gains.K_N2,
         "moc_damping": gains.D_N2 if moc else per_joint("[control] dcac_damping", control.dcac_damping, robot.n),
     }  # fmt: skip
@@ -117,7 +118,7 @@ def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
         "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
         "MOC_REPEAT_WHOLE_M": number(guard.repeat_whole_m),
         "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
-        "MOC_STUCK_TORQUE": number(guard.stuck_torque),
+        "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
         "MOC_RESIDUAL_RATE": number(guard.residual_rate_per_s),

@@ -38,7 +38,7 @@ GUARDED = frozenset((
     "rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N", "incision_s",
     "stop_damping_Nm_s_per_rad", "stop_s", "stop_holding", "stop_yield_N", "motion", "motion_s", "motion_rad",
     "motion_lag_s", "repeat_m", "repeat_torque", "repeat_whole_torque", "repeat_whole_m", "repeat_whole_ticks",
-    "stuck_torque", "stuck_rad_per_s",
+    "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks",
     "residual_torque", "residual_rate_per_s", "residual_s",
 ))  # fmt: skip
 SUPERVISED = frozenset((

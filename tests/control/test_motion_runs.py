@@ -112,11 +112,24 @@ def test_frozen_readings_with_forged_numbers_are_seen_through(seed, velocity):
     assert force(trace).max() < 5.0
 
 
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("seed", [2100, 2101])
+def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):
+    """After as many ticks as its noise lets it repeat itself: before that check 204 mm and 61 N."""
+    at = float(np.random.default_rng([seed, joint]).uniform(0.5, 2.0))
+    faults = {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero"}
+    scenario = Scenario(seed=seed, start={"swivel": "random"}, faults=faults, duration_s=3.0, **QUICK)
+    trace = run(scenario)
+    assert stopped(trace, at) <= 0.002 * (scenario.told_guard.repeat_joint_ticks + 2)
+    assert force(trace).max() < 25.0
+    assert max(excursion(trace)) < 0.045
+
+
 @pytest.mark.parametrize("joint", [0, 1, 3, 5])
-def test_one_stuck_encoder_is_found_or_felt(joint):
-    """By its joint's momentum; at the latest the trocar's force stops it: not before tens of millimetres."""
+def test_a_stuck_encoder_without_noise_is_found_by_its_momentum_or_felt(joint):
+    """At the latest the trocar's force stops it: not before tens of millimetres."""
     faults = {"frozen_at_s": 1.2, "frozen_joint": joint, "frozen_velocity": "zero"}
-    scenario = Scenario(faults=faults, duration_s=4.0, **QUICK)
+    scenario = Scenario(faults=faults, plant={"encoder_noise_rad": 0.0}, duration_s=4.0, **QUICK)
     blind = run(scenario.change(guard={"motion": False, "trocar_force_N": None, "rcm_error_m": None}))
     trace = run(scenario)
     assert stopped(trace, 1.2) < 1.5

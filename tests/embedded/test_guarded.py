@@ -44,7 +44,7 @@ class Twin:
         self.python, self.brain, self.guard, self._sent = FilteredController(brain, guard, sent), brain, guard, sent
         controller = brain.controller
         self.c = GuardedController(
-            controller.robot, controller.settings, controller.solver, scenario.plant.period_s, scenario.guard
+            controller.robot, controller.settings, controller.solver, scenario.plant.period_s, scenario.told_guard
         )
         self.differences: list[float] = []
         self.faults: Counter[str] = Counter()
@@ -140,10 +140,13 @@ RUNS: dict[str, dict[str, Any]] = {
     "frozen-forged-way": {"faults": {"frozen_at_s": 0.45, "forged_stamps": True},
                           "control": {"law": "dcac", "observer_gain_per_s": 0.0},
                           "guard": {"repeat_torque": 10.0, "repeat_whole_torque": 10.0, "repeat_whole_ticks": 10_000,
+                                    "repeat_joint_ticks": 10_000,
                                     "motion_rad": 1.0}},
     "frozen-joint": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 2, "frozen_velocity": "zero"}},
     "frozen-joint-heavy": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 2, "frozen_velocity": "zero"},
                            "guard": {"residual_torque": 10.0}},
+    "frozen-joint-noise": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 3, "frozen_velocity": "zero"},
+                           "guard": {"residual_torque": 10.0, "stuck_rad_per_s": 10.0}},
     "frozen-bridged": {"faults": {"frozen_at_s": 0.8, "frozen_ticks": 3}},
     "lagging": {"faults": {"lag_at_s": 0.8}},
     "lagging-forged": {"faults": {"lag_at_s": 0.8, "forged_stamps": True}},
@@ -153,7 +156,8 @@ RUNS: dict[str, dict[str, Any]] = {
                          "control": {"law": "dcac"}, "task": {"wait_s": 2.5}},
     "drifting": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}},
     "frozen-whole-at-rest": {"faults": {"frozen_at_s": 0.4, "forged_stamps": True, "frozen_velocity": "zero"},
-                             "task": {"wait_s": 2.0}, "guard": {"repeat_whole_torque": 1.0, "stuck_torque": 1.0}},
+                             "task": {"wait_s": 2.0},
+                             "guard": {"repeat_whole_torque": 1.0, "stuck_torque": 1.0, "stuck_friction": 1e3}},
     "unwatched": {"faults": {"frozen_at_s": 0.8, "forged_stamps": True}, "guard": {"motion": False}},
     "never-yielding": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8}, "guard": {"stop_yield_N": None}},
     "noise": {"faults": {"encoder_noise_rad": 5e-5}},
@@ -192,7 +196,8 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
         "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
         "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
-        "frozen-joint-heavy": "an encoder repeats", "lagging": "measurements are more", "unwatched": "the tip",
+        "frozen-joint-heavy": "an encoder repeats", "frozen-joint-noise": "one encoder repeats",
+        "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip
     if name in stops:
         assert ended.startswith(f"stopped: {stops[name]}")

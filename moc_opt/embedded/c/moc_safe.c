@@ -184,6 +184,7 @@ const char *moc_safe_reason(int reason)
         "an encoder repeats one reading while torque acts on its joint",
         "the torque went into a motion that the encoders do not show",
         "the measurements are a recording: they came before, to the last bit",
+        "one encoder repeats its reading, as its noise does not let it",
     };
     return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }
