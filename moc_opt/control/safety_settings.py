@@ -125,6 +125,9 @@ class SafetyFilterSettings(MotionSettings):
     stop_yield_N: Level = Field(
         8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
     )
+    stop_yield_s: float = Field(
+        0.4, ge=0.0, le=60.0, description="and for no longer: a force that rises by as much more opens them again"
+    )
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
 
     @model_validator(mode="after")

@@ -101,6 +101,7 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
         **_motion(guard, period),
         "MOC_STOP_HOLDING": number(guard.stop_holding),
         "MOC_STOP_YIELD": number(guard.stop_yield_N),
+        "MOC_STOP_YIELD_TICKS": str(round(guard.stop_yield_s / period)),
         "MOC_PRESS_SHARE": number(min(1.0, PRESS_PER_S * period)),
         "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad),
         "MOC_STOP_SECONDS": number(guard.stop_s),
