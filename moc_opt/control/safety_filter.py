@@ -75,8 +75,9 @@ class SafetyFilter:
         self._most = settings.tip_error_m**2
         self._most_open = round(settings.stop_yield_s / period)
         self._press_share = min(1.0, PRESS_PER_S * period)
+        touch = np.inf if settings.tip_force_N is None else settings.tip_force_N
         self._incision = None if tool_pose is None else Incision(
-            tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
+            tool_pose, (data.tool_mass, data.tool_length, touch), min(1.0, period / settings.incision_s),
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
             (settings.trocar_force_warning_N, settings.trocar_force_N),
         )  # fmt: skip

@@ -116,6 +116,9 @@ class SafetyFilterSettings(MotionSettings):
         15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
     )
     trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
+    tip_force_N: Level = Field(
+        10.0, description="what the tip may press across the shaft: of the whole force the rest counts as the trocar's"
+    )
     incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
     stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
     stop_holding: float = Field(

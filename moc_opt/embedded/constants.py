@@ -96,6 +96,7 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
         "MOC_TIP_ERROR": number(guard.tip_error_m),
         "MOC_TIP_SHARE": number(min(1.0, period / guard.tip_error_s)),
         "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)),
+        "MOC_TIP_FORCE": number(guard.tip_force_N),
         "MOC_TOOL_MASS": number(robot.data.tool_mass),
         "MOC_TOOL_LENGTH": number(robot.data.tool_length),
         **_motion(guard, period),

@@ -139,11 +139,39 @@ def test_a_stuck_encoder_without_noise_is_found_by_its_momentum_or_felt(joint):
     assert error < 0.8 * blind.tip_error_registered_m.max()
 
 
-def test_a_drift_is_felt_at_the_trocar_alone():
+@pytest.mark.parametrize("rate", [0.02, 0.05])
+@pytest.mark.parametrize("seed", range(2200, 2203))
+def test_a_drift_that_the_velocity_shares_is_felt_at_the_trocar_alone(seed, rate):
     """The model agrees with drifting encoders: what the arm feels is the only sign."""
-    trace = run(Scenario(faults={"drift_rad_per_s": 0.02, "drift_at_s": 0.5}, duration_s=6.0, **QUICK))
+    faults = {"drift_rad_per_s": rate, "drift_at_s": 0.5}
+    trace = run(Scenario(seed=seed, start={"swivel": "random"}, faults=faults, duration_s=6.0, **QUICK))
+    assert "the trocar's force" in trace.meta["ended"] or (rate < 0.05 and trace.meta["ended"] == "completed")
+    assert force(trace).max() < 32.0
+    assert trace.tip_error_m[trace.t_s <= trace.meta.get("stopped_at_s", np.inf)].max() < 0.13
+
+
+def test_a_drift_that_draws_the_tip_out_of_the_incision_is_felt_by_the_whole_force():
+    """At the believed depth its force passes for a touch of the tip: 223 mm and 85 N, to the end of the run."""
+    scenario = Scenario(
+        seed=7033, start={"swivel": "random"}, control={"preset": "robust"},
+        task={"v_max_m_per_s": 0.07730648346067734}, duration_s=6.0, **QUICK,
+        faults={"drift_at_s": 2.02, "drift_rad_per_s": 0.05},
+    )  # fmt: skip
+    blind, trace = run(scenario.change(guard={"tip_force_N": None})), run(scenario)
+    assert blind.meta["ended"] == "completed"
+    assert force(blind).max() > 80.0
     assert "the trocar's force" in trace.meta["ended"]
-    assert force(trace).max() < 30.0
+    assert force(trace).max() < 32.0
+    assert max(excursion(trace)) < 0.13
+
+
+@pytest.mark.parametrize("seed", range(2210, 2213))
+def test_a_drift_against_a_velocity_that_is_measured_apart_is_seen(seed):
+    faults = {"drift_rad_per_s": 0.05, "drift_at_s": 0.5, "drift_velocity": "apart"}
+    trace = run(Scenario(seed=seed, start={"swivel": "random"}, faults=faults, duration_s=2.0, **QUICK))
+    assert "do not follow their velocities" in trace.meta["ended"]
+    assert stopped(trace, 0.5) < 0.1
+    assert max(excursion(trace)) < 5e-3
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -208,6 +208,7 @@ def test_defaults_are_those_of_the_documentation():
         "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0, "jump_rad": 0.05, "speed_factor": 5.0,
         "patience_ticks": 3, "tip_error_m": 0.01, "tip_error_s": 0.1, "rcm_error_m": 0.012, "rcm_warning_m": 0.006,
         "trocar_force_N": 15.0, "trocar_force_warning_N": 8.0, "incision_s": 0.1,
+        "tip_force_N": 10.0,
         "stop_damping_Nm_s_per_rad": 20.0, "stop_holding": 0.25, "stop_yield_N": 8.0, "stop_yield_s": 0.4,
         "stop_s": 0.5,
         "motion": True, "motion_s": 0.1, "motion_rad": 0.001, "motion_lag_s": 0.012, "repeat_m": 0.003,

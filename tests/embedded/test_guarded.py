@@ -179,6 +179,7 @@ RUNS: dict[str, dict[str, Any]] = {
               "start": {"q_rad": [0.595, -0.89, -1.0, 1.75, 0.77, -1.79, 0.0], "check_path": False}},
     "incision-warning": {"faults": {"slip_m": 0.02, "slip_at_s": 0.8},
                          "guard": {"trocar_force_warning_N": 0.5, "rcm_warning_m": 1e-4}},
+    "pressing-tip": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}, "guard": {"tip_force_N": 0.5}},
     "incision-off": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8},
                      "guard": {"trocar_force_N": None, "rcm_error_m": None, "trocar_force_warning_N": None}},
 }  # fmt: skip
