@@ -47,7 +47,8 @@ class MotionMonitor:
         self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age = _AGE.code
-        self._replayed, self._most_replayed = _REPLAYED.code, settings.repeat_whole_ticks
+        self._replayed = _REPLAYED.code
+        self._most_replayed = (settings.replayed_ticks(len(tau_max)), float(settings.repeat_whole_ticks))
         self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
         self._rest = np.zeros(self._n)
@@ -87,7 +88,7 @@ class MotionMonitor:
         found = self._readings(q, v, tau, wrench, self._tip, self._period * max(1, self._ticks))
         self._ticks = 0
         came_before = self._replayed(q, v, wrench, self._seen, self._count)
-        if came_before > self._most_replayed and kernels.has_noise(self._still):
+        if came_before > self._most_replayed[kernels.has_noise(self._still)]:
             return "the measurements are a recording: they came before, to the last bit"
         if found == kernels.NOTHING:
             return ""

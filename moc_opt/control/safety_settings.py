@@ -64,6 +64,14 @@ class MotionSettings(Settings):
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
 
+    def replayed_ticks(self, n: int) -> float:
+        """Return how many readings of n encoders may have come before, where the wrench sensor has no noise.
+
+        The chance that one encoder with noise shows an earlier reading once more is at most that of repeating itself;
+        that all of them do is its n-th power.
+        """
+        return max(float(self.repeat_whole_ticks), _or_never(self.repeat_joint_ticks) / n)
+
     def held(self, tau_max: Array, coulomb: Array) -> Array:
         """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""
         known = np.where(coulomb > 0.0, self.stuck_friction * coulomb, np.inf)

@@ -99,7 +99,7 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
         "MOC_TIP_FORCE": number(guard.tip_force_N),
         "MOC_TOOL_MASS": number(robot.data.tool_mass),
         "MOC_TOOL_LENGTH": number(robot.data.tool_length),
-        **_motion(guard, period),
+        **_motion(guard, robot.n, period),
         "MOC_STOP_HOLDING": number(guard.stop_holding),
         "MOC_STOP_YIELD": number(guard.stop_yield_N),
         "MOC_STOP_YIELD_TICKS": str(round(guard.stop_yield_s / period)),
@@ -109,7 +109,7 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
     }
 
 
-def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
+def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str]:
     return {
         "MOC_MOTION": str(int(guard.motion)),
         "MOC_MOTION_S": number(guard.motion_s),
@@ -120,6 +120,7 @@ def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
         "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
         "MOC_REPEAT_WHOLE_M": number(guard.repeat_whole_m),
         "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
+        "MOC_REPLAYED_TICKS": number(guard.replayed_ticks(n)),
         "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),

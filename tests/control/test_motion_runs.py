@@ -77,14 +77,15 @@ def test_packets_of_the_past_are_not_believed():
     assert force(trace).max() < 3.0
 
 
+@pytest.mark.parametrize("plant", [{}, {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}], ids=["noisy", "quiet-wrench"])
 @pytest.mark.parametrize("backend", ["python", "c"])
 @pytest.mark.parametrize(("seed", "ticks"), [(8316, 80), (8307, 80), (8310, 80)])
-def test_a_recording_of_the_resting_arm_is_seen_through(seed, ticks, backend):
+def test_a_recording_of_the_resting_arm_is_seen_through(seed, ticks, backend, plant):
     """It agrees with its own velocities and with the model; that its noise came before is the only sign."""
     scenario = Scenario(
         seed=seed, start={"pose": "random"}, control={"preset": "tuned", "backend": backend}, duration_s=6.0, **QUICK,
         task={"path": "line", "sizes": {"length": 0.02}, "wait_s": 0.2, "hold_s": 10.0},
-        faults={"replay_at_s": 4.0, "replay_ticks": ticks, "forged_stamps": True},
+        faults={"replay_at_s": 4.0, "replay_ticks": ticks, "forged_stamps": True}, plant=plant,
     )  # fmt: skip
     trace = run(scenario)
     assert trace.meta["ended"].startswith("stopped: the measurements are a recording")

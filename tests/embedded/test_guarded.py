@@ -154,6 +154,9 @@ RUNS: dict[str, dict[str, Any]] = {
     "replayed-forged": {"faults": {"replay_at_s": 0.8, "forged_stamps": True}},
     "replayed-at-rest": {"faults": {"replay_at_s": 1.8, "replay_ticks": 80, "forged_stamps": True},
                          "control": {"law": "dcac"}, "task": {"wait_s": 2.5}},
+    "replayed-at-rest-quiet": {"faults": {"replay_at_s": 1.8, "replay_ticks": 80, "forged_stamps": True},
+                               "control": {"law": "dcac"}, "task": {"wait_s": 2.5},
+                               "plant": {"force_noise_N": 0.0, "torque_noise_Nm": 0.0}},
     "drifting": {"faults": {"drift_rad_per_s": 0.3, "drift_at_s": 0.5}},
     "frozen-whole-at-rest": {"faults": {"frozen_at_s": 0.4, "forged_stamps": True, "frozen_velocity": "zero"},
                              "task": {"wait_s": 2.0},
@@ -200,6 +203,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
         "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
         "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
+        "replayed-at-rest-quiet": "the measurements are a recording",
         "frozen-joint-heavy": "an encoder repeats", "frozen-joint-noise": "one encoder repeats",
         "lagging": "measurements are more", "unwatched": "the tip",
     }  # fmt: skip

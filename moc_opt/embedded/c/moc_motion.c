@@ -133,7 +133,8 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
     if (!MOC_MOTION)
         return 0;
     int found = compare_readings(q, v, tau, wrench, state);
-    if (moc_replay_count(q, v, wrench, &state->replay) > MOC_REPEAT_WHOLE_TICKS && has_noise(state))
+    double most = has_noise(state) ? MOC_REPEAT_WHOLE_TICKS : MOC_REPLAYED_TICKS;
+    if (moc_replay_count(q, v, wrench, &state->replay) > most)
         return MOC_STOP_REPLAYED;
     return found;
 }
