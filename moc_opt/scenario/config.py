@@ -16,6 +16,7 @@ from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.sim.faults import FaultSettings
+from moc_opt.sim.sensors import longest_repetition
 from moc_opt.sim.settings import PlantSettings
 
 Vector = tuple[float, float, float]
@@ -175,6 +176,14 @@ class Scenario(Settings):
                 f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
             )
         return self
+
+    @property
+    def told_guard(self) -> SafetyFilterSettings:
+        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        if self.guard.repeat_joint_ticks is not None:
+            return self.guard
+        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
+        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

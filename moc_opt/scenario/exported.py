@@ -61,8 +61,8 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
     wrench = np.hstack([trace.columns["force_N"], trace.columns["torque_Nm"]])[part]
     recording = record(law, q, v, tip_ref, trocar)
     safe = record_with_faults(setup, q, v, tip_ref, trocar, wrench)
-    files = export(law, recording, out, scenario.guard, safe)
-    return Exported(files, worst_path(safe_files(law, scenario.guard)[0]))
+    files = export(law, recording, out, scenario.told_guard, safe)
+    return Exported(files, worst_path(safe_files(law, scenario.told_guard)[0]))
 
 
 def record_with_faults(

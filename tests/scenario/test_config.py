@@ -264,6 +264,13 @@ def test_a_wrong_value_names_file_and_field(tmp_path):
 # --- change ---
 
 
+def test_the_safety_filter_is_told_of_the_encoders():
+    assert Scenario().guard.repeat_joint_ticks is None
+    assert Scenario().told_guard.repeat_joint_ticks == 89
+    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_joint_ticks is None
+    assert Scenario(guard={"repeat_joint_ticks": 40}).told_guard.repeat_joint_ticks == 40
+
+
 def test_change_makes_a_copy():
     base = Scenario(control={"c2": 0.002, "K_X": 2000.0})
     changed = base.change(seed=3, control={"c2": 0.01})
