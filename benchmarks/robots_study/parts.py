@@ -58,6 +58,8 @@ def run_job(job: Job) -> list[dict[str, Any]]:
         if row["whole"]:
             traces[controller] = trace
             found = summarize(trace)
+            if "mu_bound_method" in trace.meta:
+                row["mu_bound_method"] = str(trace.meta["mu_bound_method"])
             row |= {name: found[name] for name in METRICS if name in found}
             if "status" in trace.columns and controller not in BASELINES:
                 row["infeasible_ticks"] = int(np.count_nonzero(trace.columns["status"] == "infeasible"))

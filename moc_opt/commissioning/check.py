@@ -18,6 +18,7 @@ from moc_opt.redundancy.freedoms import best_freedoms, freedoms
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.robots import urdf
 from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.derived import largest_mu
 
 Array = NDArray[np.float64]
 Verdict = Literal["ok", "care", "cannot"]
@@ -50,7 +51,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     asked = scenario or Scenario(robot={"name": robot.data.name})
     found = [_size(robot), _freedom(robot), _regularity(robot)]
     if all(row.verdict != "cannot" for row in found):
-        found += [_climb(robot), _task(robot, asked)]
+        found += [_climb(robot), _largest(robot), _task(robot, asked)]
     return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
 
 
@@ -107,6 +108,12 @@ def _climb(robot: RobotModel) -> Finding:
     if best < (1.0 + LITTLE_TO_GAIN) * mu:
         return Finding("mu at home", text, "care", "little to gain from there: choose another home.q_rad")
     return Finding("mu at home", text, "ok")
+
+
+def _largest(robot: RobotModel) -> Finding:
+    """The largest mu with tip and wrist where they are at home; a local law may not get there."""
+    (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
+    return Finding("largest mu there", f"{largest:.3g}, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
