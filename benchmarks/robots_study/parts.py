@@ -29,7 +29,6 @@ SETTLED = ("tip_error_mean_mm", "rcm_error_registered_mean_mm")
 class Job:
     """One trial and who runs it."""
 
-    robot: str
     task: str
     trial: Scenario
     solvers: tuple[str, ...]
@@ -37,7 +36,7 @@ class Job:
 
 def run_job(job: Job) -> list[dict[str, Any]]:
     """Rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
-    about = {"robot": job.robot, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
+    about = {"robot": job.trial.robot.name, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
     try:
         trial = placed(job.trial)
     except MocOptError as error:

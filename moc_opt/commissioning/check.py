@@ -187,7 +187,7 @@ def _bodies(robot: RobotModel) -> Finding:
 
 
 def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
-    """The rates of the asked control's gains, and of the preset "tuned", whose numbers are the LWR4+'s."""
+    """The rates of the asked control's gains, and of those of the preset "tuned"."""
     limit, period = allowed_rate(asked.plant), asked.plant.period_s
     yield _rate_row("gains", gain_rates(robot, asked.control), limit, period, lambda s: (
         f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {s[0]} by {s[1]:.2g} in "
@@ -195,7 +195,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
     ))  # fmt: skip
     tuned = type(asked.control).preset("tuned")
     yield _rate_row("preset tuned", gain_rates(robot, tuned), limit, period, lambda s: (
-        f"its {s[0]} is the LWR4+'s and too much here: leave the preset out, or multiply {s[0]} by {s[1]:.2g}"
+        f"leave the preset out, or multiply {s[0]} in the robot file's [gains.tuned] by {s[1]:.2g}"
     ), worst="care")  # fmt: skip
 
 
