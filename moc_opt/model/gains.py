@@ -30,8 +30,8 @@ JOINTS: Mapping[str, tuple[float, float, float]] = {
     "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
 }  # fmt: skip
 """K_N2 over the joint's inertia [1/s], D_N2 over K_N2, and the most that both may be over the inertia of any motion
-that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times that of
-"default" (median over random poses), and the largest are 94, 124 and 85/s."""
+that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times
+that of "default" (median over random poses), and the largest are 94, 124 and 85/s."""
 CARTESIAN_RATE = 160.0
 """Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
 500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
