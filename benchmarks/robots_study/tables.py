@@ -37,6 +37,7 @@ BY_ARM = [
     Column("robot", "arm"), Column("controller", "controller"), Column("trials", "trials", format="d"),
     Column("broken", "broke off", format="d"), Column("mu_gain_percent", "gain in mu", unit="%", format="+.1f"),
     Column("mu_fraction_of_bound", "share of best", format=".3f"),
+    Column("mu_bound_method", "best of"),
     Column("tip_change_percent", "tip, settled", unit="%", format="+.1f"),
     Column("rcm_change_percent", "RCM, settled", unit="%", format="+.1f"),
     Column("tip_much_worse", "tip > 10 % worse", format="d"),
@@ -80,6 +81,9 @@ def _figures(rows: Rows, controller: str) -> dict[str, Any]:
         both = [(a[name], b[name]) for a, b in pairs if name in a and name in b]
         if both:
             found |= relative_change(*zip(*both, strict=True)).entries(change)
+    methods = dict.fromkeys(row["mu_bound_method"] for row, _ in pairs if "mu_bound_method" in row)
+    if methods:
+        found["mu_bound_method"] = ", ".join(methods)
     tips = [(a["tip_error_mean_mm"], b["tip_error_mean_mm"]) for a, b in pairs]
     return found | {"tip_much_worse": sum(a > MUCH_WORSE * b for a, b in tips)}
 

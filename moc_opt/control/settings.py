@@ -72,14 +72,11 @@ PAPER: dict[str, Any] = {
     "ramp_s": 0.0,
 }
 
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
+# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
+# another arm's table of that name is its own, or derived from its inertia (`moc_opt.model.gains`).
 TUNED: dict[str, Any] = {
-    "gains": "default",
+    "gains": "tuned",
     "fallback": "damping",
-    "K_N": 1670.0,
-    "D_N": 74.2,
-    "K_N2": 22.9,
-    "D_N2": 2.0,
     "observer_gain_per_s": 33.3,
     "feedforward": True,
     "k0_per_s": 1.58,
@@ -90,7 +87,7 @@ TUNED: dict[str, Any] = {
 
 # Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
 # trocar; half as much tip error again.
-ROBUST: dict[str, Any] = {**TUNED, "D_X": 50.0, "K_N2": 15.0, "observer_gain_per_s": 22.0}
+ROBUST: dict[str, Any] = {**TUNED, "gains": "robust", "observer_gain_per_s": 22.0}
 
 
 class ControlSettings(Settings):
@@ -178,7 +175,7 @@ class ControlSettings(Settings):
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
-        """Make what ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
+        """Make what ``python -m benchmarks.tune`` found for the LWR4+, with the arm's own gains; see ``TUNED``."""
         return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod

@@ -143,7 +143,7 @@ class Scenario(Settings):
     faults: FaultSettings = FaultSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
+        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
     )
 
     @field_validator("control", mode="before")

@@ -169,7 +169,8 @@ class Setup:
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        return trace.with_columns(mu_bound=self._largest_mu(trace))
+        bound, method = self._largest_mu(trace)
+        return trace.with_columns(mu_bound=bound).with_meta(**method)
 
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
@@ -212,7 +213,8 @@ class Setup:
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
             run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
-            writer.finish(run.meta, {"mu_bound": self._largest_mu(run)})
+            bound, method = self._largest_mu(run)
+            writer.finish({**run.meta, **method}, {"mu_bound": bound})
         trace = Trace.open(to)
         if broken is not None:
             raise RunAway(str(broken), trace) from broken
@@ -228,7 +230,7 @@ class Setup:
         found["mu"] = self.robot.mu_along(columns["q_rad"])
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
-    def _largest_mu(self, trace: Trace) -> Array:
+    def _largest_mu(self, trace: Trace) -> tuple[Array, dict[str, str]]:
         return largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
 
 

@@ -38,6 +38,15 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     assert warnings(trace()) == []
 
 
+def test_the_share_of_the_largest_mu_comes_with_how_that_was_found():
+    figures = {"mu_fraction_of_bound": 0.9, "tip_error_mean_mm": 0.3}
+    found = trace(mu_bound_method="best found of 96 starts")
+    rows = run_table("rail", found, figures).rows
+    assert [row["metric"] for row in rows[1:3]] == ["mu_fraction_of_bound", "mu_bound_method"]
+    assert rows[2]["value"] == run_json(found, figures)["mu_bound_method"] == "best found of 96 starts"
+    assert "mu_bound_method" not in run_json(trace(), figures)
+
+
 @pytest.mark.parametrize(("raised", "most"), [(1, False), (2, False), (3, True)])
 def test_a_solver_that_was_replaced_is_named_before_any_figure(raised, most):
     """A run whose answers all came from the fallback completes like any other: it must not read like one."""
