@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
@@ -119,6 +120,10 @@ class SolverTable(Settings):
         description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
         "budget, over and over: a run with deadlines can then be repeated exactly",
     )
+    isolation: Literal["none", "process"] = Field(
+        default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
+    )
+    process: ProcessSettings = ProcessSettings()
 
 
 class Scenario(Settings):
@@ -174,6 +179,21 @@ class Scenario(Settings):
                 f"guard.position_margin_rad = {wall}: the wall would stand inside the box of the third level, which "
                 f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _isolated_by_what_can(self) -> Self:
+        if self.solver.isolation == "process" and self.control.law == "moc":
+            if self.control.backend == "c":
+                raise ValueError(
+                    "[solver] isolation = 'process': the compiled tick holds its solver; take [control] backend = "
+                    "'python', or isolation = 'none'"
+                )
+            if self.control.supervisor.late == "iterate":
+                raise ValueError(
+                    "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
+                    "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                )
         return self
 
     @classmethod
