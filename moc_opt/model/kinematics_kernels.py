@@ -136,6 +136,28 @@ def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
 
 
 @njit(cache=True)
+def gram(jacobian: Array) -> tuple[float, float, float, float, float, float]:
+    """Compute a .. f of J J^T = [[a, b, c], [b, d, e], [c, e, f]] for J (3,n)."""
+    a = b = c = d = e = f = 0.0
+    for j in range(jacobian.shape[1]):
+        x, y, z = jacobian[0, j], jacobian[1, j], jacobian[2, j]
+        a += x * x
+        b += x * y
+        c += x * z
+        d += y * y
+        e += y * z
+        f += z * z
+    return a, b, c, d, e, f
+
+
+@njit(cache=True)
+def yoshikawa(jacobian: Array) -> float:
+    """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
+    a, b, c, d, e, f = gram(jacobian)
+    return math.sqrt(max(a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d), 0.0))
+
+
+@njit(cache=True)
 def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
     """mu = sqrt(det(J J^T)) (Yoshikawa), and its gradient (n,) into `grad`.
 
@@ -144,15 +166,7 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
     At a singularity mu has a kink and no gradient: zero is returned there, never NaN.
     """
     n = axes.shape[0]
-    a = b = c = d = e = f = 0.0  # J J^T = [[a, b, c], [b, d, e], [c, e, f]]
-    for j in range(n):
-        x, y, z = jacobian[0, j], jacobian[1, j], jacobian[2, j]
-        a += x * x
-        b += x * y
-        c += x * z
-        d += y * y
-        e += y * z
-        f += z * z
+    a, b, c, d, e, f = gram(jacobian)
     i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
     i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
     det = a * i00 + b * i01 + c * i02
@@ -267,11 +281,11 @@ def _adjugate3(S: Array, out: Array) -> float:
 def tip_manipulability(q: Array, axes: Array, joints: Array, offsets: Array, moves: Array) -> float:
     """mu of the tip, from the arguments of `fill_state`."""
     n = axes.shape[0]
-    tip, jacobian, grad, places = np.empty(3), np.empty((3, n)), np.empty(n), np.empty((n, 12))
+    tip, jacobian, places = np.empty(3), np.empty((3, n)), np.empty((n, 12))
     place_joints(joints, q, places)
     point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[0], tip)
     point_jacobian(axes, tip, moves[0], jacobian)
-    return float(manipulability(axes, jacobian, grad))
+    return float(yoshikawa(jacobian))
 
 
 @njit(cache=True)

@@ -169,8 +169,8 @@ class _Curve:
 
     def correct(self, q: Array, along: Array) -> Array | None:
         """The pose on the curve across the direction `along` from q; None if none is inside the limits."""
-        pose = np.empty(len(q))
-        ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose)
+        pose, a = np.empty(len(q)), np.empty((6, len(self._arm.active)))
+        ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose, a)
         return pose if ok and not kernels.outside(self._arm, pose) else None
 
     def mu(self, q: Array) -> float:

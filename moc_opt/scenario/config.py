@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
@@ -120,6 +121,10 @@ class SolverTable(Settings):
         description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
         "budget, over and over: a run with deadlines can then be repeated exactly",
     )
+    isolation: Literal["none", "process"] = Field(
+        default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
+    )
+    process: ProcessSettings = ProcessSettings()
 
 
 class Scenario(Settings):
@@ -184,6 +189,21 @@ class Scenario(Settings):
             return self.guard
         longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
         return self.guard.model_copy(update={"repeat_joint_ticks": longest})
+
+    @model_validator(mode="after")
+    def _isolated_by_what_can(self) -> Self:
+        if self.solver.isolation == "process" and self.control.law == "moc":
+            if self.control.backend == "c":
+                raise ValueError(
+                    "[solver] isolation = 'process': the compiled tick holds its solver; take [control] backend = "
+                    "'python', or isolation = 'none'"
+                )
+            if self.control.supervisor.late == "iterate":
+                raise ValueError(
+                    "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
+                    "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                )
+        return self
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:

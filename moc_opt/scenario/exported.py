@@ -46,6 +46,10 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
             f"[solver] replay_us = {scenario.solver.replay_us!r:.60}: an exported controller has the clock of its own "
             "machine; leave it out"
         )
+    if scenario.solver.isolation != "none":
+        raise ScenarioError(
+            f"[solver] isolation = {scenario.solver.isolation!r}: an exported controller holds its solver; leave it out"
+        )
     setup = Setup(
         scenario.change(judge=False, bound_samples=0, control={"backend": "python"}, faults={"solver": "none"})
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
+from moc_opt.control.isolated import Isolated
 from moc_opt.errors import ScenarioError, describe
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -89,21 +90,33 @@ class Setup:
             return solver
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
-    def controller(self) -> Controller:
-        """Make the law and solver that the scenario asks for."""
-        settings, replayed = self.scenario.control, self._replayed_us
-        times: Iterator[float] | None = None if replayed is None else itertools.cycle(replayed)
-        if self.scenario.faults.solver == "hang" and settings.law == "moc":
-            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
-            watch = settings.supervisor
-            budget = watch.budget_us or self.scenario.deadline_us
-            settings = settings.model_copy(
-                update={"supervisor": watch.model_copy(update={"budget_us": budget})}
-            )
-            times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
+    def controller(self, realtime: bool = False) -> Controller:
+        """Make the law and solver that the scenario asks for.
+
+        Args:
+            realtime: the loop runs against a wall clock, and does not wait while the process of an isolated solver
+                is replaced.
+        """
+        settings, times, solver = self.scenario.control, self._times(), self.solver()
+        budget = settings.supervisor.budget_us
+        if self.scenario.faults.solver == "hang" and solver is not None:
+            budget = budget or self.scenario.deadline_us
+        if solver is not None and self.scenario.solver.isolation == "process":
+            solver = Isolated(solver, self.scenario.solver.process, budget if times is None else None, not realtime)
+            budget = None if times is None else budget  # kept by one of the two: an older answer is not late
+        watch = settings.supervisor.model_copy(update={"budget_us": budget})
+        settings = settings.model_copy(update={"supervisor": watch})
         guided = settings.law == "moc" and settings.third_level == "planned"
         guide = follower(self.scenario, self.robot, self.layout) if guided else None
-        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
+        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, guide)
+
+    def _times(self) -> Iterator[float] | None:
+        """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
+        if self.scenario.faults.solver == "hang" and self.scenario.control.law == "moc":
+            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+            budget = self.scenario.control.supervisor.budget_us or self.scenario.deadline_us
+            return iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
+        return None if self._replayed_us is None else itertools.cycle(self._replayed_us)
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """Return at which ticks the solver's answer is replaced by a fault, (N,)."""
