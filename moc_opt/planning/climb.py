@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0) -> Array:
     """Follow the gradient of mu from the start, on the samples of the map.
 
-    In each period the poses of the same branch within the joints' steps are looked at; from the one that asks the
-    least of the joints it goes uphill over neighbouring samples until mu falls, or a limit or the speed ends it.
+    In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
+    goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
 
     Args:
         found: the map.
@@ -25,16 +25,14 @@ def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0
     Returns:
         (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
     """
-    feasible, poses, branch = found.feasible(margin_rad), [np.array(start)], -1
+    feasible, poses = found.feasible(margin_rad), [np.array(start)]
     for k in range(1, len(found.targets)):
-        q, may = found.poses(k), np.array(feasible[k])
-        if branch >= 0:
-            may[np.arange(len(may)) != branch] = False
-        share = np.where(may, (np.abs(q - poses[-1]) / step_rad).max(axis=2), np.inf)
+        q = found.poses(k)
+        share = np.where(feasible[k], (np.abs(q - poses[-1]) / step_rad).max(axis=2), np.inf)
         b, j = (int(i) for i in np.unravel_index(int(np.argmin(share)), share.shape))
         if not share[b, j] <= 1.0:
             break
-        branch, mu, within = b, found.mu[k, b], share[b] <= 1.0
+        mu, within = found.mu[k, b], share[b] <= 1.0
         count = len(mu)
         side = 1 if _height(mu, within, j + 1) >= _height(mu, within, j - 1) else -1
         while _height(mu, within, j + side) > mu[j]:
