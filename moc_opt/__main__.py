@@ -111,12 +111,14 @@ def run_scenario(
 ) -> int:  # fmt: skip
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
+    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
     from moc_opt.trace.metrics import summarize
 
     scenario = Scenario() if path is None else Scenario.load(path)
     title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
+    if "best_courses" not in scenario.model_fields_set:
+        scenario = scenario.change(best_courses=True)
     if seed is not None:
         scenario = scenario.change(seed=seed)
     if robot is not None:
@@ -135,6 +137,8 @@ def run_scenario(
         print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{title}: {line}", file=sys.stderr)
+    if below_best(trace):
+        print(f"{title}: {below_best(trace)}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         beside = None if trace_to is None else Path(folder, "dcac.parquet")
         baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
@@ -174,7 +178,8 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -
     from moc_opt.scenario import RunAway, run
 
     try:
-        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0), to=to)
+        matched = scenario.control.matched_dcac()
+        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:

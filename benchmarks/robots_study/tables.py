@@ -22,7 +22,8 @@ CHANGES = (
     ("settled_rcm_error_registered_mean_mm", "rcm_change_percent"), ("trocar_force_mean_N", "force_change_percent"),
     ("torque_rate_rms_Nm_per_s", "chatter_change_percent"),
 )  # fmt: skip
-MEANS = ("mu_mean", "mu_fraction_of_bound", "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
+MEANS = ("mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best",
+         "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
          "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "infeasible_ticks", "solve_p50_us")  # fmt: skip
 MUCH_WORSE = 1.1
 """A tip error that is larger than the baseline's by this factor."""
@@ -36,7 +37,9 @@ FINDINGS: Mapping[str, str] = {
 BY_ARM = [
     Column("robot", "arm"), Column("controller", "controller"), Column("trials", "trials", format="d"),
     Column("broken", "broke off", format="d"), Column("mu_gain_percent", "gain in mu", unit="%", format="+.1f"),
-    Column("mu_fraction_of_bound", "share of best", format=".3f"),
+    Column("mu_fraction_of_bound", "of bound", format=".3f", help="of the largest mu on the self-motion"),
+    Column("mu_fraction_of_best_from_start", "of best from start", format=".3f", help="of the best course from there"),
+    Column("mu_fraction_of_best", "of best", format=".3f", help="of the best course from any swivel and branch"),
     Column("tip_change_percent", "tip, settled", unit="%", format="+.1f"),
     Column("rcm_change_percent", "RCM, settled", unit="%", format="+.1f"),
     Column("tip_much_worse", "tip > 10 % worse", format="d"),
