@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from benchmarks.output import close_page
 from benchmarks.paper_experiment.trials import MATCHED
 from benchmarks.statistics import mean, relative_change
 from moc_opt.report.figures.boxes import box_plots
@@ -143,8 +144,10 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
     ]  # fmt: skip
 
 
-def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> Page:
-    """One page, with one picture an arm."""
+def report(
+    summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any], shown: Sequence[Table]
+) -> Page:
+    """One page of these tables, with one picture an arm."""
     page = Page("The arms", "what of the study holds on every arm, and what is the LWR4+'s")
     page.headline(headline(summary))
     page.section("How to read this")
@@ -154,7 +157,7 @@ def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any
         "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean."
     )
     page.section("Results")
-    for table in tables(summary):
+    for table in shown:
         page.table(table)
     page.section("Pictures")
     for robot, figures in summary["robots"].items():
@@ -172,13 +175,7 @@ def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any
             page.figure(
                 box_plots(groups, "gain in mu (%)"), f"{robot}: gain in mu over DCAC, by task", name=robot
             )
-    failed = [row for row in rows if row["error"]]
-    if failed:
-        page.section("Runs that broke off")
-        columns = [Column(key, key) for key in ("robot", "trial", "controller", "error")]
-        page.table(Table("Errors", columns, failed))
-    page.section("Made by")
-    page.text(f"`python -m benchmarks.robots`, seed {environment['seed']}, commit {environment['commit']}.")
+    close_page(page, "robots", environment, rows, ("robot", "trial", "controller"))
     return page
 
 
