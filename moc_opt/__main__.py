@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -45,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
     ahead.add_argument("--margin", type=float, default=0.0, help="that joints keep from their limits [rad]")
     ahead.add_argument("--speed-share", type=float, default=1.0, help="of the joints' speed limits that may be used")
+    ahead.add_argument("--place", choices=("trocar", "base"), help="also search for the place of it that serves best")
+    ahead.add_argument("--box", type=float, default=0.05, help="of the search: half the edge of its cube [m]")
+    ahead.add_argument("--candidates", type=int, default=40, help="of the search")
     ahead.add_argument("--out", type=Path, help="the course goes here (Parquet)")
     ahead.add_argument("--json", action="store_true", help="print JSON")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
@@ -153,18 +157,27 @@ def run_scenario(
 def plan_scenario(given: argparse.Namespace) -> int:
     """Plan, print, and write the course."""
     from moc_opt.report.console import console, print_json
-    from moc_opt.report.plan_table import plan_json, plan_tables
+    from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables
     from moc_opt.scenario import Scenario
+    from moc_opt.scenario.placement import place
     from moc_opt.scenario.planned import plan, save_course
 
     scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
     title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
-    found = plan(scenario, objective=given.objective, margin_rad=given.margin, speed_share=given.speed_share)
+    asked = {"objective": given.objective, "margin_rad": given.margin, "speed_share": given.speed_share}
+    found = plan(scenario, **asked)
+    began, places = time.perf_counter(), []
+    if given.place is not None:
+        places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)
+    took = time.perf_counter() - began
     if given.json:
-        print_json(plan_json(found))
+        print_json(plan_json(found) | ({"places": place_json(places), "place_s": took} if places else {}))
     else:
         screen = console()
-        for table in plan_tables(title, found):
+        shown = plan_tables(title, found)
+        if places:
+            shown.append(place_table(f"Places of the {given.place}", given.candidates, given.box, took, places))
+        for table in shown:
             for piece in table.fitted(screen.width):
                 screen.print(piece)
     if given.out is not None:

@@ -132,6 +132,9 @@ class ControlSettings(Settings):
     third_level: Literal["local", "planned"] = Field(
         default="local", description="under moc: climb mu where the arm is, or follow a course planned before the run"
     )
+    climb: Literal["gradient", "scaled"] = Field(
+        default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
+    )
     c0: NotNegative = 0.01
     c1: NotNegative = 0.01
     c2: NotNegative = 0.001
@@ -200,8 +203,8 @@ class ControlSettings(Settings):
         """
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
-                f"third_level = {self.third_level!r} with c2 = {self.c2:g}, regularization = {self.regularization:g}: "
-                "set both above 0, so that the subproblem has one answer"
+                f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
+                f"{self.regularization:g}: set both above 0, so that the subproblem has one answer"
             )
 
     @property
