@@ -159,6 +159,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     from moc_opt.report.console import console, print_json
     from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables
     from moc_opt.scenario import Scenario
+    from moc_opt.scenario.followable import following_warnings
     from moc_opt.scenario.placement import place
     from moc_opt.scenario.planned import plan, save_course
 
@@ -170,8 +171,12 @@ def plan_scenario(given: argparse.Namespace) -> int:
     if given.place is not None:
         places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)
     took = time.perf_counter() - began
+    warned = following_warnings(scenario, found)
+    for line in warned:
+        print(f"{title}: warning: {line}", file=sys.stderr)
     if given.json:
-        print_json(plan_json(found) | ({"places": place_json(places), "place_s": took} if places else {}))
+        searched = {"places": place_json(places), "place_s": took} if places else {}
+        print_json(plan_json(found) | {"warnings": warned} | searched)
     else:
         screen = console()
         shown = plan_tables(title, found)
