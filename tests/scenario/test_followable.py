@@ -41,7 +41,7 @@ def test_a_course_that_is_too_fast_is_named_with_joint_and_cure(fast: Plan) -> N
         ({"preset": "paper"}, "regularization = 0"),
         ({"law": "dcac"}, "no third level"),
         ({"backend": "c"}, "knows no course"),
-        ({"limit_margin_rad": 1.2}, "smaller limit_margin_rad"),
+        ({"limit_margin_rad": 1.2}, "lower limit_margin_rad"),
     ],
 )
 def test_what_else_is_in_the_way_is_said(fast: Plan, change: dict[str, object], said: str) -> None:
