@@ -25,6 +25,7 @@ from moc_opt.scenario.guided import guides
 from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
 from moc_opt.scenario.rows import Timed, check_room
+from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.closed_loop import ClosedLoop
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Sink, TaskOffset
@@ -188,8 +189,8 @@ class Setup:
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        bound, method = self._largest_mu(trace)
-        return trace.with_columns(mu_bound=bound).with_meta(**method)
+        columns, told = self._yardsticks(trace)
+        return trace.with_columns(**columns).with_meta(**told)
 
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
@@ -232,8 +233,8 @@ class Setup:
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
             run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
-            bound, method = self._largest_mu(run)
-            writer.finish({**run.meta, **method}, {"mu_bound": bound})
+            yardsticks, told = self._yardsticks(run)
+            writer.finish({**run.meta, **told}, yardsticks)
         trace = Trace.open(to)
         if broken is not None:
             raise RunAway(str(broken), trace) from broken
@@ -249,8 +250,11 @@ class Setup:
         found["mu"] = self.robot.mu_along(columns["q_rad"])
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
-    def _largest_mu(self, trace: Trace) -> tuple[Array, dict[str, str]]:
-        return largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
+    def _yardsticks(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """What mu is held against: the largest at single ticks, and the best courses; columns, and entries of meta."""
+        bound, method = largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
+        best, told = against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
+        return {"mu_bound": bound, **best}, {**method, **told}
 
 
 def run(
