@@ -38,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    c.add_argument("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `plant`")
     ahead = commands.add_parser(
         "plan", help="say before anything moves whether and how well a scenario can be executed",
         epilog="Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot.",
@@ -83,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.command == "robot":
             return robot_command(given)
         if given.command == "export-c":
-            return export_c(given.scenario, given.out)
+            return export_c(given.scenario, given.out, given.main)
         if given.command == "plan":
             return plan_scenario(given)
         if given.command == "replay":
@@ -265,17 +266,20 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     return 0
 
 
-def export_c(path: Path | None, out: Path) -> int:
+def export_c(path: Path | None, out: Path, main: str = "test") -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
     from moc_opt.scenario import Scenario
     from moc_opt.scenario.exported import export_scenario
 
-    files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
+    scenario = Scenario() if path is None else Scenario.load(path)
+    files, operations = export_scenario(scenario, out, udp=main == "udp")
     for file in files:
         print(file)
     parts = ", ".join(f"{part} {count}" for part, count in operations.items() if part != "in all")
     print(f"longest step: {operations['in all']} floating-point operations ({parts})")
     print(f"next: make -C {out} test, make -C {out} sanitize")
+    if main == "udp":
+        print(f"then: make -C {out} moc_udp, {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
     return 0
 
 

@@ -50,7 +50,7 @@ def read_key(file: Path | None) -> bytes | None:
     if file is None and not text:
         return None
     key, where = text.strip().encode(), VARIABLE if file is None else f"--key-file {str(file)!r}"
-    if not SHORTEST <= len(key) <= LONGEST:
+    if not SHORTEST <= len(key) <= LONGEST or b"\n" in key:
         raise WireError(
             f"{where}: a key of {len(key)} bytes: give one line of {SHORTEST} to {LONGEST}, such as "
             "`openssl rand -hex 16` prints"
