@@ -193,12 +193,12 @@ def run_plant(given: argparse.Namespace) -> int:
     scenario, title = _read(given.scenario)
     server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
     print("listening on {}:{}".format(*server.address), file=sys.stderr, flush=True)
-    granted = {} if given.lock_step else ask_for_realtime()
+    server.system = {} if given.lock_step else ask_for_realtime()
     try:
         trace = server.trace(to=given.trace)
     except RunAway as error:
         trace = error.trace
-    for name, value in [*granted.items(), *trace.meta["wire"].items()]:
+    for name, value in trace.meta["wire"].items():
         print(f"{title}: {name}: {value}", file=sys.stderr)
     return _show(scenario, title, trace, given.trace, given.json)
 

@@ -42,6 +42,9 @@ class PlantServer(Setup):
         key: of the check; None: loopback only.
         lock_step: wait for each command instead of keeping the time.
 
+    Attributes:
+        system: goes into the trace's ``meta["wire"]``, if not empty: what this process was granted.
+
     Raises:
         MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
     """
@@ -55,6 +58,7 @@ class PlantServer(Setup):
                 f"[plant] period_s = {period}: the clock is kept from {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
                 "change it, or run in lock-step"
             )
+        self.system: dict[str, str] = {}
         self._clock = None if lock_step else WallClock(period)
         self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
         self._remote = RemoteController(
@@ -90,7 +94,7 @@ class PlantServer(Setup):
             found, broken = error.trace, error
         finally:
             counts = self._remote.close()
-        found = found.with_meta(wire=counts)
+        found = found.with_meta(wire=counts | ({"system": self.system} if self.system else {}))
         if to is not None:
             found.save(to)
         if broken is not None:
