@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -29,6 +30,7 @@ SLOWEST_S, FASTEST_S = 0.004, 0.001
 def fingerprint(scenario: Scenario) -> int:
     """Return a number of 63 bits that differs where plant and controller would not mean the same run."""
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
+    whole["robot"]["name"] = Path(scenario.robot.name).name  # its file may lie in another folder there
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
 

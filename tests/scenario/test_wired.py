@@ -132,6 +132,14 @@ def test_a_controller_that_does_not_see_the_arm_stops_it() -> None:
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
+def test_a_plant_that_falls_silent_ends_the_controller() -> None:
+    scenario = Scenario(**SHORT, wire=BLIND | {"silence_s": 0.3})
+    found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and k >= 100})
+    assert ending.ended == "the plant has been silent for 0.3 s"
+    assert ending.ticks == 100
+    assert found.meta["ended"].startswith("stopped: no command from the controller")
+
+
 def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     """Two processes by the command line; how many ticks are missed is the machine's affair."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
@@ -166,6 +174,8 @@ def test_both_ends_must_mean_the_same_run() -> None:
     assert fingerprint(base) == fingerprint(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
     others = ({"seed": 1}, {"task": {"path": "line"}}, {"trocar": {"depth_m": 0.14}}, {"plant": {"period_s": 0.001}})
     assert len({fingerprint(base), *(fingerprint(base.change(**other)) for other in others)}) == 5
+    here, there = ({"robot": {"name": f"{folder}/arm.toml"}} for folder in ("/here", "/there"))
+    assert fingerprint(base.change(**here)) == fingerprint(base.change(**there)) != fingerprint(base)
     plant = PlantServer(base.change(wire={"wait_s": 20.0}), "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)

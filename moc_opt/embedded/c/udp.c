@@ -1,6 +1,7 @@
 /* The exported controller at the end of a wire: receives measurements, ticks, sends torques; see docs/realtime.md.
  *
- * moc_udp HOST PORT REFERENCE.bin [KEYFILE]; the key may also stand in MOC_OPT_WIRE_KEY. No heap.
+ * moc_udp HOST PORT REFERENCE.bin [KEYFILE]; the key may also stand in MOC_OPT_WIRE_KEY. No heap
+ * but what stdio takes before and after the loop.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
