@@ -1,4 +1,4 @@
-"""python -m moc_opt run | plan | replay | map | live | export-c | robot: scenarios and robots from the command line."""
+"""python -m moc_opt run | plan | replay | map | live | plant | control | export-c | robot: from the command line."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    c.add_argument("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `plant`")
     ahead = commands.add_parser(
         "plan", help="say before anything moves whether and how well a scenario can be executed",
         epilog="Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot.",
@@ -63,13 +65,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument("--host", default="127.0.0.1", help="a loopback address")
     live.add_argument("--port", type=int, default=8642)
     live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
+    plant = commands.add_parser(
+        "plant", help="the plant of a scenario in real time, for a controller at the other end of a wire",
+        epilog="Exit status as of `run`. docs/realtime.md describes the wire.",
+    )  # fmt: skip
+    plant.add_argument("--listen", metavar="HOST:PORT", default="127.0.0.1:30200")
+    plant.add_argument("--lock-step", action="store_true", help="wait for each command instead of keeping the time")
+    plant.add_argument("--trace", type=Path, help="the trace goes here (Parquet)")
+    plant.add_argument("--json", action="store_true", help="print JSON")
+    control = commands.add_parser(
+        "control", help="the controller of a scenario, for a plant at the other end of a wire",
+        epilog="Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or "
+        "the plant fell silent.",
+    )  # fmt: skip
+    control.add_argument("--connect", metavar="HOST:PORT", default="127.0.0.1:30200")
+    for end in (plant, control):
+        end.add_argument("scenario", nargs="?", type=Path, help="TOML, the same at both ends; without it the default")
+        end.add_argument("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
     robot_commands(commands)
     given = parser.parse_args(arguments)
     try:
         if given.command == "robot":
             return robot_command(given)
         if given.command == "export-c":
-            return export_c(given.scenario, given.out)
+            return export_c(given.scenario, given.out, given.main)
         if given.command == "plan":
             return plan_scenario(given)
         if given.command == "replay":
@@ -85,6 +104,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
             return serve(scenario, host=given.host, port=given.port, public=given.public)
+        if given.command == "plant":
+            return run_plant(given)
+        if given.command == "control":
+            return run_control(given)
         return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
@@ -114,13 +137,10 @@ def run_scenario(
     robot: str | None = None,
 ) -> int:  # fmt: skip
     """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
-    from moc_opt.scenario import RunAway, Scenario, Setup
-    from moc_opt.trace.metrics import summarize
+    from moc_opt.report.console import progress
+    from moc_opt.scenario import RunAway, Setup
 
-    scenario = Scenario() if path is None else Scenario.load(path)
-    title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
+    scenario, title = _read(path)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
     if seed is not None:
@@ -136,6 +156,23 @@ def run_scenario(
             trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
         except RunAway as error:
             trace = error.trace
+    return _show(scenario, title, trace, trace_to, as_json)
+
+
+def _read(path: Path | None) -> tuple[Scenario, str]:
+    """The scenario of a file, or the default one, and what to call it."""
+    from moc_opt.scenario import Scenario
+
+    scenario = Scenario() if path is None else Scenario.load(path)
+    return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
+
+
+def _show(scenario: Scenario, title: str, trace: Trace, trace_to: Path | None, as_json: bool) -> int:
+    """Print how a run ended, and its metrics; return the exit status."""
+    from moc_opt.report.console import console, print_json
+    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
+    from moc_opt.trace.metrics import summarize
+
     ended = str(trace.meta["ended"])
     if "earlier_run" in trace.meta:
         print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
@@ -152,6 +189,40 @@ def run_scenario(
     else:
         console().print(run_table(title, trace, metrics).to_rich())
     return 0 if ended == "completed" else 3
+
+
+def run_plant(given: argparse.Namespace) -> int:
+    """Wait for a controller, run against the clock, print as `run` does."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.key import read_key
+    from moc_opt.scenario import RunAway
+    from moc_opt.scenario.wired import PlantServer
+
+    scenario, title = _read(given.scenario)
+    server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
+    print("listening on {}:{}".format(*server.address), file=sys.stderr, flush=True)
+    server.system = {} if given.lock_step else ask_for_realtime()
+    try:
+        trace = server.trace(to=given.trace)
+    except RunAway as error:
+        trace = error.trace
+    for name, value in trace.meta["wire"].items():
+        print(f"{title}: {name}: {value}", file=sys.stderr)
+    return _show(scenario, title, trace, given.trace, given.json)
+
+
+def run_control(given: argparse.Namespace) -> int:
+    """Answer a plant until its run ends; print how."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.key import read_key
+    from moc_opt.report.console import print_json
+    from moc_opt.scenario.wired import answer
+
+    (scenario, _), granted = _read(given.scenario), dict[str, str]()
+    key = read_key(given.key_file)
+    found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
+    print_json(asdict(found) | {"system": granted})
+    return 0 if found.ended == "completed" else 3
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
@@ -218,17 +289,20 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     return 0
 
 
-def export_c(path: Path | None, out: Path) -> int:
+def export_c(path: Path | None, out: Path, main: str = "test") -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
     from moc_opt.scenario import Scenario
     from moc_opt.scenario.exported import export_scenario
 
-    files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
+    scenario = Scenario() if path is None else Scenario.load(path)
+    files, operations = export_scenario(scenario, out, udp=main == "udp")
     for file in files:
         print(file)
     parts = ", ".join(f"{part} {count}" for part, count in operations.items() if part != "in all")
     print(f"longest step: {operations['in all']} floating-point operations ({parts})")
     print(f"next: make -C {out} test, make -C {out} sanitize")
+    if main == "udp":
+        print(f"then: make -C {out} moc_udp, {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
     return 0
 
 

@@ -34,20 +34,21 @@ ALLOWED = {
     "solvers": {"errors", "inputs", "numerics", "qp"},
     "control": {"errors", "inputs", "numerics", "qp", "robots", "model", "tasks", "solvers.base"},
     "sim": {"errors", "inputs", "numerics", "robots", "tasks", "trace"},
+    "realtime": {"errors", "inputs", "sim"},
     "vision": {"errors", "inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"errors", "inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
     "embedded": {"errors", "inputs", "qp", "robots", "model", "solvers", "control"},
     "report": {"errors", "inputs", "trace", "model", "redundancy", "planning"},
     "scenario": {
         "errors", "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
-        "sim", "procedure", "embedded",
+        "sim", "realtime", "procedure", "embedded",
     },
     "live": {"errors", "inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
     "commissioning": {
         "errors", "inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario",
     },
     "public": {"errors", "qp", "trace", "model", "planning", "solvers", "scenario"},
-    "command line": {"errors", "trace", "report", "scenario", "embedded", "live", "commissioning"},
+    "command line": {"errors", "trace", "realtime", "report", "scenario", "embedded", "live", "commissioning"},
 }  # fmt: skip
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
@@ -59,6 +60,7 @@ ONLY = {
     "trace": {"numpy", "pyarrow"},
     "robots": {"numpy", "pydantic"},
     "planning": {"numpy", "numba", "casadi"},
+    "realtime": {"numpy", "pydantic"},
     "control": {"numpy", "numba", "pydantic"},
     "procedure": {"numpy", "pydantic", "scipy"},
     "scenario": {"numpy", "pydantic", "pyarrow"},

@@ -16,6 +16,7 @@ from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.realtime.settings import WireSettings
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.sensors import longest_repetition
 from moc_opt.sim.settings import PlantSettings
@@ -146,6 +147,7 @@ class Scenario(Settings):
     deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
+    wire: WireSettings = WireSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     bound_samples: int = Field(
         default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
