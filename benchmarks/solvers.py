@@ -18,8 +18,9 @@ from typing import Any, Literal
 from benchmarks import cli, export, output
 from benchmarks.solver_study.closed_parts import JOBS, steps
 from benchmarks.solver_study.config import PARTS, Config
+from benchmarks.solver_study.first_screen import answer
 from benchmarks.solver_study.look import look
-from benchmarks.solver_study.report import SCREEN, report_page, sentences
+from benchmarks.solver_study.report import report_page, sentences
 from benchmarks.solver_study.study import Study, run_study
 from benchmarks.solver_study.tables import tables
 from benchmarks.timing import clock_cost_us, each_us
@@ -84,13 +85,13 @@ def compare(given: Namespace) -> cli.Results:
         summary["courses"] = seen.rows()
     environment = output.environment(config.model_dump(mode="json"), config.seed, given.argv)
     environment |= {"parts_of_an_earlier_run": study.store.reused, "seconds": found.seconds}
-    made = tables(summary)
+    first = answer(summary, config.scenario.deadline_us)
     return cli.Results(
         {**summary, "words": {name: {"text": text} for name, text in found.words.items()}},
         environment,
         rows=found.rows + [run.row() for run in found.runs],
-        page=report_page(study, found, made, environment, seen),
-        tables=[made[part] for part in SCREEN if part in made],
+        page=report_page(study, found, tables(summary), environment, seen, first),
+        answer=first,
         sentences=sentences(study, found),
         files=["replay.html"] if seen is not None else [],
     )

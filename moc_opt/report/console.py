@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -15,19 +16,20 @@ from moc_opt.inputs.files import to_json
 from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
+PIPED_WIDTH = 80
 T = TypeVar("T")
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console that writes plain text, without colour and uncut, where its output is no terminal.
+    """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
 
     Args:
         stderr: write there; results belong on stdout, what accompanies them on stderr.
         file: write to it instead.
     """
     made = Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
-    if not made.is_terminal:
-        made.width = 10_000
+    if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+        made.width = PIPED_WIDTH  # and not that of the terminal which may lie behind another stream
     return made
 
 

@@ -55,8 +55,9 @@ NAMES = ["exact", "osqp", "rnn", "quadprog"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A whole small study."""
-    root = tmp_path_factory.mktemp("study")
+    """A whole small study, in a folder of results."""
+    root = tmp_path_factory.mktemp("study") / "results"
+    root.mkdir()
     (root / "small.toml").write_text(SMALL)
     assert run(root) == 0
     return root
@@ -186,6 +187,8 @@ def test_all_files_are_written(folder, summary):
         assert words in page
     assert (out / "replay.html").stat().st_size > 10_000
     assert np.load(out / "solve_us_osqp.npy").shape == (100,)
+    assert 'href="out/report.html"' in (folder / "index.html").read_text()
+    assert page.index('id="accuracy-against-time"') < page.index('class="section"'), "pictures before what is folded"
 
 
 def test_a_second_run_takes_all_parts_from_the_first(folder, summary, capsys):
@@ -194,7 +197,11 @@ def test_a_second_run_takes_all_parts_from_the_first(folder, summary, capsys):
     again = json.loads((folder / "out" / "summary.json").read_text())
     for part in set(summary) - {"clock"}:
         assert again[part] == summary[part], part
-    assert "parts are those of an earlier run" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "parts are those of an earlier run" in said
+    assert max(len(line) for line in said.splitlines() if not line.startswith("written")) <= 80
+    assert "…" not in said
+    assert said.index("osqp") < said.index("written:")
 
 
 def test_parts_and_sets_can_be_chosen(folder, tmp_path, capsys):

@@ -21,11 +21,19 @@ def terminal() -> tuple[Console, io.StringIO]:
     return Console(file=file, force_terminal=True, width=100), file
 
 
-def test_a_file_gets_plain_and_uncut_text() -> None:
+@pytest.mark.parametrize(("columns", "width"), [(None, 80), ("132", 132), ("wide", 80)])
+def test_a_file_gets_plain_text_as_wide_as_a_terminal(
+    columns: str | None, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
     file = io.StringIO()
     long = "x" * 300
     console(file=file).print(Table("t", [Column("a", "a")], [{"a": long}]).to_rich())
-    assert long in file.getvalue()
+    lines = file.getvalue().splitlines()
+    assert "".join(line.strip() for line in lines).count("x") == 300, "nothing is cut off"
+    assert width - 4 <= max(map(len, lines)) <= width
     assert "\x1b" not in file.getvalue()
 
 
