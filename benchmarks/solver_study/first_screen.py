@@ -154,16 +154,17 @@ def _closed_picture(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Pic
     gains: dict[str, tuple[float, float, float]] = {}
     for row in rows:
         value, low, high = (row["closed"].get(f"mu_gain_percent{end}") for end in ("", "_low", "_high"))
-        if value is not None:
+        if value is not None and not row["closed"].get("short_runs"):
             known = low is not None and np.isfinite(low)
             gains[row["solver"]] = (low, value, high) if known else (value, value, value)
     if not gains:
         return []
     poor = [row["solver"] for row in rows if row["solver"] in gains and row["verdict"] is AVOID and
             str(row["damage"]).endswith("mu")]  # fmt: skip
+    brief = [row["solver"] for row in rows if row["closed"].get("short_runs")]
     says = f"Gain of mean manipulability over `{BASELINE}` with its 95 % interval over the trials: " + (
         f"{', '.join(poor)} loses it, all others have the same." if poor else "all solvers have about the same."
-    )
+    ) + (f" {', '.join(brief)} ran too short for it." if brief else "")
     drawn = interval_picture(gains, _tones(rows), "gain of mean mu [%]", {"no gain": 0.0})
     return [Picture(drawn, says, "closed-loop-effect")]
 

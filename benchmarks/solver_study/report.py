@@ -163,7 +163,8 @@ def _closed_loop(page: Page, study: Study, found: Findings, made: Mapping[str, T
     )
     page.table(made["closed_loop"])
     first = found.runs[0].trial if found.runs else ""
-    shown = {r.controller: r.trace for r in found.runs if r.trial == first and r.trace is not None}
+    whole = [r for r in found.runs if r.trial == first and not r.short]
+    shown = {r.controller: r.trace for r in whole if r.trace is not None}
     if shown:
         page.figure(
             figures.time_series(shown),

@@ -42,6 +42,7 @@ SHORT = {
     "torque_rate_rms_Nm_per_s": "chatter",
 }  # fmt: skip
 BEST_MU, BOUND_MU = "mu_fraction_of_best", "mu_fraction_of_bound"
+BEGINNING = "ran the beginning of each trial: its share is of other ticks; the damage is by the same ticks of both"
 TOLD = "answers the nonlinear problem of the tick: not comparable"
 
 
@@ -59,7 +60,7 @@ def assess(summary: Summary) -> list[Row]:
         row["verdict"] = _alone(row)
     reference = _reference(rows)
     for row in rows:
-        costs = {} if reference is None else _costs(row["closed"], reference["closed"])
+        costs = {} if reference is None else _costs(*_same_ticks(summary, row, reference))
         row["damage"], size = _damage(row["closed"], costs)
         if row["verdict"] not in (OTHER, AVOID) and size > 1.0:
             row["verdict"] = AVOID if size > TOO_MUCH else NEAR
@@ -79,12 +80,13 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
         key: certified.get(f"{key}_worst_set") for key in ("solve_p50_us", "solve_p99_us")
     }  # fmt: skip
     share = closed.get(BEST_MU, closed.get(BOUND_MU))
+    percent = Missing(BEGINNING) if closed.get("short_runs") else None if share is None else 100.0 * share
     return {
         "solver": name, "counted": counted, "closed": closed,
         "right_percent": hidden if other else 100.0 * share_right(counted) if counted.get("solves") else None,
         "silently_wrong": hidden if other else wrong if counted or closed else None,
         "p50_us": timed.get("solve_p50_us"), "p99_us": timed.get("solve_p99_us"),
-        "mu_percent": None if share is None else 100.0 * share,
+        "mu_percent": percent,
         "relative_max": counted.get("relative_max"),
         "trials": closed.get("runs"),
     }  # fmt: skip
@@ -118,6 +120,14 @@ def _order(row: Row) -> tuple[float, float, float]:
     right = row["right_percent"]
     gaps = -right if row["verdict"] is GAPS and isinstance(right, float) else 0.0
     return row["verdict"].rank, gaps, float("inf") if p99 is None else p99
+
+
+def _same_ticks(summary: Summary, row: Row, reference: Row) -> tuple[Row, Row]:
+    """The figures of both over the same ticks: those of the beginning where one of them ran no more than that."""
+    if bool(row["closed"].get("short_runs")) == bool(reference["closed"].get("short_runs")):
+        return row["closed"], reference["closed"]
+    beginning = summary.get("closed_loop_beginning", {})
+    return beginning.get(row["solver"], {}), beginning.get(reference["solver"], {})
 
 
 def _costs(mine: Row, theirs: Row) -> dict[str, tuple[float, float]]:

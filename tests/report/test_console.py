@@ -46,6 +46,30 @@ def test_progress_is_silent_without_a_terminal(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr() == ("", "")
 
 
+def test_a_file_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(range(0, 1000, 4))
+    monkeypatch.setattr("moc_opt.report.console.time.monotonic", lambda: float(next(clock)))
+    file = io.StringIO()
+    with progress("trials", 8, on=console(file=file)) as bar:
+        for k in range(8):
+            bar.at(f"step {k}")
+            bar.advance()
+    lines = file.getvalue().splitlines()
+    assert 1 <= len(lines) < 8, "not one a step"
+    assert all(line.startswith("trials: ") and " left  step " in line for line in lines)
+    assert "\x1b" not in file.getvalue()
+
+
+def test_what_is_known_stands_below_the_bar() -> None:
+    where, file = terminal()
+    with progress("working", 3.0, on=where, patience_s=0.0, below=lambda: ["the answer so far"]) as bar:
+        bar.advance(1.5)
+        deadline = time.monotonic() + 5.0
+        while "the answer so far" not in file.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert "the answer so far" in file.getvalue()
+
+
 def test_short_work_shows_no_bar() -> None:
     where, file = terminal()
     with progress("working", 3, on=where) as bar:

@@ -72,6 +72,22 @@ def test_the_best_come_first_and_one_is_taken():
     assert [row["verdict"] for row in found.values()].count(TAKE) == 1
 
 
+def test_a_short_run_is_judged_by_the_same_ticks():
+    short = {**LOOP, "mu_mean": 0.2, "short_runs": 15}
+    summary = {
+        "testsets": {"best@recommended": sets(solve_p99_us_worst_set=1.0), "slow@recommended": sets()},
+        "closed_loop": {"best": LOOP, "slow": short},
+        "closed_loop_beginning": {"best": {**LOOP, "mu_mean": 0.2}, "slow": short},
+    }
+    (_, slow) = assess(summary)
+    assert (slow["verdict"], slow["damage"]) == (SOUND, "none")
+    assert "beginning" in slow["mu_percent"].reason
+    summary["closed_loop_beginning"]["best"]["mu_mean"] = 0.25
+    assert assess(summary)[1]["verdict"] is AVOID
+    del summary["closed_loop_beginning"]
+    assert "not run" in assess(summary)[1]["damage"].reason
+
+
 def test_a_library_is_judged_once_and_parts_may_be_missing():
     summary = {"testsets": {f"{name}@recommended": sets() for name in ("daqp", "qpsolvers:daqp", "qpsolvers:scs")}}
     rows = assess(summary)
