@@ -54,6 +54,11 @@ def in_words(value: Any) -> str:
     return DASH if value is None or value in ("", {}) else str(value)
 
 
+def anchor(title: str) -> str:
+    """Return the address of a section on its page."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "part"
+
+
 def _shown(value: Any) -> Any:
     """A text without control and direction characters; escaping follows."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
@@ -64,7 +69,7 @@ _TEMPLATES = Environment(
     loader=_LOADER, autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
 )
 _TEMPLATES.globals["asset"] = asset
-_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words)
+_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor)
 
 
 def beside(target: str) -> str:
