@@ -21,7 +21,7 @@ from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.tables import STEADY
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.errors import MocOptError
 
 Summary = Mapping[str, Any]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.statistics import mean
+from moc_opt.comparison.statistics import mean
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -163,7 +163,7 @@ class ControlSettings(Settings):
             raise ValueError(  # noqa: TRY004 - pydantic turns no other error into the field's
                 "give the name of a table of the robot's file; single gains are keys of [control] itself"
             )
-        return given
+        return None if given == "" else given  # a file has no None
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:

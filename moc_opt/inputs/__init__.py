@@ -2,5 +2,6 @@
 
 Read first: ``settings`` (the base of every table of a TOML; errors name field, value and range). ``files``
 reads TOML and JSON within limits of size, ``names`` holds the allow-list of characters, ``memory`` says what
-would fit. Any room but numerics, qp, tasks, model and redundancy may import it; it imports ``errors`` alone.
+would fit, ``notebook`` how an object shows itself, ``toml`` writes tables.
+Any room but numerics, qp, tasks, model and redundancy may import it; it imports ``errors`` alone.
 """

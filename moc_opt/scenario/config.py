@@ -13,8 +13,10 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
+from moc_opt.inputs.notebook import table_html
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.scenario import saving
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.settings import PlantSettings
 
@@ -191,6 +193,25 @@ class Scenario(Settings):
         except MocOptError as error:
             error.args = (f"{file}: {error}",)  # of whichever kind it is
             raise
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the TOML that `load` reads as this scenario: what differs from the defaults.
+
+        A robot's own file is named by its absolute path.
+
+        Raises:
+            ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
+        """
+        saving.save(self, path)
+
+    def __repr__(self) -> str:
+        return f"Scenario({', '.join(f'{name}={value!r}' for name, value in saving.changes(self).items())})"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        return table_html("Scenario, where it differs from the default", saving.changes(self))
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table."""
