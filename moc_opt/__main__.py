@@ -1,4 +1,4 @@
-"""python -m moc_opt run | plan | replay | map | live | export-c | robot: scenarios and robots from the command line."""
+"""moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from moc_opt import __version__
+from moc_opt.commands import arguments as more
 from moc_opt.commissioning.command import add_commands as robot_commands
 from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
-    parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
+    parser = argparse.ArgumentParser(prog="moc-opt", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
@@ -32,6 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
+    one.add_argument("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file: x,y,z [m] a line")
+    one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
+    one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
@@ -60,8 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument("--port", type=int, default=8642)
     live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
     robot_commands(commands)
-    given = parser.parse_args(arguments)
+    more.add_commands(commands)
+    given, rest = parser.parse_known_args(arguments)
+    if rest and (given.command != "solvers" or given.list):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
+        if given.command in more.NAMES:
+            return more.run_command(given, rest)
         if given.command == "robot":
             return robot_command(given)
         if given.command == "export-c":
@@ -69,8 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.command == "plan":
             return plan_scenario(given)
         if given.command == "replay":
+            from moc_opt.report.document import check_out
             from moc_opt.report.replay import Replay
 
+            check_out(given.out, "replay")
             print(Replay.load(given.traces).save(given.out))
             return 0
         if given.command == "map":
@@ -80,8 +93,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from moc_opt.scenario import Scenario
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
-            return serve(scenario, host=given.host, port=given.port, public=given.public)
-        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
+            named = "name" in scenario.model_fields_set
+            title = scenario.name if named else scenario.task.path if given.scenario is None else given.scenario.stem
+            return serve(scenario, host=given.host, port=given.port, public=given.public, title=title)
+        return run_scenario(given)
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
         return 2
@@ -105,24 +120,22 @@ def _one_line(error: BaseException) -> str:
     return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
-def run_scenario(
-    path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool,
-    robot: str | None = None,
-) -> int:  # fmt: skip
+def run_scenario(given: argparse.Namespace) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
+    from moc_opt.report.document import check_out
+    from moc_opt.report.machine import busy
+    from moc_opt.report.run_page import run_page
     from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
     from moc_opt.trace.metrics import summarize
 
+    path, trace_to = given.scenario, given.trace
     scenario = Scenario() if path is None else Scenario.load(path)
     title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
-    if seed is not None:
-        scenario = scenario.change(seed=seed)
-    if robot is not None:
-        scenario = scenario.change(robot={"name": robot})
-    if solver is not None:
-        scenario = scenario.change(solver={"name": solver, "settings": {}})
+    scenario = changed(scenario, given)
+    if given.report is not None:
+        check_out(given.report, "report")
     setup = Setup(scenario)
     ticks = len(setup.times())
     with progress(title, ticks) as bar:
@@ -139,22 +152,64 @@ def run_scenario(
         beside = None if trace_to is None else Path(folder, "dcac.parquet")
         baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
         metrics = summarize(trace, baseline)
-    if as_json:
-        print_json(run_json(trace, metrics))
+        if given.report is not None:
+            runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
+            print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
+    wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
+    if given.json:
+        print_json(run_json(trace, wanted))
     else:
-        console().print(run_table(title, trace, metrics).to_rich())
+        console().print(run_table(title, trace, wanted).to_rich())
+        if busy():
+            console().print(busy(), soft_wrap=True)
     return 0 if ended == "completed" else 3
+
+
+def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
+    """Return the scenario with what the options of ``run`` replace in it.
+
+    Raises:
+        MocOptError: there is no such path, metric or file of waypoints.
+    """
+    from moc_opt.errors import ScenarioError, UnknownNameError
+    from moc_opt.inputs.files import read_text
+    from moc_opt.trace.metrics import METRICS
+    from moc_opt.trace.metrics.registry import load_plugins
+
+    if given.seed is not None:
+        scenario = scenario.change(seed=given.seed)
+    if given.robot is not None:
+        scenario = scenario.change(robot={"name": given.robot})
+    if given.solver is not None:
+        scenario = scenario.change(solver={"name": given.solver, "settings": {}})
+    if given.task is not None:
+        task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
+        if Path(given.task).suffix.lower() in (".csv", ".txt"):
+            lines = read_text(given.task, "waypoints", ScenarioError).splitlines()
+            points = [tuple(line.replace(",", " ").split()) for line in lines if line.strip() and line[0] != "#"]
+            task |= {"path": "waypoints", "waypoints_m": points}
+        scenario = scenario.change(task=task)
+    if given.metric:
+        scenario = scenario.change(metrics=tuple(given.metric))
+    load_plugins()
+    for name in scenario.metrics:
+        if name not in METRICS:
+            raise UnknownNameError("metric", name, METRICS)
+    return scenario
 
 
 def plan_scenario(given: argparse.Namespace) -> int:
     """Plan, print, and write the course."""
     from moc_opt.report.console import console, print_json
+    from moc_opt.report.document import check_out
     from moc_opt.report.plan_table import plan_json, plan_tables
     from moc_opt.scenario import Scenario
     from moc_opt.scenario.planned import plan, save_course
 
     scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
     title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
+    if given.out is not None:
+        check_out(given.out, "course")
     found = plan(scenario, objective=given.objective, margin_rad=given.margin, speed_share=given.speed_share)
     if given.json:
         print_json(plan_json(found))
@@ -185,9 +240,11 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -
 
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     """Write the page, then the figures: the page is there even where no browser can draw the files."""
+    from moc_opt.report.document import check_out
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 
+    check_out(out, "map")
     page = load_map(traces)
     print(page.save(out))
     for file in save_figures(page.figures, out.parent / "figures") if figures else ():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -136,6 +138,21 @@ class Comparison:
         except ImportError as error:
             raise ScenarioError("pandas is not installed: pip install 'moc-opt[dataframes]'") from error
         return pandas.DataFrame([dict(row) for row in self.rows])
+
+    def save_rows(self, path: str | os.PathLike[str]) -> None:
+        """Write one row a run as CSV: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: the file cannot be written.
+        """
+        keys = dict.fromkeys(key for row in self.rows for key in row)
+        try:
+            with open(path, "w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, list(keys))
+                writer.writeheader()
+                writer.writerows(self.rows)
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be written: {error}") from error
 
     def __repr__(self) -> str:
         return self.table.to_text()
