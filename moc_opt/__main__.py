@@ -1,29 +1,28 @@
-"""python -m moc_opt run | plan | replay | map | live | plant | control | export-c | robot: from the command line."""
+"""moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
-import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from moc_opt import __version__
+from moc_opt.commands import arguments as more
 from moc_opt.commissioning.command import add_commands as robot_commands
 from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
-    from moc_opt.scenario import Scenario
-    from moc_opt.trace.trace import Trace
+    pass
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
-    parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
+    parser = argparse.ArgumentParser(prog="moc-opt", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
@@ -34,6 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
+    one.add_argument("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file: x,y,z [m] a line")
+    one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
+    one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
@@ -83,17 +85,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
         end.add_argument("scenario", nargs="?", type=Path, help="TOML, the same at both ends; without it the default")
         end.add_argument("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
     robot_commands(commands)
-    given = parser.parse_args(arguments)
+    more.add_commands(commands)
+    given, rest = parser.parse_known_args(arguments)
+    if rest and (given.command != "solvers" or given.list):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
+        if given.command in more.NAMES:
+            return more.run_command(given, rest)
         if given.command == "robot":
             return robot_command(given)
         if given.command == "export-c":
             return export_c(given.scenario, given.out, given.main)
         if given.command == "plan":
+            from moc_opt.commands.ahead import plan_scenario
+
             return plan_scenario(given)
         if given.command == "replay":
+            from moc_opt.report.document import check_out
             from moc_opt.report.replay import Replay
 
+            check_out(given.out, "replay")
             print(Replay.load(given.traces).save(given.out))
             return 0
         if given.command == "map":
@@ -103,12 +114,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from moc_opt.scenario import Scenario
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
-            return serve(scenario, host=given.host, port=given.port, public=given.public)
-        if given.command == "plant":
-            return run_plant(given)
-        if given.command == "control":
-            return run_control(given)
-        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
+            named = "name" in scenario.model_fields_set
+            title = scenario.name if named else scenario.task.path if given.scenario is None else given.scenario.stem
+            return serve(scenario, host=given.host, port=given.port, public=given.public, title=title)
+        if given.command in ("plant", "control"):
+            from moc_opt.commands.wire import run_control, run_plant
+
+            return (run_plant if given.command == "plant" else run_control)(given)
+        from moc_opt.commands.running import run_scenario
+
+        return run_scenario(given)
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
         return 2
@@ -132,156 +147,13 @@ def _one_line(error: BaseException) -> str:
     return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
-def run_scenario(
-    path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool,
-    robot: str | None = None,
-) -> int:  # fmt: skip
-    """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.report.console import progress
-    from moc_opt.scenario import RunAway, Setup
-
-    scenario, title = _read(path)
-    if "best_courses" not in scenario.model_fields_set:
-        scenario = scenario.change(best_courses=True)
-    if seed is not None:
-        scenario = scenario.change(seed=seed)
-    if robot is not None:
-        scenario = scenario.change(robot={"name": robot})
-    if solver is not None:
-        scenario = scenario.change(solver={"name": solver, "settings": {}})
-    setup = Setup(scenario)
-    ticks = len(setup.times())
-    with progress(title, ticks) as bar:
-        try:
-            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
-        except RunAway as error:
-            trace = error.trace
-    return _show(scenario, title, trace, trace_to, as_json)
-
-
-def _read(path: Path | None) -> tuple[Scenario, str]:
-    """The scenario of a file, or the default one, and what to call it."""
-    from moc_opt.scenario import Scenario
-
-    scenario = Scenario() if path is None else Scenario.load(path)
-    return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
-
-
-def _show(scenario: Scenario, title: str, trace: Trace, trace_to: Path | None, as_json: bool) -> int:
-    """Print how a run ended, and its metrics; return the exit status."""
-    from moc_opt.report.console import console, print_json
-    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
-    from moc_opt.trace.metrics import summarize
-
-    ended = str(trace.meta["ended"])
-    if "earlier_run" in trace.meta:
-        print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
-    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
-        print(f"{title}: {line}", file=sys.stderr)
-    if below_best(trace):
-        print(f"{title}: {below_best(trace)}", file=sys.stderr)
-    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
-        beside = None if trace_to is None else Path(folder, "dcac.parquet")
-        baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
-        metrics = summarize(trace, baseline)
-    if as_json:
-        print_json(run_json(trace, metrics))
-    else:
-        console().print(run_table(title, trace, metrics).to_rich())
-    return 0 if ended == "completed" else 3
-
-
-def run_plant(given: argparse.Namespace) -> int:
-    """Wait for a controller, run against the clock, print as `run` does."""
-    from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.key import read_key
-    from moc_opt.scenario import RunAway
-    from moc_opt.scenario.wired import PlantServer
-
-    scenario, title = _read(given.scenario)
-    server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
-    print("listening on {}:{}".format(*server.address), file=sys.stderr, flush=True)
-    server.system = {} if given.lock_step else ask_for_realtime()
-    try:
-        trace = server.trace(to=given.trace)
-    except RunAway as error:
-        trace = error.trace
-    for name, value in trace.meta["wire"].items():
-        print(f"{title}: {name}: {value}", file=sys.stderr)
-    return _show(scenario, title, trace, given.trace, given.json)
-
-
-def run_control(given: argparse.Namespace) -> int:
-    """Answer a plant until its run ends; print how."""
-    from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.key import read_key
-    from moc_opt.report.console import print_json
-    from moc_opt.scenario.wired import answer
-
-    (scenario, _), granted = _read(given.scenario), dict[str, str]()
-    key = read_key(given.key_file)
-    found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
-    print_json(asdict(found) | {"system": granted})
-    return 0 if found.ended == "completed" else 3
-
-
-def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan, print, and write the course."""
-    from moc_opt.report.console import console, print_json
-    from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables
-    from moc_opt.scenario import Scenario
-    from moc_opt.scenario.followable import following_warnings
-    from moc_opt.scenario.placement import place
-    from moc_opt.scenario.planned import plan, save_course
-
-    scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
-    title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
-    asked = {"objective": given.objective, "margin_rad": given.margin, "speed_share": given.speed_share}
-    found = plan(scenario, **asked)
-    began, places = time.perf_counter(), []
-    if given.place is not None:
-        places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)
-    took = time.perf_counter() - began
-    warned = following_warnings(scenario, found)
-    for line in warned:
-        print(f"{title}: warning: {line}", file=sys.stderr)
-    if given.json:
-        searched = {"places": place_json(places), "place_s": took} if places else {}
-        print_json(plan_json(found) | {"warnings": warned} | searched)
-    else:
-        screen = console()
-        shown = plan_tables(title, found)
-        if places:
-            shown.append(place_table(f"Places of the {given.place}", given.candidates, given.box, took, places))
-        for table in shown:
-            for piece in table.fitted(screen.width):
-                screen.print(piece)
-    if given.out is not None:
-        path = save_course(found, scenario, given.out)
-        print(path, file=sys.stderr if given.json else sys.stdout)
-    return 0 if found.executable else 3
-
-
-def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
-    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    from moc_opt.scenario import RunAway, run
-
-    try:
-        matched = scenario.control.matched_dcac()
-        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
-    except RunAway as error:
-        trace = error.trace
-    if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
-        return None
-    return trace.head(ticks)
-
-
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     """Write the page, then the figures: the page is there even where no browser can draw the files."""
+    from moc_opt.report.document import check_out
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 
+    check_out(out, "map")
     page = load_map(traces)
     print(page.save(out))
     for file in save_figures(page.figures, out.parent / "figures") if figures else ():

@@ -20,7 +20,7 @@ from benchmarks.markdown import fill_section, of_columns, table
 from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.first_screen import answer
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.errors import MocOptError
 
 Summary = Mapping[str, Any]

@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.figures import titles
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.report.tables import Column, Table
 
 Summary = Mapping[str, Any]

@@ -11,7 +11,7 @@ from scipy import stats
 
 from benchmarks.output import close_page
 from benchmarks.paper_experiment.trials import MATCHED
-from benchmarks.statistics import mean, relative_change
+from moc_opt.comparison.statistics import mean, relative_change
 from moc_opt.report.figures.boxes import box_plots
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.closed_loop import Run
-from benchmarks.statistics import StatisticsError, relative_change
 from benchmarks.timing import percentiles
+from moc_opt.comparison.statistics import StatisticsError, relative_change
 from moc_opt.trace.ending import Ending
 
 COMPARED = {

@@ -98,7 +98,7 @@ class SafetyFilterSettings(MotionSettings):
     position_margin_rad: float = Field(
         0.045, ge=0.0, description="the wall begins this far inside a joint limit"
     )
-    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
+    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0, description="torque back, by the depth in the wall")
     wall_damping_Nm_s_per_rad: float = Field(
         20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
     )

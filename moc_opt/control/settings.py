@@ -102,8 +102,12 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
     FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
-    law: Literal["dcac", "moc"] = "moc"
-    gains: str | None = "default"
+    law: Literal["dcac", "moc"] = Field(
+        default="moc", description="'dcac': tip and RCM alone; 'moc' adds the third level"
+    )
+    gains: str | None = Field(
+        default="default", description="table of the robot's file to start from; '' or None: the one named like the law"
+    )
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
@@ -124,7 +128,9 @@ class ControlSettings(Settings):
         default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
     )
     observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
-    limit_torque: bool = True
+    limit_torque: bool = Field(
+        default=True, description="whether the controller keeps within the joints' largest torques"
+    )
 
     k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
     third_level: Literal["local", "planned", "receding"] = Field(
@@ -141,9 +147,9 @@ class ControlSettings(Settings):
     climb: Literal["gradient", "scaled"] = Field(
         default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
     )
-    c0: NotNegative = 0.01
-    c1: NotNegative = 0.01
-    c2: NotNegative = 0.001
+    c0: NotNegative = Field(default=0.01, description="weight of the tip's velocity in the subproblem's cost")
+    c1: NotNegative = Field(default=0.01, description="the same of the wrist's")
+    c2: NotNegative = Field(default=0.001, description="weight of the manipulability's gradient in it")
     regularization: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
     fallback: Literal["damping", "hold", "least-violation"] = Field(
         default="least-violation", description="the answer to an infeasible subproblem"
@@ -177,7 +183,7 @@ class ControlSettings(Settings):
             raise ValueError(  # noqa: TRY004 - pydantic turns no other error into the field's
                 "give the name of a table of the robot's file; single gains are keys of [control] itself"
             )
-        return given
+        return None if given == "" else given  # a file has no None
 
     @model_validator(mode="after")
     def _third_level_of_moc(self) -> Self:

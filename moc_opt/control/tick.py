@@ -86,8 +86,8 @@ def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, di
 def shaft_push(mu_shaft: float, margin: float) -> float:
     """Weight of grad mu_shaft beside grad mu [m], zero from the margin on.
 
-    SHAFT_PULL (1 - mu_shaft/margin) mu_shaft/(mu_shaft^2 + lost^2), lost = SHAFT_LOST margin: the slope of a barrier that
-    begins smoothly at the margin. Times grad mu_shaft it has no kink where mu_shaft is zero.
+    SHAFT_PULL (1 - mu_shaft/margin) mu_shaft/(mu_shaft^2 + lost^2), lost = SHAFT_LOST margin: the slope of a barrier
+    that begins smoothly at the margin. Times grad mu_shaft it has no kink where mu_shaft is zero.
     """
     if mu_shaft < margin:
         lost = SHAFT_LOST * margin

@@ -87,6 +87,19 @@ def beside(target: str) -> str:
     return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
 
 
+def check_out(path: str | os.PathLike[str], what: str) -> None:
+    """Check before any work that a file can be written there.
+
+    Raises:
+        ReportError: it cannot.
+    """
+    file = Path(path)
+    check_replaceable(file, what, ReportError)
+    folder = next(folder for folder in file.absolute().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
+
+
 def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str]) -> Path:
     """Write a file, all or nothing: an older one of that name stays until the new one is there.
 

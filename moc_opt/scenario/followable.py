@@ -7,7 +7,7 @@ import numpy as np
 from moc_opt.errors import ControlError
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.planned import SPEED_LEFT
+from moc_opt.scenario.guided import SPEED_LEFT
 
 ROUNDING = 1e-6
 
@@ -48,7 +48,7 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
     j = int(np.argmax(short))
     if short[j] > ROUNDING:
         found.append(
-            f"the course comes to {room[j]:.3f} of the limit of {robot.data.joint_names[j]}, where the box of the third "
-            f"level closes at {margins[j]:g}: plan with --margin {margins[j]:g}, or lower limit_margin_rad"
+            f"the course comes to {room[j]:.3f} of the limit of {robot.data.joint_names[j]}, where the box of the "
+            f"third level closes at {margins[j]:g}: plan with --margin {margins[j]:g}, or lower limit_margin_rad"
         )
     return found

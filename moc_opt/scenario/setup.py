@@ -45,14 +45,18 @@ Array = NDArray[np.float64]
 class Setup:
     """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
         """Build and check everything before anything moves.
+
+        Args:
+            scenario: the run.
+            solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
 
         Raises:
             MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
                 start and the path.
         """
-        self.scenario = scenario
+        self.scenario, self._given = scenario, solver
         start_seed, plant_seed, fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
@@ -87,7 +91,8 @@ class Setup:
         """Make the solver that the scenario asks for; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
-        solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+        asked = self.scenario.solver
+        solver = self._given or make_solver(asked.name, self.robot, **asked.settings)
         faults = self.scenario.faults
         if faults.solver == "none" or faults.solver == "hang":
             return solver
@@ -258,11 +263,12 @@ class Setup:
 
 
 def run(
-    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
-) -> Trace:
-    """Run one scenario; arguments as `Setup.trace`.
+    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, *,
+    solver: Solver | None = None,
+) -> Trace:  # fmt: skip
+    """Run one scenario; arguments as `Setup` and `Setup.trace`.
 
     Raises:
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
     """
-    return Setup(scenario).trace(watch, to)
+    return Setup(scenario, solver).trace(watch, to)

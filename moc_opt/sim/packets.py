@@ -44,7 +44,7 @@ class PacketSettings(Settings):
         default=None, ge=0.0, description="old packets come once more from then on, in their order, over and over"
     )
     replay_ticks: int = Field(default=100, ge=1, le=5000, description="so many, the last ones before that")
-    drift_at_s: float = Field(default=0.0, ge=0.0)
+    drift_at_s: float = Field(default=0.0, ge=0.0, description="when it begins")
     drift_rad_per_s: float = Field(
         default=0.0, ge=-1.0, le=1.0, description="encoders drift from drift_at_s on, seeded signs"
     )
