@@ -4,14 +4,14 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: setup solvers test lint clean
+.PHONY: setup solvers test lint docs clean
 
 setup: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,cluster,peers,qpbenchmark,dev]' --constraint constraints.txt
+	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,cluster,peers,qpbenchmark,dataframes,docs,dev]' --constraint constraints.txt
 	touch $(READY)
 
 solvers: setup
@@ -24,6 +24,10 @@ lint: setup
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
 
+docs: setup
+	$(RUN) -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo written: build/docs/index.html
+
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache results
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache results build docs/gallery docs/_api
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -18,7 +18,11 @@ class PageRenderer(plotly.io.base_renderers.MimetypeRenderer):  # type: ignore[m
     def to_mimebundle(self, fig_dict: dict[str, Any]) -> dict[str, str]:
         """Return the figure as HTML."""
         options = {"responsive": True, "displaylogo": False}
-        return {"text/html": plotly.io.to_html(fig_dict, include_plotlyjs=False, full_html=False, config=options)}
+        height = f"{fig_dict['layout'].get('height', 460)}px"
+        drawn = plotly.io.to_html(
+            fig_dict, include_plotlyjs=False, full_html=False, config=options, default_height=height
+        )
+        return {"text/html": drawn}
 
 
 def _write_script(app: Sphinx) -> None:
