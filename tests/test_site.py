@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,14 @@ def test_an_example_is_short_and_says_what_it_is(example):
     assert set(rule) == {"="}
     assert len(rule) >= len(title)
     assert len(text.splitlines()) <= 60
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs(example, capsys):
+    runpy.run_path(str(example), run_name="__main__")
+    printed = capsys.readouterr().out
+    assert printed.strip()
+    assert "nan" not in printed
 
 
 def test_there_are_examples():

@@ -2,9 +2,8 @@
 Solvers on the same random trials
 =================================
 
-Compare solvers in closed loop: every trial begins at a pose that its seed draws, and DCAC with the same gains runs it
-too. A mean comes with its 95 % interval and the number of its trials. Two are too few for a verdict; they keep this page
-short.
+Compare solvers in closed loop. Every trial begins at a pose that its seed draws, and DCAC with the same gains runs it
+too. A mean comes with its 95 % interval and the number of its trials; two are too few for a verdict.
 """
 
 import moc_opt as mo
