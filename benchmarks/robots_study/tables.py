@@ -170,9 +170,9 @@ def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any
         "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "
         "default preset; DCAC has the same gains and trials. Settled errors are those at ticks at which no elbow is on "
         "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean. "
-        "Errors in space hold the arm's calibration, which no controller sees: it counts from the pose at which the arm "
-        "touched task and trocar, where DCAC stays, and which the third level leaves. Those by the arm's own kinematics "
-        "are what control answers for."
+        "Errors in space hold the arm's calibration, which no controller sees: it counts from the pose at which the "
+        "arm touched task and trocar, where DCAC stays, and which the third level leaves. Those by the arm's own "
+        "kinematics are what control answers for."
     )
     page.section("Results")
     for table in tables(summary):
