@@ -19,11 +19,13 @@ from moc_opt.trace.trace import Trace
 
 METRICS = (
     "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", "tip_error_mean_mm",
-    "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
+    "tip_error_model_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm", "rcm_error_model_mean_mm",
     "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "verified_solved", "claimed_solved", "solve_p50_us",
     "solve_p99_us",
 )  # fmt: skip
-SETTLED = ("tip_error_mean_mm", "rcm_error_registered_mean_mm")
+SETTLED = (
+    "tip_error_mean_mm", "rcm_error_registered_mean_mm", "tip_error_model_mean_mm", "rcm_error_model_mean_mm",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,17 @@ Rows = Sequence[Mapping[str, Any]]
 
 CHANGES = (
     ("mu_mean", "mu_gain_percent"), ("settled_tip_error_mean_mm", "tip_change_percent"),
-    ("settled_rcm_error_registered_mean_mm", "rcm_change_percent"), ("trocar_force_mean_N", "force_change_percent"),
+    ("settled_rcm_error_registered_mean_mm", "rcm_change_percent"),
+    ("settled_tip_error_model_mean_mm", "tip_model_change_percent"),
+    ("settled_rcm_error_model_mean_mm", "rcm_model_change_percent"), ("trocar_force_mean_N", "force_change_percent"),
     ("torque_rate_rms_Nm_per_s", "chatter_change_percent"),
 )  # fmt: skip
-MEANS = ("mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best",
-         "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
-         "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "infeasible_ticks", "solve_p50_us")  # fmt: skip
+MEANS = (
+    "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", "tip_error_mean_mm",
+    "tip_error_model_mean_mm", "rcm_error_mean_mm",
+    "rcm_error_registered_mean_mm", "rcm_error_model_mean_mm", "trocar_force_mean_N", "torque_rate_rms_Nm_per_s",
+    "infeasible_ticks", "solve_p50_us",
+)  # fmt: skip
 MUCH_WORSE = 1.1
 """A tip error that is larger than the baseline's by this factor."""
 FINDINGS: Mapping[str, str] = {
@@ -34,6 +39,9 @@ FINDINGS: Mapping[str, str] = {
     "tip": "settled tip error at most 5 % above DCAC's",
     "rcm": "settled RCM error against the registered trocar at most 5 % above DCAC's",
     "tails": "tip worse by more than 10 % in at most 10 % of the trials",
+    "tip_model": "tip by the arm's own kinematics: at most 5 % above",
+    "rcm_model": "RCM by the arm's own kinematics: at most 5 % above",
+    "tails_model": "tip by its own kinematics: the same tails",
 }
 BY_ARM = [
     Column("robot", "arm"), Column("controller", "controller"), Column("trials", "trials", format="d"),
@@ -45,6 +53,9 @@ BY_ARM = [
     Column("tip_change_percent", "tip, settled", unit="%", format="+.1f"),
     Column("rcm_change_percent", "RCM, settled", unit="%", format="+.1f"),
     Column("tip_much_worse", "tip > 10 % worse", format="d"),
+    Column("tip_model_change_percent", "tip, own", unit="%", format="+.1f"),
+    Column("rcm_model_change_percent", "RCM, own", unit="%", format="+.1f"),
+    Column("tip_model_much_worse", "tip, own > 10 % worse", format="d"),
     Column("tip_error_mean_mm", "tip", unit="mm", format=".3f"),
     Column("rcm_error_registered_mean_mm", "RCM, registered", unit="mm", format=".3f"),
     Column("trocar_force_mean_N", "force", unit="N", format=".2f"),
@@ -88,8 +99,11 @@ def _figures(rows: Rows, controller: str) -> dict[str, Any]:
     methods = dict.fromkeys(row["mu_bound_method"] for row, _ in pairs if "mu_bound_method" in row)
     if methods:
         found["mu_bound_method"] = ", ".join(methods)
-    tips = [(a["tip_error_mean_mm"], b["tip_error_mean_mm"]) for a, b in pairs]
-    return found | {"tip_much_worse": sum(a > MUCH_WORSE * b for a, b in tips)}
+    for name in ("tip", "tip_model"):
+        key = name.replace("tip", "tip_error") + "_mean_mm"
+        both = [(a[key], b[key]) for a, b in pairs if key in a and key in b]
+        found[f"{name}_much_worse"] = sum(a > MUCH_WORSE * b for a, b in both)
+    return found
 
 
 def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None]:
@@ -98,13 +112,16 @@ def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None
     if name is None or "mu_gain_percent" not in figures[name]:
         return dict.fromkeys(FINDINGS)
     row = figures[name]
-    tip, rcm = row.get("tip_change_percent"), row.get("rcm_change_percent")
+
+    def small(change: str) -> bool | None:
+        value = row.get(change)
+        return None if value is None else value <= 5.0
+
     return {
         "all_end": all(other["broken"] == 0 for other in figures.values()),
         "gains": row["mu_gain_percent"] >= 10.0,
-        "tip": None if tip is None else tip <= 5.0,
-        "rcm": None if rcm is None else rcm <= 5.0,
-        "tails": row["tip_much_worse"] <= 0.1 * row["trials"],
+        **{key: small(f"{key}_change_percent") for key in ("tip", "rcm", "tip_model", "rcm_model")},
+        **{f"tails{of}": row[f"tip{of}_much_worse"] <= 0.1 * row["trials"] for of in ("", "_model")},
     }
 
 
@@ -158,7 +175,10 @@ def report(
     page.text(
         "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "
         "default preset; DCAC has the same gains and trials. Settled errors are those at ticks at which no elbow is on "
-        "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean."
+        "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean. "
+        "Errors in space hold the arm's calibration, which no controller sees: it counts from the pose at which the "
+        "arm touched task and trocar, where DCAC stays, and which the third level leaves. Those by the arm's own "
+        "kinematics are what control answers for."
     )
     page.section("Results")
     for table in shown:

@@ -51,7 +51,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     asked = scenario or Scenario(robot={"name": robot.data.name})
     found = [_size(robot), _freedom(robot), _regularity(robot)]
     if all(row.verdict != "cannot" for row in found):
-        found += [_climb(robot), _largest(robot), _task(robot, asked)]
+        found += [*_climb(robot), _task(robot, asked)]
     return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
 
 
@@ -94,26 +94,22 @@ def _regularity(robot: RobotModel) -> Finding:
     )
 
 
-def _climb(robot: RobotModel) -> Finding:
-    """The range of mu on the self-motion through home."""
+def _climb(robot: RobotModel) -> Iterator[Finding]:
+    """The range of mu on the self-motion through home, and the largest with tip and wrist there."""
     mu = robot.state(robot.data.q_home).mu
+    (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
     try:
         curve = self_motion(robot, robot.data.q_home)
     except RobotError as error:
-        return Finding("mu at home", f"{mu:.3g}", "care", f"its self-motion cannot be scanned: {error}")
-    best, many = curve.mu_best, freedoms(robot, robot.data.q_home).real > 1
-    text = (
-        f"{mu:.3g}, {curve.mu.min():.3g} to {best:.3g} on {'one self-motion' if many else 'its self-motion'}"
-    )
-    if best < (1.0 + LITTLE_TO_GAIN) * mu:
-        return Finding("mu at home", text, "care", "little to gain from there: choose another home.q_rad")
-    return Finding("mu at home", text, "ok")
-
-
-def _largest(robot: RobotModel) -> Finding:
-    """The largest mu with tip and wrist where they are at home; a local law may not get there."""
-    (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
-    return Finding("largest mu there", f"{largest:.3g}, {how['mu_bound_method']}", "ok")
+        yield Finding("mu at home", f"{mu:.3g}", "care", f"its self-motion cannot be scanned: {error}")
+    else:
+        several = freedoms(robot, robot.data.q_home).real > 1
+        text = f"{mu:.3g}, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
+        little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
+        cure = "little to gain from there: choose another home.q_rad" if little else ""
+        yield Finding("mu at home", text, "care" if little else "ok", cure)
+    # With one freedom a local law stays on its curve, and may not get there.
+    yield Finding("largest mu there", f"{largest:.3g}, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:

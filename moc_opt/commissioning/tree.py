@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from moc_opt.errors import RobotError
 from moc_opt.robots.rebuild import MOVING
 
+ARM = 5
+"""Moving joints in a row that a chain must have to be an arm."""
+
 
 class LinkTree:
     """The joint that carries each link, and the joints that each link carries.
@@ -59,6 +62,25 @@ class LinkTree:
         return max(
             (moves(j, locked) + self.depth(end(j, "child"), locked) for j in self.carried[link]), default=0
         )
+
+
+    def arms(self, locked: Mapping[str, float]) -> list[str]:
+        """Return the links at which chains of `ARM` moving joints and more end, the longest chains first.
+
+        A link that only branches of less than `ARM` joints leave is such an end: what they carry are fingers.
+        """
+        found: list[tuple[int, str]] = []
+        waiting = [(self.base, 0)]
+        while waiting:
+            link, count = waiting.pop()
+            ways = [(end(j, "child"), count + moves(j, locked)) for j in self.carried[link]]
+            on = [way for way in ways if way[1] > count or self.depth(way[0], locked)]
+            longest = max((n - count + self.depth(child, locked) for child, n in on), default=0)
+            if on and (len(on) == 1 or longest >= ARM or count < ARM):
+                waiting += on
+            elif count >= ARM:
+                found.append((count, link))
+        return [link for _, link in sorted(found, key=lambda each: (-each[0], each[1]))]
 
 
 def end(joint: ET.Element, which: str) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,9 @@ from moc_opt.robots.rebuild import MOVING, rebuild
 
 _RESERVED = {"tool", "tip", "wrist", "tool_mount", "tip_frame", "wrist_frame", "world"}
 _KEPT = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
+_PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_]")
+_QUOTED = re.compile(r'"[^"]*"|\'[^\']*\'')
+_JAW = re.compile("grip|finger|jaw", re.IGNORECASE)
 FINGERS = 2
 """Moving joints in a row that a branch may have to count as a finger."""
 TURN = 2.0 * math.pi
@@ -53,7 +57,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
         RobotError: no URDF, xacro that is not expanded, no single chain, a mimic joint in the chain.
         UnknownNameError: ``tip`` or a joint of ``lock`` is not in the file.
     """
-    text = read_text(path, "urdf", RobotError)
+    text, undeclared = _declared(read_text(path, "urdf", RobotError))
     given = urdf.parse(text)
     if any("xacro" in str(element.tag) for element in given) or _in_braces(given):
         raise RobotError(
@@ -61,6 +65,8 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
         )
     mimics = {joint.get("name", ""): joint.find("mimic") for joint in given.findall("joint")}
     arm = VendorArm(_bare(given), "")
+    if undeclared:
+        arm.notes.append(f"names with {', '.join(undeclared)} are not read: the file does not say what they are")
     _rename(arm)
     positions = _known(arm.root, dict(lock or {}))
     tree = LinkTree(arm.root)
@@ -86,6 +92,14 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     _fix_others(arm, positions)
     arm.root = rebuild(arm.root, arm.root.get("name") or "arm")
     return arm
+
+
+def _declared(text: str) -> tuple[str, list[str]]:
+    """The text with every prefix of its names declared on <robot>, and those that were not."""
+    used = {name for tag in re.findall(r"<[^!?][^>]*>", text) for name in _PREFIX.findall(_QUOTED.sub("", tag))}
+    missing = sorted(name for name in used - {"xml", "xmlns"} if f"xmlns:{name}=" not in text.replace(" ", ""))
+    told = "".join(f' xmlns:{name}="{name}"' for name in missing)
+    return re.sub(r"<robot\b", f"<robot{told}", text, count=1), [f"{name}:" for name in missing]
 
 
 def _in_braces(given: ET.Element) -> bool:
@@ -137,13 +151,19 @@ def _last_link(tree: LinkTree, locked: Mapping[str, float], notes: list[str]) ->
                 return link
             if len(long) != 1:
                 ends = [end(j, "child") for j in (long or branches)]
+                arms = tree.arms(locked)[:8]
                 raise RobotError(
                     f"urdf: {len(ends)} chains leave link {link!r}, towards {ends[:6]}: say with --tip which link "
-                    "carries the tool"
+                    f"carries the tool{f', such as {arms}' if arms else ''}"
                 )
             branches = long
         joints += moves(branches[0], locked)
         link = end(branches[0], "child")
+    last = next((j for j in reversed(tree.path(link)) if moves(j, locked)), None)
+    if last is not None and joints > 1 and _JAW.search(f"{last.get('name')} {end(last, 'child')}"):
+        link = end(last, "parent")
+        notes.append(f"{last.get('name')!r} is taken for the jaw of a gripper: the chain ends before it, at {link!r}")
+        return link
     # Behind the last moving joint only frames are left: the flange is the one that is named so, else the link itself.
     reached = [link]
     for found in reached:

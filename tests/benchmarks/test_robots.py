@@ -63,7 +63,8 @@ def test_the_default_configuration_has_every_arm() -> None:
 def row(robot: str, trial: str, controller: str, mu: float = 1.0, tip: float = 1.0, **more: Any) -> dict[str, Any]:
     about = {"robot": robot, "task": "circle", "trial": trial, "controller": controller, "ended": "completed"}
     figures = {"mu_mean": mu, "tip_error_mean_mm": tip, "settled_tip_error_mean_mm": tip,
-               "settled_rcm_error_registered_mean_mm": 1.0, "trocar_force_mean_N": 1.0}  # fmt: skip
+               "settled_rcm_error_registered_mean_mm": 1.0, "trocar_force_mean_N": 1.0, "tip_error_model_mean_mm": 1.0,
+               "settled_tip_error_model_mean_mm": 1.0, "settled_rcm_error_model_mean_mm": 1.0}  # fmt: skip
     return {**about, "whole": True, "error": "", **figures, **more}
 
 
@@ -78,6 +79,11 @@ def test_findings_follow_from_the_rows() -> None:
     rows[-1] = rows[-1] | {"tip_error_mean_mm": 1.2, "settled_tip_error_mean_mm": 1.6}
     worse = summarise(rows)["findings"]["a"]
     assert (worse["tails"], worse["tip"], worse["gains"]) == (False, False, True)
+    assert (worse["tails_model"], worse["tip_model"], worse["rcm_model"]) == (True, True, True)
+    for k in (-1, -2):
+        rows[k] = rows[k] | {"tip_error_model_mean_mm": 1.2, "settled_rcm_error_model_mean_mm": 1.5}
+    own = summarise(rows)["findings"]["a"]
+    assert (own["tails_model"], own["tip_model"], own["rcm_model"], own["rcm"]) == (False, True, False, True)
 
 
 def test_a_run_that_broke_off_is_counted_and_in_no_mean() -> None:

@@ -139,3 +139,41 @@ def test_roll_pitch_yaw_give_the_rotation_back(seed: int) -> None:
 def test_roll_pitch_yaw_of_a_straight_pitch(pitch: float) -> None:
     R = pin.rpy.rpyToMatrix(0.3, pitch, -0.4)
     np.testing.assert_allclose(pin.rpy.rpyToMatrix(*rpy_of(R)), R, rtol=0, atol=1e-12)
+
+
+def test_of_several_arms_the_links_that_can_carry_the_tool_are_named(tmp_path: Path) -> None:
+    """Two arms on a trunk, one with a hand of long fingers; a head and legs of few joints are no arms."""
+    turn = '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="9"/>'
+
+    def chain(name: str, count: int, at: str) -> str:
+        return "".join(
+            link(f"{name}{j}", 1.0) + joint(f"t_{name}{j}", "revolute", below, f"{name}{j}", turn)
+            for j, below in enumerate([at, *[f"{name}{j}" for j in range(count - 1)]])
+        )
+
+    more = chain("other", 6, "link_0") + chain("head", 2, "link_0")
+    more += link("palm", 0.3) + joint("wrist_joint", "fixed", "other5", "palm") + chain("thumb", 3, "palm")
+    more += chain("index", 4, "palm")
+    with pytest.raises(RobotError, match=r"such as \['link_7', 'palm'\]$"):
+        read_vendor(written(tmp_path, added(text_of(), more)))
+
+
+def test_a_jaw_at_the_end_is_no_joint_of_the_arm(tmp_path: Path) -> None:
+    turn = '<axis xyz="0 1 0"/><limit lower="-1" upper="0" velocity="1" effort="9"/>'
+    jaw = link("mover", 0.2) + joint("jointGripper", "revolute", "link_7", "mover", turn)
+    arm = read_vendor(written(tmp_path, added(text_of(), jaw)))
+    assert (arm.chain, arm.last_link) == (CHAIN, "link_7")
+    assert any("'jointGripper' is taken for the jaw" in note for note in arm.notes)
+    assert read_vendor(written(tmp_path, added(text_of(), jaw)), tip="mover").chain == [*CHAIN, "jointGripper"]
+
+
+@pytest.mark.parametrize("declared", [True, False])
+def test_names_of_other_tools_need_no_declaration(declared: bool, tmp_path: Path) -> None:
+    """Some vendors' files use a prefix that they never declare, which no XML reader takes."""
+    text = changed(text_of(), ('lower="-2.8973"', 'drake:acceleration="2" lower="-2.8973"'))
+    text = added(text, '<drake:proximity_properties a="b:c"/>')
+    if declared:
+        text = changed(text, ("<robot ", '<robot xmlns:drake="http://drake.mit.edu" '))
+    arm = read_vendor(written(tmp_path, text))
+    assert arm.chain == CHAIN
+    assert any("drake: are not read" in note for note in arm.notes) is not declared

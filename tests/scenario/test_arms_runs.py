@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from moc_opt.qp.problem import compute_residuals
 from moc_opt.robots import available_robots
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
+from tests.planning.arms import build
 
 
 @pytest.mark.parametrize("name", available_robots())
@@ -48,3 +52,23 @@ def test_idle_joints_come_to_rest_without_friction(name: str) -> None:
     assert trace.meta["ended"] == "completed"
     late = trace.t_s > trace.t_s[-1] - 1.0
     assert np.abs(trace.v_rad_per_s[late, -1]).max() < 0.02  # the last joint turns about the tool
+
+
+def test_sixteen_joints_run_and_are_judged(tmp_path: Path) -> None:
+    """Ten real freedoms: every answer of `exact` verifies, and one moved along the self-motion does not."""
+    turns = [((0, 0, 0.1), (0, 0, 0)), *[((0, 0, 0.08), (sign * np.pi / 2, 0, 0)) for sign in 7 * (1, -1) + (1,)]]
+    home = np.random.default_rng(2).uniform(-0.7, 0.7, 16)
+    robot = build(tmp_path, {
+        "joints": turns, "q_max": np.full(16, 1.8), "v_max": np.full(16, 2.0), "wrist": (0, 0, 0),
+        "mount": (0, 0, 0.05), "home": home,
+    })  # fmt: skip
+    trace = run(Scenario(robot={"name": str(tmp_path / "arm.toml")}, duration_s=0.4, bound_samples=2))
+    assert trace.meta["ended"] == "completed"
+    assert trace.verified.all()
+    assert trace.meta["mu_bound_method"].startswith("best found of ")
+    rows = slice(50, None, 25)  # past the ramp
+    rng, x = np.random.default_rng(0), np.array(trace.x_rad_per_s[rows])
+    for k, q in enumerate(trace.q_rad[rows]):
+        Z = np.linalg.svd(robot.state(q).A)[2][5:]
+        x[k] += 0.05 * Z.T @ rng.normal(size=len(Z))
+    assert not compute_residuals(trace.subproblem[rows], x).verified().any()
