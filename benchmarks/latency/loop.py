@@ -32,8 +32,9 @@ def run(scenario: Scenario) -> tuple[float, float, Trace]:
 
 
 def factors(
-    scenarios: Mapping[str, Scenario], runs: int, advance: Callable[[str], None]
-) -> tuple[dict[str, dict[str, float]], list[dict[str, Any]]]:
+    scenarios: Mapping[str, Scenario], runs: int, advance: Callable[[str], None],
+    beside: Callable[[], None] | None = None,
+) -> tuple[dict[str, dict[str, float]], list[dict[str, Any]]]:  # fmt: skip
     """Map name to its metrics, and a row per run; every scenario once a round, one round after the other.
 
     ``factor`` is by the clock on the wall; ``factor_cpu`` by the time that this process had a processor, which
@@ -43,6 +44,7 @@ def factors(
         scenarios: name -> what is run.
         runs: rounds that count; one more comes first, for compilers and caches.
         advance: called after each run.
+        beside: called once in each round that counts: what is timed side by side with the loops.
     """
     walls: dict[str, list[float]] = {name: [] for name in scenarios}
     busy: dict[str, list[float]] = {name: [] for name in scenarios}
@@ -67,8 +69,11 @@ def factors(
                     "factor": factor,
                     "factor_cpu": factor_cpu,
                     "wall_s": wall,
+                    "us_per_tick": 1e6 * wall / len(trace),
                 }
             )
+        if turn and beside is not None:
+            beside()
     found = {
         name: {
             "factor": 1.0 / float(np.median(walls[name])),

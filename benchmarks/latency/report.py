@@ -91,6 +91,8 @@ LOOP = [
 FACTS = [Column("what", "what"), Column("value", "value"), Column("unit", "unit")]
 OTHER = {
     ("loop", "two processes", "speed_up"): ("two processes over one", ""),
+    ("loop", "limit", "steps_us"): ("MuJoCo's own steps of a control period", "us"),
+    ("loop", "limit", "limit_us"): ("limit of a tick of the loop: these and the tick in C", "us"),
     ("loop", "memory", "growth_bytes_per_tick"): ("memory that a tick leaves behind, besides the trace", "byte"),
     ("loop", "memory", "trace_bytes_per_tick"): ("the trace itself, per tick", "byte"),
     ("loop", "memory", "kept_short_kB"): ("held after a short run, besides its trace", "kB"),
@@ -191,7 +193,11 @@ TEXTS = {
         "By hand: the same library with the same settings, set up once, its numbers loaded from the same arrays, "
         "solved, answer and multipliers read. Library: update and solve alone, on numbers that are loaded already.",
     ),
-    "loop": ("Loop", "A run includes references, plant, controller and trace; building the arm is set-up."),
+    "loop": (
+        "Loop",
+        "A run includes references, plant, controller and trace; building the arm is set-up. *judged* also judges "
+        "every answer and scans for the largest mu.",
+    ),
 }  # fmt: skip
 
 

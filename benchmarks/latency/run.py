@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import baselines as peers
-from benchmarks.latency import embedded, setup, solve, tick
+from benchmarks.latency import embedded, limit, setup, solve, tick
 from benchmarks.latency import loop as speed_loop
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
@@ -57,7 +57,7 @@ class Run:
         """Tell how often ``measure`` advances."""
         loop = self.config.loop
         return (
-            7 + len(self._peers) + 2 * (1 + loop.runs) + 2 * loop.two_process_rounds
+            7 + len(self._peers) + 3 * (1 + loop.runs) + 2 * loop.two_process_rounds
             + 2 * (1 + self.config.setup.processes)
         )  # fmt: skip
 
@@ -80,7 +80,7 @@ class Run:
         summary["adapters"] = self._compare(problems)
         advance("adapters")
         summary["beyond_the_library"] = self._beyond(summary)
-        summary["loop"] = self._loop(advance)
+        summary["loop"] = self._loop(advance, summary["embedded"].get("c", {}).get("own_p50_us"))
         summary["setup"], rows = setup.setup_times(self.config.setup.processes, advance)
         self.rows += rows
         summary["clock"] = {"cost": {"p50_us": clock_cost_us()}}
@@ -198,13 +198,18 @@ class Run:
         rest = ticks["exact"] - summary["exact"]["recorded"]["solve_p50_us"]
         return {name: {"beyond_us": ticks[name] - rest - hand[name]} for name in hand if name in ticks}
 
-    def _loop(self, advance: Advance) -> dict[str, dict[str, float]]:
-        table = self.config.loop
+    def _loop(self, advance: Advance, c_tick_us: float | None) -> dict[str, dict[str, float]]:
+        table, whole = self.config.loop, self.config.scenario
         loops = {"python": self._scenario.change(control={"backend": "python"})}
+        loops["judged"] = loops["python"].change(judge=whole.judge, bound_samples=whole.bound_samples)
         if self._native is not None:
             loops["c"] = self._scenario.change(control={"backend": "c"})
-        found, rows = speed_loop.factors(loops, table.runs, advance)
+        steps: list[float] = []
+        found, rows = speed_loop.factors(
+            loops, table.runs, advance, lambda: steps.append(limit.steps_us(self._scenario))
+        )
         self.rows += rows
+        found["limit"] = limit.ratios(rows, steps, c_tick_us)
         if table.two_process_rounds:
             short = self._scenario.change(duration_s=min(4.0, table.duration_s))
             found["two processes"] = speed_loop.two_processes(short, 2 * table.runs, table.two_process_rounds, advance)

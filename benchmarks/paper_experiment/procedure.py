@@ -26,6 +26,7 @@ from moc_opt.procedure.reachability import check_reachable
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario, make_safety_filter, make_solver, make_stop
 from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario.parts import isolated
 from moc_opt.sim.loop import simulate
 from moc_opt.sim.plant import Plant
 from moc_opt.tasks import Path as TipPath
@@ -134,7 +135,7 @@ def _run(
     rows, played = waiting.play(flags_at(times, watch.t_s, watch.seen))
     last = int(np.searchsorted(played, reference.t_start + reference.duration))
     ticks = min(len(times), last + round(scenario.task.hold_s / period))
-    solver = make_solver(scenario.solver.name, robot, **scenario.solver.settings)
+    solver = isolated(make_solver(scenario.solver.name, robot, **scenario.solver.settings), scenario)
     plant.reset(q)
     still = np.zeros(3)
     trace = simulate(

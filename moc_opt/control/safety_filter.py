@@ -14,18 +14,24 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numba import float64, int64
 from numpy.typing import NDArray
 
+from moc_opt.control import safety_kernels as kernels
 from moc_opt.control.incision import Incision
 from moc_opt.control.motion import MotionMonitor
 from moc_opt.control.motion_kernels import FRESH, OLD
-from moc_opt.control.safety_kernels import believable, holding_friction, limit_torque, squared_error
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 
 Array = NDArray[np.float64]
+
+_BELIEVABLE = CompiledKernel(kernels.believable, VECTOR, VECTOR, VECTOR, float64, int64, MATRIX)
+_SQUARED_ERROR = CompiledKernel(kernels.squared_error, VECTOR, MATRIX)
+_LIMIT = CompiledKernel(kernels.limit_torque, *[VECTOR] * 5, MATRIX, VECTOR, float64)
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
@@ -60,6 +66,7 @@ class SafetyFilter:
         state: Callable[[Array, Array], RobotState] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
+        self._believable, self._squared_error, self._limit = _BELIEVABLE.code, _SQUARED_ERROR.code, _LIMIT.code
         self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
         self._wall = np.array([
             settings.position_margin_rad, settings.wall_stiffness_Nm_per_rad,
@@ -125,7 +132,7 @@ class SafetyFilter:
         late = FRESH if stamp is None else self._motion.age(stamp)
         if late == OLD:
             self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
-        if late == FRESH and believable(q, v, self._q, self._jump, 1 + self._bad, self._bounds):
+        if late == FRESH and self._believable(q, v, self._q, self._jump, 1 + self._bad, self._bounds):
             self._q, self._v, self._bad = q, v, 0
             if applied is not None:
                 self.request_stop(self._motion.check_reading(q, v, applied, wrench))
@@ -150,7 +157,7 @@ class SafetyFilter:
     def check_tip(self, tip: Array, tip_ref: Array) -> None:
         """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d [m]."""
         self._motion.set_reference(tip_ref)
-        self._square += self._share * (squared_error(tip, tip_ref) - self._square)
+        self._square += self._share * (self._squared_error(tip, tip_ref) - self._square)
         if not self._square <= self._most:
             self.request_stop(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
 
@@ -183,11 +190,11 @@ class SafetyFilter:
 
         A torque that is not finite requests the stop, and ``before`` is returned.
         """
-        tau = tau.copy()
+        tau = np.array(tau, dtype=np.float64)
         rest = (before, q, v, self._unknown, self._limits, self._wall, self._step)
-        self.limited = limit_torque(tau, *rest)
+        self.limited = self._limit(tau, *rest)
         if self.limited == _NEEDS_HOLD:
-            self.limited = limit_torque(tau, *rest[:3], self._weight(q), *rest[4:])
+            self.limited = self._limit(tau, *rest[:3], self._weight(q), *rest[4:])
         if self.limited == _NOT_FINITE:
             self.limited = 0
             self.request_stop("the controller's torque is not finite")
@@ -230,7 +237,7 @@ class SafetyFilter:
             elif not self._yields:
                 self._borne = min(self._borne, self._press)
         if not self._yields:
-            holding_friction(weight, self._limits[3], self.settings.stop_holding, friction)
+            kernels.holding_friction(weight, self._limits[3], self.settings.stop_holding, friction)
         return friction
 
     def _weight(self, q: Array) -> Array:

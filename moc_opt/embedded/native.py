@@ -19,7 +19,9 @@ from moc_opt.embedded.layout import Field, Layout
 from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError, RobotError
+from moc_opt.model.kinematics_kernels import record_size, state_views
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_state import RobotState
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
@@ -62,6 +64,7 @@ class NativeController:
         state, self._state = _memory(plan.state)
         report, self._report = _memory(plan.report)
         self._whole_report, self._fields = report, plan.report
+        self._told, self._places = _state_places(plan.report, robot.n)
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
         pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
         self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
@@ -129,6 +132,15 @@ class NativeController:
         return self._report["tip"]
 
     @property
+    def state(self) -> RobotState:
+        """The model's state of the last tick, as far as the compiled tick computes it; NaN elsewhere."""
+        record = np.full(record_size(self.robot.n), np.nan)
+        record[self._places] = self._whole_report[self._told]
+        n = self.robot.n
+        record[:n], record[n : 2 * n] = self._q, self._v
+        return RobotState(record, n)
+
+    @property
     def external_torque(self) -> Array:
         """What the observer makes of the torque from outside (n,) [Nm]; zero without one."""
         return self._state["external_torque"].copy()
@@ -187,6 +199,17 @@ def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
     data, settings, solver, period = pickle.loads(pickled)
     tick, texts = c_files(TickSpec(RobotModel(data), settings, solver, period))
     return tick.layout, texts
+
+
+def _state_places(report: tuple[Field, ...], n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Places in a report, and in a state's record, of the numbers that both have."""
+    index = np.arange(record_size(n), dtype=np.float64)
+    views = state_views.py_func(index, n)._asdict()
+    whole, told = _memory(report)
+    whole[:] = np.arange(whole.size)
+    shared = [name for name in views if name in told]
+    pairs = [(told[name].ravel(), views[name].ravel()) for name in shared]
+    return tuple(np.concatenate(side).astype(np.intp) for side in zip(*pairs, strict=True))  # type: ignore[return-value]
 
 
 _LABELS = {code: status.label for code, status in _STATUS.items()}

@@ -31,6 +31,7 @@ from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario, Setup, make_solver
+from moc_opt.scenario.parts import isolated
 from moc_opt.tasks.trocar import shaft_distance
 
 Array = NDArray[np.float64]
@@ -273,7 +274,7 @@ class LiveRun:
                 "ends with its path; take third_level = 'local'"
             )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
-        solver = None if name == DCAC else make_solver(name, self._workshop, **settings)
+        solver = None if name == DCAC else isolated(make_solver(name, self._workshop, **settings), self.scenario)
         return Controller(self.robot, control, solver, self.period_s)
 
     def _exchange(self, control: ControlSettings, name: str) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt import solvers
+from moc_opt.control.isolated import Isolated
 from moc_opt.control.safety_filter import SafetyFilter
 from moc_opt.errors import ScenarioError
 from moc_opt.inputs.files import read_arrays
@@ -51,6 +52,23 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
     if "kinematics" not in settings and accepts(name, "kinematics"):
         settings = {**settings, "kinematics": robot.kinematics()}
     return solvers.create(name, **settings)
+
+
+def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None, realtime: bool = False) -> Solver:
+    """Put a solver into a process of its own where the scenario asks for that; the solver itself where it does not.
+
+    Args:
+        solver: any.
+        scenario: its ``[solver]`` table decides.
+        budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
+        realtime: the loop runs against a wall clock, and does not wait while a process is replaced.
+
+    Raises:
+        ControlError: pickle cannot copy the solver.
+    """
+    if scenario.solver.isolation == "none":
+        return solver
+    return Isolated(solver, scenario.solver.process, budget_us, waits=not realtime)
 
 
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
-from moc_opt.control.isolated import Isolated
 from moc_opt.errors import ScenarioError, describe
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -23,7 +22,7 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
 from moc_opt.scenario.guided import guides
 from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
-from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
+from moc_opt.scenario.parts import isolated, make_safety_filter, make_solver, make_stop, recorded_times
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.closed_loop import ClosedLoop
@@ -45,18 +44,20 @@ Array = NDArray[np.float64]
 class Setup:
     """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
 
-    def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
+    def __init__(self, scenario: Scenario, solver: Solver | None = None, *, realtime: bool = False) -> None:
         """Build and check everything before anything moves.
 
         Args:
             scenario: the run.
             solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
+            realtime: its controller is to run against a wall clock: a tick waits for an isolated solver at most half
+                its period where there is no budget, and never while the process is replaced.
 
         Raises:
             MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
                 start and the path.
         """
-        self.scenario, self._given = scenario, solver
+        self.scenario, self._given, self.realtime = scenario, solver, realtime
         start_seed, plant_seed, fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
@@ -98,20 +99,19 @@ class Setup:
             return solver
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
-    def controller(self, realtime: bool = False) -> Controller:
-        """Make the law and solver that the scenario asks for.
-
-        Args:
-            realtime: the loop runs against a wall clock, and does not wait while the process of an isolated solver
-                is replaced.
-        """
+    def controller(self) -> Controller:
+        """Make the law and solver that the scenario asks for."""
         settings, times, solver = self.scenario.control, self._times(), self.solver()
         budget = settings.supervisor.budget_us
-        if self.scenario.faults.solver == "hang" and solver is not None:
-            budget = budget or self.scenario.deadline_us
-        if solver is not None and self.scenario.solver.isolation == "process":
-            solver = Isolated(solver, self.scenario.solver.process, budget if times is None else None, not realtime)
-            budget = None if times is None else budget  # kept by one of the two: an older answer is not late
+        if solver is not None:
+            if self.scenario.faults.solver == "hang":
+                budget = budget or self.scenario.deadline_us
+            inside, wall = solver, budget if times is None else None
+            if self.realtime and wall is None:
+                wall = 0.5e6 * self.scenario.plant.period_s
+            solver = isolated(inside, self.scenario, wall, self.realtime)
+            if solver is not inside and times is None:
+                budget = None  # the process keeps it, and an older answer in its place is not late
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
         guide = None if self._guides is None else self._guides()

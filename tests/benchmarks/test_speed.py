@@ -17,6 +17,7 @@ from benchmarks import baselines as peers
 from benchmarks import output, speed
 from benchmarks.baselines import check
 from benchmarks.baselines.base import TipGradient, wrist_reference
+from benchmarks.latency import limit
 from benchmarks.latency import setup as speed_setup
 from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
@@ -265,6 +266,7 @@ def made_up(**changes):
         "beyond_the_library": {"daqp": {"beyond_us": 1.0}},
         "loop": {
             "python": {"factor": 40.0, **times}, "c": {"factor": 70.0, **times}, "two processes": {"speed_up": 1.9},
+            "limit": {"judged_over_loop": 1.2, "python_over_limit": 3.9, "c_over_limit": 1.9},
         },
         "setup": {"moc_opt": {"import_s": 0.01, "first_tick_s": 1.0}},
         "embedded": {},
@@ -279,6 +281,19 @@ def made_up(**changes):
 def test_goals_are_reached_by_a_summary_that_reaches_them():
     assert {found["reached"] for found in made_up()["goals"].values()} == {"yes"}
     assert set(made_up()["goals"]) == set(GOALS)
+
+
+def test_ratios_are_those_of_the_same_round():
+    """One slow round in three changes no ratio: it slows both sides of it."""
+    rows = [
+        {"name": name, "us_per_tick": slow * us}
+        for slow in (1.0, 10.0, 1.0) for name, us in (("python", 40.0), ("c", 20.0), ("judged", 50.0))
+    ]  # fmt: skip
+    found = limit.ratios(rows, [9.0, 99.0, 9.0], 1.0)
+    assert found == {
+        "steps_us": 9.0, "limit_us": 10.0, "judged_over_loop": 1.25, "python_over_limit": 4.0, "c_over_limit": 2.0,
+    }  # fmt: skip
+    assert set(limit.ratios(rows, [9.0, 99.0, 9.0], None)) == {"steps_us", "judged_over_loop"}
 
 
 def test_a_million_is_a_million():
@@ -316,7 +331,8 @@ def test_goals_that_are_missed_or_not_measured_say_so():
     assert worse["adapters"] == {**worse["adapters"], "value": 1.06, "reached": "no"}
     assert worse["loop"]["reached"] == worse["loop_tick_p99_9"]["reached"] == "no"
     missing = {name for name, found in worse.items() if found["reached"] == "not measured"}
-    assert missing == {"peers", "peers_c", "import", "first_tick", "two_processes", "c_loop"}
+    limits = {"judged", "limit_python", "limit_c"}
+    assert missing == {"peers", "peers_c", "import", "first_tick", "two_processes", "c_loop", *limits}
     assert all(worse[name]["value"] is None for name in missing)
 
 
@@ -427,6 +443,9 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
     assert summary["exact"]["n = 6"]["natural_max"] < 1e-12
     assert summary["adapters"]["proxqp"]["ratio"] > 0.5
     assert summary["loop"]["python"]["factor"] > 0.0
+    assert summary["loop"]["limit"]["judged_over_loop"] > 1.0
+    if "c" in summary["loop"]:
+        assert summary["loop"]["limit"]["python_over_limit"] > summary["loop"]["limit"]["c_over_limit"] > 1.0
     assert summary["loop"]["memory"]["growth_bytes_per_tick"] < 100.0
     assert summary["goals"]["tick_p50"]["value"] == summary["tick"]["exact"]["tick_p50_us"]
     assert summary["goals"]["peers"]["reached"] == "not measured"

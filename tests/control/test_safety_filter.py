@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings, limit_torque
+from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
+from moc_opt.control.safety_kernels import limit_torque
 from moc_opt.errors import ControlError
 
 PERIOD = 0.002

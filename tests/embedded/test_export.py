@@ -264,6 +264,9 @@ def test_c_equals_python_on_seeded_states(robot: RobotModel, regular_poses: Draw
         state = robot.state(q, v)
         expected, got = python.tick(state, tip_ref, trocar), native.tick(q, v, tip_ref, trocar)
         np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-10)
+        shown = native.state  # what the safety filter takes of it
+        for part in ("q", "v", "tip", "wrist", "M", "h", "energy_slope", "gravity", "grad_mu"):
+            np.testing.assert_allclose(getattr(shown, part), getattr(state, part), atol=1e-9, err_msg=part)
         terms = native.terms()
         for name in ("mu", "grad_mu", "M", "h", "tip", "wrist"):
             np.testing.assert_allclose(
