@@ -11,6 +11,7 @@ either afterwards reaches neither the check nor the torque.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
@@ -124,7 +125,7 @@ class Supervisor:
         self, settings: SupervisorSettings, fallback: str, n: int, times_us: Iterator[float] | None = None
     ) -> None:
         self.settings, self._fallback, self._times = settings, fallback, times_us
-        self._rest = np.zeros(n)
+        self._rest, self._depth = np.zeros(n), sys.getrecursionlimit()
         self._residuals = RESIDUALS.code
         # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
         self._check, self._stop_late = settings.check, settings.late == "iterate"
@@ -180,9 +181,13 @@ class Supervisor:
         shown, given, fault, text = qp.copy(), None, None, ""
         begin = perf_counter_ns()
         try:
-            if v is not None:
-                session.observe(v.copy())  # type: ignore[attr-defined]
-            given = session.solve(shown)
+            try:
+                if v is not None:
+                    session.observe(v.copy())  # type: ignore[attr-defined]
+                given = session.solve(shown)
+            finally:
+                if sys.getrecursionlimit() != self._depth:
+                    sys.setrecursionlimit(self._depth)
         except KeyboardInterrupt:  # a user's Ctrl-C
             raise
         except Unanswered as error:

@@ -1,6 +1,7 @@
 """The supervisor of the third level: what is refused, what stands in, and what never changes because of it."""
 
 import itertools
+import sys
 
 import numpy as np
 import pytest
@@ -305,6 +306,33 @@ def test_an_answer_of_a_wrong_form_is_told_from_a_solver_in_trouble(answer, word
     mine.solve(Scripted(answer), qp, Z)
     (first,) = mine.firsts.values()
     assert words in first.text
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_a_solver_that_lowers_the_recursion_limit_harms_no_one_but_itself(raises, qp, Z):
+    """What runs after it would end in a RecursionError that no check catches."""
+    before, good = sys.getrecursionlimit(), solved(qp)
+
+    class Shallow:
+        def solve(self, qp):
+            depth = 0
+            while True:
+                try:
+                    sys.setrecursionlimit(depth := depth + 1)
+                except RecursionError:  # too low for where this stands
+                    continue
+                break
+            if raises:
+                raise RuntimeError("out of depth")
+            return good
+
+    mine = supervisor()
+    try:
+        mine.solve(Shallow(), qp, Z)
+        assert sys.getrecursionlimit() == before
+        assert mine.counts == ({"raised": 1} if raises else {})
+    finally:
+        sys.setrecursionlimit(before)
 
 
 def test_a_solver_that_exits_does_not_end_the_run(qp, Z):
