@@ -105,9 +105,10 @@ class RemoteController(Filtered):
         watchdog.see(seen)
         self._control_us, self._reported, self.limited = float("nan"), False, 0
         command = None if watchdog.reason else self._exchange(seen)
-        self._missed = command is None
-        if command is None:
+        self._missed = command is None and not watchdog.reason
+        if self._missed:
             self.link.quality.count("missed")
+        if command is None:
             tau = watchdog.tick(self._applied)
             if watchdog.reason:
                 self.stop_reason = self.stop_reason or watchdog.reason
