@@ -53,6 +53,20 @@ def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
         assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
 
 
+def test_tables_and_headline_say_what_was_found():
+    summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}}
+    summary["goals"] = goal_verdicts(summary, realtime.GOALS)
+    goals, cycles, latencies = realtime.tables(summary)
+    assert [row["reached"] for row in goals.rows] == ["not measured"] * 4
+    assert cycles.rows[0]["missed"] == 7
+    assert [(row["what"], row["worst"]) for row in latencies.rows] == [
+        ("wake-up latency", 100.0), ("round trip", 1000.0), ("controller", 10.0)
+    ]  # fmt: skip
+    assert "7 of 1000 cycles missed" in realtime.headline(summary)
+    page = realtime.report(summary, {Case("c", 500, "quiet"): [run_of(1000, missed=7)]}, {})
+    assert len(page.figures) == 4
+
+
 def test_the_histogram_holds_every_cycle():
     times = {"a": np.r_[np.full(999, 100.0), 5000.0], "b": np.full(10, 0.0)}
     drawn = realtime.histogram(times, 2000.0)
