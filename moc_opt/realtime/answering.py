@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.inputs.files import to_json
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import Link, Quality, Sequence
 from moc_opt.realtime.packets import (
@@ -20,6 +21,7 @@ from moc_opt.realtime.packets import (
     RUNNING,
     STOP,
     WAITING,
+    WORDS_BYTES,
     Kind,
     Packet,
 )  # fmt: skip
@@ -31,8 +33,10 @@ from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
 
-_REPEAT_S = 0.1
-"""HELLO and START are sent again after this time."""
+TOLD = ("faults", "restarts")
+"""What some controllers count; it goes into the trace's meta, as the safety filter's warnings do."""
+_REPEAT_S, _LINGER_S = 0.1, 0.3
+"""HELLO and START are sent again after the one; the end is waited out for the other."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,7 @@ class Answering:
         while found is not None:
             self._counters = found["counters"].tolist()
             if found["flags"] == ENDED:
-                link.send(Packet(Kind.BYE, link.n, link.session, self._scenario))
+                self._say_bye(filtered)
                 return "completed"
             number, last = int(found["sequence"]), sequence.newest
             said = sequence.judge(number) if found["flags"] == RUNNING and number < len(self._tip_refs) else "foreign"
@@ -151,6 +155,20 @@ class Answering:
                 sequence.take(number)
             found = link.receive(monotonic() + self._settings.silence_s)
         return f"the plant has been silent for {self._settings.silence_s:g} s"
+
+    def _say_bye(self, filtered: FilteredController) -> None:
+        """Tell the plant what the trace's meta says of a controller; again where the plant has not heard."""
+        counted = {name: getattr(self._controller, name) for name in TOLD if hasattr(self._controller, name)}
+        text = to_json(counted | {"warnings": filtered.warnings}, indent=None).encode()
+        if len(text) > WORDS_BYTES:  # without the texts of refused answers
+            faults = {name: {**fault, "first": ""} for name, fault in counted.get("faults", {}).items()}
+            text = to_json({"faults": faults, "warnings": filtered.warnings}, indent=None).encode()
+        bye, until = Packet(Kind.BYE, self._link.n, self._link.session, self._scenario), monotonic() + _LINGER_S
+        bye["words"] = text
+        self._link.send(bye)
+        while (again := self._link.receive(until)) is not None:
+            if again["flags"] == ENDED:
+                self._link.send(bye)
 
     def _answer(
         self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False

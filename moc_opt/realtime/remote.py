@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
@@ -59,10 +60,11 @@ class RemoteController(Filtered):
         self._columns: Columns = {}
         self._control_us, self._missed = float("nan"), False
         self._watchdog: Watchdog | None = None
+        self.told: dict[str, Any] = {}
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """None here: the controller's safety filter is at the other end, and says them there."""
+        """None here: the controller's safety filter is at the other end; see ``told``, after ``close``."""
         return []
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -149,7 +151,7 @@ class RemoteController(Filtered):
             self._receive(until, lambda: self._reports.newest == self._tick - 1)
 
     def close(self) -> dict[str, Any]:
-        """Tell the controller that the run is over; return the counts."""
+        """Tell the controller that the run is over; return the counts. ``told`` has what it said of the run."""
         self._packet["flags"] = ENDED
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
@@ -157,6 +159,7 @@ class RemoteController(Filtered):
             while found is not None and found.kind is not Kind.BYE:
                 found = self.link.receive(monotonic() + _BYE_S)
             if found is not None:
+                self.told = _told(bytes(found["words"][()]))
                 break
         self.link.close()
         overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
@@ -222,3 +225,16 @@ class RemoteController(Filtered):
             if name in report and row < len(column):
                 value = report[name]
                 column[row] = bytes(value[()]).decode() if value.dtype.kind == "S" else value
+
+
+def _told(words: bytes) -> dict[str, Any]:
+    """Entries of meta in the last words of a controller; those that are empty or none are left out."""
+    try:
+        found = parse_json(words, "last words of the controller", WireError) if words else {}
+    except WireError:
+        return {}  # of a controller that is not ours; the run is over, and its trace complete without
+    kinds = {"faults": dict, "restarts": list, "warnings": list}
+    return {
+        name: value for name, value in (found.items() if isinstance(found, dict) else ())
+        if isinstance(value, kinds.get(name, ())) and (value or name == "faults")
+    }  # fmt: skip

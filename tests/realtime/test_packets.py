@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from moc_opt.realtime.packets import HEADER, TAG_BYTES, Kind, Packet, layout, sealed, tag
 
 PAGE = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
-KINDS = (Kind.MEASUREMENT, Kind.COMMAND, Kind.REPORT)
+KINDS = (Kind.MEASUREMENT, Kind.COMMAND, Kind.REPORT, Kind.BYE)
 KEY = b"sixteen bytes or more"
 
 

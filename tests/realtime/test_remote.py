@@ -185,6 +185,21 @@ def test_reports_fill_their_own_row_whenever_they_come(peer):
     np.testing.assert_array_equal(peer.columns["solve_us"][:4], [np.nan, np.nan, 2.0, np.nan])
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (b'{"faults": {}, "warnings": [{"of": "x"}], "other": 1}', {"faults": {}, "warnings": [{"of": "x"}]}),
+        (b'{"faults": [], "restarts": []}', {}), (b"", {}), (b"{", {}), (b"[1]", {}), (b"\xff\xfe", {}),
+        (b"[" * 3000, {}),
+    ],
+)  # fmt: skip
+def test_the_last_words_go_into_the_meta_or_nowhere(peer, words, told):
+    peer.start()
+    peer.say(Kind.BYE, words=words)
+    peer.plant.close()
+    assert peer.plant.told == told
+
+
 def test_tick_before_start_is_refused(peer):
     with pytest.raises(WireError, match="before start"):
         peer.plant.tick(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))

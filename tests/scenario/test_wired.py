@@ -59,6 +59,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1, "bump_N": 20.0, "bump_at_s": 0.2}},
     "spoilt answers": {"faults": {"solver": "nan", "solver_share": 0.3}},
     "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
+    "warned": {"guard": {"trocar_force_warning_N": 0.1, "rcm_warning_m": 1e-4}},
 }
 
 
@@ -72,6 +73,9 @@ def test_without_loss_the_wire_changes_nothing(name: str) -> None:
     assert expected.meta["ended"].startswith(ending.ended)
     assert ending.ticks == len(expected) == ending.quality.received
     assert ending.faults == expected.meta.get("faults", {})
+    for entry in ("faults", "warnings", "stopped_at_s"):
+        assert found.meta.get(entry) == expected.meta.get(entry)
+    assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
     assert sum(ending.quality.values()) == ending.ticks  # and nothing else came
     reports = found.meta["wire"].pop("received") - len(expected)
     assert reports == len(expected)
