@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.inputs.files import to_json
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import Link, Quality, Sequence
 from moc_opt.realtime.packets import (
@@ -21,11 +20,11 @@ from moc_opt.realtime.packets import (
     RUNNING,
     STOP,
     WAITING,
-    WORDS_BYTES,
     Kind,
     Packet,
 )  # fmt: skip
 from moc_opt.realtime.settings import WireSettings
+from moc_opt.realtime.words import last_words
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.loop import no_collector
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
@@ -33,8 +32,6 @@ from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
 
-TOLD = ("faults", "restarts")
-"""What some controllers count; it goes into the trace's meta, as the safety filter's warnings do."""
 _REPEAT_S, _LINGER_S = 0.1, 0.3
 """HELLO and START are sent again after the one; the end is waited out for the other."""
 
@@ -158,13 +155,8 @@ class Answering:
 
     def _say_bye(self, filtered: FilteredController) -> None:
         """Tell the plant what the trace's meta says of a controller; again where the plant has not heard."""
-        counted = {name: getattr(self._controller, name) for name in TOLD if hasattr(self._controller, name)}
-        text = to_json(counted | {"warnings": filtered.warnings}, indent=None).encode()
-        if len(text) > WORDS_BYTES:  # without the texts of refused answers
-            faults = {name: {**fault, "first": ""} for name, fault in counted.get("faults", {}).items()}
-            text = to_json({"faults": faults, "warnings": filtered.warnings}, indent=None).encode()
         bye, until = Packet(Kind.BYE, self._link.n, self._link.session, self._scenario), monotonic() + _LINGER_S
-        bye["words"] = text
+        bye["words"] = last_words(self._controller, filtered.warnings)
         self._link.send(bye)
         while (again := self._link.receive(until)) is not None:
             if again["flags"] == ENDED:

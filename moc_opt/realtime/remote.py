@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.inputs.files import parse_json
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
 from moc_opt.realtime.settings import WireSettings
 from moc_opt.realtime.watchdog import Watchdog
+from moc_opt.realtime.words import printable, read_words
 from moc_opt.sim.filtered import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
@@ -124,7 +124,7 @@ class RemoteController(Filtered):
             self._reported = bool(flags & REPORTED)
             if flags & STOP and not self.stop_reason:
                 said = bytes(command["reason"][()]).decode(errors="replace")
-                self.stop_reason = said or "the controller asked for it"
+                self.stop_reason = printable(said) or "the controller asked for it"
         self._applied = tau
         self._tick += 1
         return tau
@@ -159,7 +159,7 @@ class RemoteController(Filtered):
             while found is not None and found.kind is not Kind.BYE:
                 found = self.link.receive(monotonic() + _BYE_S)
             if found is not None:
-                self.told = _told(bytes(found["words"][()]))
+                self.told = read_words(bytes(found["words"][()]))
                 break
         self.link.close()
         overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
@@ -226,15 +226,3 @@ class RemoteController(Filtered):
                 value = report[name]
                 column[row] = bytes(value[()]).decode() if value.dtype.kind == "S" else value
 
-
-def _told(words: bytes) -> dict[str, Any]:
-    """Entries of meta in the last words of a controller; those that are empty or none are left out."""
-    try:
-        found = parse_json(words, "last words of the controller", WireError) if words else {}
-    except WireError:
-        return {}  # of a controller that is not ours; the run is over, and its trace complete without
-    kinds = {"faults": dict, "restarts": list, "warnings": list}
-    return {
-        name: value for name, value in (found.items() if isinstance(found, dict) else ())
-        if isinstance(value, kinds.get(name, ())) and (value or name == "faults")
-    }  # fmt: skip
