@@ -48,7 +48,7 @@ class Case:
 
 
 class Found(NamedTuple):
-    """One run: times of every cycle [us], and how it went."""
+    """One run: times of every cycle [us] up to a stop, and how it went."""
 
     wake_us: Array
     round_us: Array
@@ -146,9 +146,12 @@ def _read(trace: Trace, said: dict[str, Any]) -> Found:
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
     clean = ended == "completed" or (ended.startswith("stopped:") and rest and rcm < SAFE_RCM_M)
     system = {"plant": wire["system"], "controller": said["system"]}
+    whole = "stopped_at_s" not in trace.meta
+    cycles = len(trace) if whole else int(np.searchsorted(trace.t_s, float(trace.meta["stopped_at_s"]))) + 1
+    wake, round_trip, control = (columns[name][:cycles] for name in ("wake_us", "tick_us", "control_us"))
     return Found(
-        columns["wake_us"], trace.tick_us, columns["control_us"], int(wire["missed"]), int(wire["overruns"]), ended,
-        clean, 1e3 * rcm, system,
+        wake, round_trip, control, int(columns["missed"][:cycles].sum()), int(wire["overruns"]), ended, clean,
+        1e3 * rcm, system,
     )  # fmt: skip
 
 

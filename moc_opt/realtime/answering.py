@@ -24,6 +24,7 @@ from moc_opt.realtime.packets import (
     Packet,
 )  # fmt: skip
 from moc_opt.realtime.settings import WireSettings
+from moc_opt.realtime.words import last_words
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.loop import no_collector
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
@@ -31,8 +32,8 @@ from moc_opt.sim.sensors import Measurement
 
 Array = NDArray[np.float64]
 
-_REPEAT_S = 0.1
-"""HELLO and START are sent again after this time."""
+_REPEAT_S, _LINGER_S = 0.1, 0.3
+"""HELLO and START are sent again after the one; the end is waited out for the other."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class Answering:
         while found is not None:
             self._counters = found["counters"].tolist()
             if found["flags"] == ENDED:
-                link.send(Packet(Kind.BYE, link.n, link.session, self._scenario))
+                self._say_bye(filtered)
                 return "completed"
             number, last = int(found["sequence"]), sequence.newest
             said = sequence.judge(number) if found["flags"] == RUNNING and number < len(self._tip_refs) else "foreign"
@@ -151,6 +152,15 @@ class Answering:
                 sequence.take(number)
             found = link.receive(monotonic() + self._settings.silence_s)
         return f"the plant has been silent for {self._settings.silence_s:g} s"
+
+    def _say_bye(self, filtered: FilteredController) -> None:
+        """Tell the plant what the trace's meta says of a controller; again where the plant has not heard."""
+        bye, until = Packet(Kind.BYE, self._link.n, self._link.session, self._scenario), monotonic() + _LINGER_S
+        bye["words"] = last_words(self._controller, filtered.warnings)
+        self._link.send(bye)
+        while (again := self._link.receive(until)) is not None:
+            if again["flags"] == ENDED:
+                self._link.send(bye)
 
     def _answer(
         self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False

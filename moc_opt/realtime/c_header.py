@@ -13,6 +13,7 @@ _TYPES = {
 }  # fmt: skip
 _STRUCTS = {
     "measurement": Kind.MEASUREMENT, "command": Kind.COMMAND, "report": Kind.REPORT, "plain": Kind.HELLO,
+    "bye": Kind.BYE,
 }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 MAGIC, VERSION = b"MOCW", 1
 TAG_BYTES = 16
-REASON_BYTES = 96
+REASON_BYTES, WORDS_BYTES = 96, 3000
 COUNTERS = ("received", "missed", "late", "doubled", "reordered", "truncated", "forged", "foreign")
 """The quality counters of an end, in the order of the packet; ``link.Quality`` says what each counts."""
 
@@ -34,7 +34,7 @@ class Kind(IntEnum):
     REPORT = 5
     """To the plant, after a command: what the third level did. For the trace alone."""
     BYE = 6
-    """To the plant: that the run has ended was heard."""
+    """To the plant: that the run has ended was heard, and what the controller has to say of it."""
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2
@@ -65,6 +65,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
             ("dual", "<f8", (6,)), ("subproblem", "<f8", (10 * n + 10,)), ("iterations", "<i4"), ("spare", "<u4"),
             ("status", "S16"), ("fault", "S16"),
         ],
+        Kind.BYE: [("words", f"S{WORDS_BYTES}")],
     }  # fmt: skip
     return np.dtype([*HEADER, *bodies.get(kind, []), ("tag", f"V{TAG_BYTES}")])
 

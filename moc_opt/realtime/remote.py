@@ -17,6 +17,7 @@ from moc_opt.realtime.link import BACKLOG, Link, Sequence
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
 from moc_opt.realtime.settings import WireSettings
 from moc_opt.realtime.watchdog import Watchdog
+from moc_opt.realtime.words import printable, read_words
 from moc_opt.sim.filtered import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
@@ -59,10 +60,11 @@ class RemoteController(Filtered):
         self._columns: Columns = {}
         self._control_us, self._missed = float("nan"), False
         self._watchdog: Watchdog | None = None
+        self.told: dict[str, Any] = {}
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """None here: the controller's safety filter is at the other end, and says them there."""
+        """None here: the controller's safety filter is at the other end; see ``told``, after ``close``."""
         return []
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -105,9 +107,10 @@ class RemoteController(Filtered):
         watchdog.see(seen)
         self._control_us, self._reported, self.limited = float("nan"), False, 0
         command = None if watchdog.reason else self._exchange(seen)
-        self._missed = command is None
-        if command is None:
+        self._missed = command is None and not watchdog.reason
+        if self._missed:
             self.link.quality.count("missed")
+        if command is None:
             tau = watchdog.tick(self._applied)
             if watchdog.reason:
                 self.stop_reason = self.stop_reason or watchdog.reason
@@ -121,7 +124,7 @@ class RemoteController(Filtered):
             self._reported = bool(flags & REPORTED)
             if flags & STOP and not self.stop_reason:
                 said = bytes(command["reason"][()]).decode(errors="replace")
-                self.stop_reason = said or "the controller asked for it"
+                self.stop_reason = printable(said) or "the controller asked for it"
         self._applied = tau
         self._tick += 1
         return tau
@@ -148,7 +151,7 @@ class RemoteController(Filtered):
             self._receive(until, lambda: self._reports.newest == self._tick - 1)
 
     def close(self) -> dict[str, Any]:
-        """Tell the controller that the run is over; return the counts."""
+        """Tell the controller that the run is over; return the counts. ``told`` has what it said of the run."""
         self._packet["flags"] = ENDED
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
@@ -156,6 +159,7 @@ class RemoteController(Filtered):
             while found is not None and found.kind is not Kind.BYE:
                 found = self.link.receive(monotonic() + _BYE_S)
             if found is not None:
+                self.told = read_words(bytes(found["words"][()]))
                 break
         self.link.close()
         overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
@@ -221,3 +225,4 @@ class RemoteController(Filtered):
             if name in report and row < len(column):
                 value = report[name]
                 column[row] = bytes(value[()]).decode() if value.dtype.kind == "S" else value
+

@@ -96,7 +96,7 @@ class PlantServer(Setup):
             found, broken = error.trace, error
         finally:
             counts = self._remote.close()
-        found = found.with_meta(wire=counts | ({"system": self.system} if self.system else {}))
+        found = found.with_meta(**self._remote.told, wire=counts | ({"system": self.system} if self.system else {}))
         if to is not None:
             found.save(to)
         if broken is not None:

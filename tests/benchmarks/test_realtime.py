@@ -14,6 +14,7 @@ from benchmarks.latency import wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.scenario import Scenario
+from moc_opt.trace.trace import Trace
 
 CASE = Case("python", 500, "quiet")
 
@@ -50,6 +51,20 @@ def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
     for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
         found = goal_verdicts({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
         assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
+
+
+def test_tables_and_headline_say_what_was_found():
+    summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}}
+    summary["goals"] = goal_verdicts(summary, realtime.GOALS)
+    goals, cycles, latencies = realtime.tables(summary)
+    assert [row["reached"] for row in goals.rows] == ["not measured"] * 4
+    assert cycles.rows[0]["missed"] == 7
+    assert [(row["what"], row["worst"]) for row in latencies.rows] == [
+        ("wake-up latency", 100.0), ("round trip", 1000.0), ("controller", 10.0)
+    ]  # fmt: skip
+    assert "7 of 1000 cycles missed" in realtime.headline(summary)
+    page = realtime.report(summary, {Case("c", 500, "quiet"): [run_of(1000, missed=7)]}, {})
+    assert len(page.figures) == 4
 
 
 def test_the_histogram_holds_every_cycle():
@@ -106,16 +121,32 @@ def test_a_run_by_both_commands(tmp_path):
     """How many cycles are missed is the machine's affair; that they are counted is not."""
     file = tmp_path / "run.toml"
     config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
-    file.write_text(wire.scenario_text(config.scenario, 250, 100, 0) + "[wire]\nhold_ticks = 50\n")
+    file.write_text(wire.scenario_text(config.scenario, 250, 100, 0))
     found = wire.run_once(Case("python", 250, "quiet"), file, None, 120.0)
     assert found.clean
     assert len(found.round_us) == len(found.wake_us) == len(found.control_us)
-    assert np.isnan(found.control_us).sum() == found.missed
+    assert np.isnan(found.control_us).sum() == found.missed < len(found.round_us)
     assert (np.isfinite(found.control_us) <= (found.round_us > 0.0)).all()
     assert set(found.system) == {"plant", "controller"}
     assert {"scheduling", "memory"} <= set(found.system["plant"])
     if found.ended == "completed":
         assert len(found.round_us) == 100
+
+
+def test_of_a_run_that_was_stopped_the_cycles_before_count():
+    columns = {
+        "t_s": 0.002 * np.arange(100), "wake_us": np.arange(100.0), "tick_us": np.full(100, 9.0),
+        "control_us": np.full(100, 2.0), "missed": np.arange(100) >= 50, "rcm_error_registered_m": np.full(100, 1e-3),
+        "v_rad_per_s": np.zeros((100, 7)),
+    }  # fmt: skip
+    meta = {"wire": {"missed": 50, "overruns": 4, "system": {}}, "ended": "stopped: x", "stopped_at_s": 0.002 * 60}
+    found = wire._read(Trace(columns, meta), {"system": {}})
+    assert (len(found.round_us), found.missed, found.overruns, found.clean) == (61, 11, 4, True)
+    moving = columns | {"v_rad_per_s": np.full((100, 7), 0.1)}
+    far = columns | {"rcm_error_registered_m": np.full(100, 3e-3)}
+    for unclean in (moving, far):
+        assert not wire._read(Trace(unclean, meta), {"system": {}}).clean
+    assert not wire._read(Trace(columns, meta | {"ended": "ran away"}), {"system": {}}).clean
 
 
 def test_a_process_that_fails_is_an_error_and_not_a_figure(tmp_path, monkeypatch):

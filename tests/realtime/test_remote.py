@@ -10,9 +10,10 @@ import pytest
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import Link
-from moc_opt.realtime.packets import RUNNING, STOP, Kind, Packet
+from moc_opt.realtime.packets import RUNNING, STOP, WORDS_BYTES, Kind, Packet
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.realtime.settings import WireSettings
+from moc_opt.realtime.words import last_words, read_words
 from moc_opt.scenario import Scenario, make_safety_filter
 from moc_opt.sim.sensors import Measurement
 
@@ -165,11 +166,11 @@ def test_the_watchdog_holds_then_damps_then_brakes(peer):
 def test_what_the_controller_stops_stays_stopped(peer):
     peer.start()
     ones = np.ones(peer.n)
-    peer.say(Kind.COMMAND, 0, tau=ones, flags=STOP, reason=b"because", friction=2 * ones)
+    peer.say(Kind.COMMAND, 0, tau=ones, flags=STOP, reason=b"because\x1b", friction=2 * ones)
     peer.tick()
     peer.say(Kind.COMMAND, 1, tau=ones, friction=3 * ones)
     peer.tick()
-    assert peer.plant.stop_reason == "because"
+    assert peer.plant.stop_reason == "because\ufffd"
     np.testing.assert_array_equal(peer.plant.brake_friction(peer.seen), 3 * ones)
 
 
@@ -183,6 +184,38 @@ def test_reports_fill_their_own_row_whenever_they_come(peer):
     peer.say(Kind.REPORT, 40, solve_us=0.5)  # of a tick to come
     peer.tick()
     np.testing.assert_array_equal(peer.columns["solve_us"][:4], [np.nan, np.nan, 2.0, np.nan])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (b'{"faults": {}, "warnings": [], "other": 1}', {"faults": {}}),
+        (
+            b'{"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}, "restarts": [{"at_s": 1}]}',
+            {"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}},
+        ),
+        (b'{"faults": {"late": {"count": "2", "first_at_s": 1.5, "first": "so"}}, "warnings": [3]}', {}),
+        (b'{"faults": [], "restarts": []}', {}), (b"", {}), (b"{", {}), (b"[1]", {}), (b"\xff\xfe", {}),
+        (b"[" * 3000, {}),
+    ],
+)  # fmt: skip
+def test_the_last_words_go_into_the_meta_or_nowhere(peer, words, told):
+    peer.start()
+    peer.say(Kind.BYE, words=words)
+    peer.plant.close()
+    assert peer.plant.told == told
+
+
+def test_last_words_are_cut_where_they_are_too_long():
+    class Counting:
+        faults = {f"f{k}": {"count": k, "first_at_s": 0.5, "first": "x" * 300} for k in range(12)}  # noqa: RUF012
+
+    words = last_words(Counting(), [])
+    assert len(words) <= WORDS_BYTES
+    found = read_words(words)["faults"]
+    assert [(f["count"], f["first"]) for f in found.values()] == [(k, "") for k in range(12)]
+    Counting.faults = {"f": {"count": 1, "first_at_s": 0.5, "first": "kept"}}
+    assert read_words(last_words(Counting(), []))["faults"]["f"]["first"] == "kept"
 
 
 def test_tick_before_start_is_refused(peer):

@@ -59,6 +59,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1, "bump_N": 20.0, "bump_at_s": 0.2}},
     "spoilt answers": {"faults": {"solver": "nan", "solver_share": 0.3}},
     "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
+    "warned": {"guard": {"trocar_force_warning_N": 0.1, "rcm_warning_m": 1e-4}},
 }
 
 
@@ -72,6 +73,9 @@ def test_without_loss_the_wire_changes_nothing(name: str) -> None:
     assert expected.meta["ended"].startswith(ending.ended)
     assert ending.ticks == len(expected) == ending.quality.received
     assert ending.faults == expected.meta.get("faults", {})
+    for entry in ("faults", "warnings", "stopped_at_s"):
+        assert found.meta.get(entry) == expected.meta.get(entry)
+    assert expected.meta.get({"warned": "warnings", "spoilt answers": "faults"}.get(name, "ended"))
     assert sum(ending.quality.values()) == ending.ticks  # and nothing else came
     reports = found.meta["wire"].pop("received") - len(expected)
     assert reports == len(expected)
@@ -98,34 +102,33 @@ def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run() -> None:
     assert ending.ended == found.meta["ended"] == "completed"
 
 
-BLIND = {"resend_s": 0.02, "resends": 0, "hold_ticks": 5, "damp_ticks": 40}
+# A tick counts as missed after a quarter of a second: long enough for a busy machine.
+BLIND = {"resend_s": 0.25, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 
 
 def test_commands_that_never_come_are_bridged_and_then_the_brakes_close() -> None:
-    gaps = [range(50, 53), range(100, 120), range(220, 10_000)]
+    gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
     found, _, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
     missed, tau = found.columns["missed"], found.tau_Nm
-    assert missed[50:53].all()
-    assert missed[100:120].all()
-    assert missed[220:].all()
-    assert (tau[50:53] == tau[49]).all()  # held
-    assert (tau[100:105] == tau[99]).all()
-    assert not (np.diff(tau[104:120], axis=0) == 0.0).all(axis=1).any()  # then weight and damping
-    assert found.meta["ended"].startswith("stopped: no command from the controller for 46 ticks")
-    assert found.meta["stopped_at_s"] == pytest.approx(0.002 * (220 + 45))
+    assert np.flatnonzero(missed).tolist() == [*gaps[0], *gaps[1], *range(220, 229)]
+    assert (tau[50:52] == tau[49]).all()  # held
+    assert (tau[100:103] == tau[99]).all()
+    assert not (np.diff(tau[102:106], axis=0) == 0.0).all(axis=1).any()  # then weight and damping
+    assert found.meta["ended"].startswith("stopped: no command from the controller for 9 ticks")
+    assert found.meta["stopped_at_s"] == pytest.approx(0.002 * (220 + 8))
     assert found.rcm_error_registered_m.max() < 2e-3
     assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
 
 
 def test_a_controller_that_does_not_see_the_arm_stops_it() -> None:
     scenario = Scenario(**SHORT, wire=BLIND)
-    few, many = {60, 61, 62}, range(150, 160)
+    few, many = {60, 61}, range(150, 156)
     found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)})
     assert found.columns["missed"][sorted(few)].all()
     assert "ticks late" in found.meta["ended"]
     assert found.meta["ended"].startswith("stopped: ")
-    assert 0.002 * 160 <= found.meta["stopped_at_s"] <= 0.002 * 170
+    assert 0.002 * 156 <= found.meta["stopped_at_s"] <= 0.002 * 166
     assert ending.ended == "stopped: " + found.meta["ended"].removeprefix("stopped: ").partition(" (t =")[0]
     assert ending.quality.missed >= len(few) + len(many)
     assert found.rcm_error_registered_m.max() < 2e-3
@@ -160,7 +163,7 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     assert plant.returncode in (0, 3), errors
     saved = Trace.load(trace)
     assert json.loads(said)["ended"] == saved.meta["ended"]
-    assert saved.meta["ended"] == "completed" or saved.meta["ended"].startswith("stopped: no command")
+    assert saved.meta["ended"] == "completed" or saved.meta["ended"].startswith("stopped: ")
     assert control.returncode in (0, 3), control.stderr
     counts = saved.meta["wire"]
     assert json.loads(control.stdout)["ticks"] <= len(saved)

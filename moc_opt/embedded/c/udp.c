@@ -205,7 +205,7 @@ int main(int argc, char **argv)
         return fail("the plant does not begin", "start it again");
     do {
         if (m.head.flags == WIRE_ENDED) {
-            wire_plain bye = {0};
+            static wire_bye bye;
             wire_send(&plant, &bye.head, sizeof bye, WIRE_KIND_BYE, 0);
             ended = "completed";
             break;

@@ -1,0 +1,52 @@
+"""The controller's last words: what it counted in a run, for the meta of a trace that is written at the other end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from moc_opt.inputs.files import parse_json, to_json
+from moc_opt.realtime.key import WireError
+from moc_opt.realtime.packets import WORDS_BYTES
+
+_NUMBER = (int, float)
+_FORMS: dict[str, dict[str, Any]] = {
+    "faults": {"count": int, "first_at_s": _NUMBER, "first": str},
+    "restarts": {"at_s": _NUMBER, "reason": str},
+    "warnings": {"of": str, "unit": str, "level": _NUMBER, "first_s": _NUMBER, "largest": _NUMBER},
+}
+
+
+def last_words(controller: object, warnings: list[dict[str, Any]]) -> bytes:
+    """Return as JSON what a controller counts, where it does, and the warnings of its safety filter."""
+    counted = {name: getattr(controller, name) for name in ("faults", "restarts") if hasattr(controller, name)}
+    text = to_json(counted | {"warnings": warnings}, indent=None).encode()
+    if len(text) > WORDS_BYTES:  # without the texts of refused answers
+        faults = {name: {**fault, "first": ""} for name, fault in counted.get("faults", {}).items()}
+        text = to_json({"faults": faults, "warnings": warnings}, indent=None).encode()
+    return text
+
+
+def read_words(words: bytes) -> dict[str, Any]:
+    """Return the entries of meta in the last words of a controller; those that are empty or none are left out."""
+    try:
+        text = printable(words.decode(errors="replace"))
+        found = parse_json(text, "last words of the controller", WireError) if text else {}
+    except WireError:
+        return {}  # of a controller that is not ours; the run is over, and its trace complete without
+    told = {}
+    for name, form in _FORMS.items() if isinstance(found, dict) else ():
+        value = found.get(name)
+        if isinstance(value, dict if name == "faults" else list):
+            entries = list(value.values()) if isinstance(value, dict) else value
+            if all(_fits(entry, form) for entry in entries) and (entries or name == "faults"):
+                told[name] = value
+    return told
+
+
+def _fits(entry: Any, form: dict[str, Any]) -> bool:
+    return isinstance(entry, dict) and all(isinstance(entry.get(name), kind) for name, kind in form.items())
+
+
+def printable(text: str) -> str:
+    """Return a text in which no character steers a terminal: it came over the wire."""
+    return "".join(c if c.isprintable() else "\ufffd" for c in text)
