@@ -32,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
+    one.add_argument(
+        "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"
+    )
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
@@ -81,7 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
             return serve(scenario, host=given.host, port=given.port, public=given.public)
-        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
+        return run_scenario(
+            given.scenario, given.seed, given.solver, given.trace, given.json, given.robot, given.third_level
+        )
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
         return 2
@@ -107,7 +112,7 @@ def _one_line(error: BaseException) -> str:
 
 def run_scenario(
     path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool,
-    robot: str | None = None,
+    robot: str | None = None, third_level: str | None = None,
 ) -> int:  # fmt: skip
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
@@ -121,6 +126,8 @@ def run_scenario(
         scenario = scenario.change(seed=seed)
     if robot is not None:
         scenario = scenario.change(robot={"name": robot})
+    if third_level is not None:
+        scenario = scenario.change(control={"third_level": third_level})
     if solver is not None:
         scenario = scenario.change(solver={"name": solver, "settings": {}})
     setup = Setup(scenario)
