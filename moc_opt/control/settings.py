@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
@@ -129,8 +129,16 @@ class ControlSettings(Settings):
     limit_torque: bool = True
 
     k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
-    third_level: Literal["local", "planned"] = Field(
-        default="local", description="under moc: climb mu where the arm is, or follow a course planned before the run"
+    third_level: Literal["local", "planned", "receding"] = Field(
+        default="local",
+        description="under moc: climb mu where the arm is, follow a course planned before the run, or one planned anew "
+        "from where the arm is",
+    )
+    horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = Field(
+        default=0.5, description="under receding: how far ahead the course is made smooth; V knows what comes after"
+    )
+    replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(
+        default=20.0, description="under receding: solves in a second"
     )
     climb: Literal["gradient", "scaled"] = Field(
         default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
@@ -167,6 +175,15 @@ class ControlSettings(Settings):
                 "give the name of a table of the robot's file; single gains are keys of [control] itself"
             )
         return given
+
+    @model_validator(mode="after")
+    def _third_level_of_moc(self) -> Self:
+        if self.law == "dcac" and self.third_level != "local":
+            raise ValueError(
+                f"law = 'dcac' with third_level = {self.third_level!r}: dcac has no third level; "
+                "take law = 'moc', or leave third_level out"
+            )
+        return self
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
@@ -219,7 +236,7 @@ class ControlSettings(Settings):
 
     def matched_dcac(self) -> dict[str, Any]:
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
-        return {"law": "dcac", "gains": self.gains or self.law}
+        return {"law": "dcac", "gains": self.gains or self.law, "third_level": "local"}
 
     def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
         """How far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""

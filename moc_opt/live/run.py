@@ -267,6 +267,11 @@ class LiveRun:
         self._push_until = self._loop.ticks + max(1, round(seconds / self.period_s))
 
     def _build(self, control: ControlSettings, name: str) -> Controller:
+        if control.third_level != "local":
+            raise LiveError(
+                f"[control] third_level = {control.third_level!r}: a live run goes to and fro for ever, and a course "
+                "ends with its path; take third_level = 'local'"
+            )
         settings = self.scenario.solver.settings if name == self.scenario.solver.name else {}
         solver = None if name == DCAC else make_solver(name, self._workshop, **settings)
         return Controller(self.robot, control, solver, self.period_s)

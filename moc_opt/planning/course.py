@@ -14,6 +14,8 @@ from moc_opt.planning.targets import Targets
 Array = NDArray[np.float64]
 Objective = Literal["mean", "worst", "log"]
 OBJECTIVES: tuple[Objective, ...] = ("mean", "worst", "log")
+MOST_VIOLATION = 1e-8
+"""Of a course that is taken for one [m], [rad]."""
 LEAST_MU = 1e-12
 """Below it the logarithm is taken here [m^3]."""
 
@@ -45,6 +47,11 @@ class Course:
     def mu_mean(self) -> float:
         """Mean manipulability over the time [m^3]."""
         return self.value("mean")
+
+    @property
+    def kept(self) -> bool:
+        """Whether it keeps targets, limits and speeds to `MOST_VIOLATION`."""
+        return self.violation <= MOST_VIOLATION
 
     def as_certified(self) -> Course:
         """The same, said to be a local optimum."""

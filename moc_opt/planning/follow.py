@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Follower:
-    """Wishes of one run, tick by tick; see `moc_opt.control.controller.Guide`."""
+    """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
     def __init__(self, course: Course, period_s: float, *, gain_per_s: float = 5.0, lead: Array | float = 1.0) -> None:
         """Sample the course at the ticks.

@@ -105,7 +105,7 @@ def make_plan(
         swivels: samples of one turn, of an arm with a closed form.
         margin_rad: that every joint keeps from its limits.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        refined: whether courses are improved beyond the grid.
+        refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
@@ -124,7 +124,10 @@ def make_plan(
     bounded = time.perf_counter()
     courses = []
     for answer, bound, free in zip(answers, bounds, (False, True), strict=True):
-        course = None if answer.q_rad is None else make_course(robot, targets, answer.q_rad, margin_rad, speed_share)
+        known = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
+        course = None
+        if known is not None and np.isfinite(known).all():
+            course = make_course(robot, targets, known, margin_rad, speed_share)
         # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
         for guess in (None, bound.q_rad) if refined and course is not None else ():
             if course is not None and (guess is None or np.isfinite(guess).all()):
@@ -132,7 +135,7 @@ def make_plan(
                     robot, targets, course, objective, guess=guess, free_start=free, margin_rad=margin_rad,
                     speed_share=speed_share,
                 )  # fmt: skip
-        courses.append(course)
+        courses.append(None if answer.q_rad is None and course is not None and not course.kept else course)
     took = mapped - began, searched - mapped, time.perf_counter() - bounded
     mine, best = courses
     if mine is not None and best is not None and mine.value(objective) > best.value(objective):
@@ -143,7 +146,9 @@ def make_plan(
         objective, targets, mine, best,
         make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
         np.nan if mine is None else bounds[0].value, np.nan if best is None else bounds[1].value,
-        None if mine is not None else blocked(robot, found, answers[0], start[0], step, margin_rad),
+        None if mine is not None else blocked(
+            robot, found, answers[0], start[0], step, margin_rad, proven=bounds[0].q_rad is None
+        ),
         float(elbow.swivel(start[0][None])[0]),
         np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)), *took,
@@ -155,13 +160,13 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 7
     arm = spherical(robot)
     if arm is None:
         return traced_map(robot, targets, q_start)
-    return spherical_map(robot, arm, targets, swivels=swivels, idle_rad=float(q_start[6]))
+    return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
 
 
 def blocked(
-    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin_rad: float
+    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin_rad: float, proven: bool
 ) -> Blocked:
-    """Name the first point that the search did not reach, and what is in its way."""
+    """Name the first point that the search did not reach, and what is in its way; unless ``proven``, say so."""
     k, targets = answer.reached, found.targets
     at = float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist())
     feasible, names = found.feasible(margin_rad), robot.data.joint_names
@@ -184,7 +189,8 @@ def blocked(
         return Blocked(*at, told)
     if not np.isfinite(wanted):
         return Blocked(*at, "no pose of the branch is within the joint limits there")
-    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit")
+    doubt = "" if proven else " between the poses of the map; the bound excludes no other way"
+    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit{doubt}")
 
 
 def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> NDArray[np.bool_]:

@@ -65,7 +65,7 @@ class SphericalMap(PoseMap):
 
     arm: Spherical
     swivel_rad: Array
-    """(m,) evenly over one turn, in the sense of `moc_opt.redundancy.arm_angle.Elbow`"""
+    """(m,) evenly over one turn, that of the start among them, in the sense of `moc_opt.redundancy.arm_angle.Elbow`"""
     angles: Array
     """(k,m,6) of the branch without negative signs, in the normal form [rad]"""
     reference: Array
@@ -127,7 +127,7 @@ class SphericalMap(PoseMap):
 
 
 def spherical_map(
-    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = 720, idle_rad: float = 0.0
+    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = 720, start: Array | None = None
 ) -> SphericalMap:
     """Compute the closed form over the path.
 
@@ -136,19 +136,23 @@ def spherical_map(
         arm: its normal form.
         targets: tip and wrist over time.
         swivels: samples of one turn.
-        idle_rad: where joint 7 stands.
+        start: (7,) [rad] a pose whose swivel is one of the samples, and where joint 7 stands; None: from -pi, and 0.
 
     Raises:
         RobotError: fewer than 8 swivels.
     """
     if swivels < 8:
         raise RobotError(f"swivels = {swivels}: give 8 or more")
-    reference = Elbow(robot, targets.wrist).reference
-    swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
+    elbow = Elbow(robot, targets.wrist)
+    reference, first = elbow.reference, -np.pi
+    if start is not None:
+        first += float(np.mod(elbow.swivel(start[None])[0] + np.pi, 2.0 * np.pi / swivels))
+    swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
     each = np.broadcast_to(swivel, (len(targets), swivels))
     angles, mu, room = _evaluate(arm, reference, targets.tip, targets.wrist, each)
     window = _window(robot, arm, targets, swivels)
     shared = np.broadcast_to(mu[:, None], room.shape)
+    idle_rad = 0.0 if start is None else float(start[6])
     return SphericalMap(targets, shared, room, window, arm, swivel, angles, reference, idle_rad)
 
 

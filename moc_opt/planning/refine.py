@@ -23,14 +23,16 @@ from moc_opt.planning.targets import Targets
 
 Array = NDArray[np.float64]
 
-MOST_VIOLATION = 1e-8
-"""Of an answer that is taken [m], [rad]."""
 OPTIONS: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
     "ipopt.mu_init": 1e-3, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
+SETTLED_S = 0.3
+"""A joint's speed counts as much as an acceleration that takes it away in this time."""
+SMOOTH_LOSS = 0.02
+"""Share of the objective that a smoother course may cost; where it costs more, the program went to another hump."""
 INSIDE = 1e-9
 """Limits and speeds are kept this far inside, so that rounding stays within them [rad]."""
 
@@ -45,6 +47,7 @@ def refine(
     free_start: bool = False,
     margin_rad: float = 0.0,
     speed_share: float = 1.0,
+    smoothness: float = 0.0,
 ) -> Course:
     """Improve a course to a local optimum.
 
@@ -57,10 +60,14 @@ def refine(
         free_start: whether the first pose may change, too.
         margin_rad: from the joint limits.
         speed_share: of the joints' speed limits.
+        smoothness: w [s^4/rad^2]; w (|ddq|^2 + |dq|^2 / `SETTLED_S`^2), its mean over the time, is taken off the
+            objective (in shares of the mean mu; log: of itself), from rest to rest. The answer is taken if the
+            objective proper falls by no more than `SMOOTH_LOSS` of the given course's.
 
     Returns:
         The better of both courses by the robot model's own mu; one that breaks a constraint by more than
-        `MOST_VIOLATION` is never taken. ``certified`` where ipopt met its tolerances at the course that is returned.
+        `MOST_VIOLATION` only where it is the given one, and nothing better was found. ``certified`` where ipopt met
+        its tolerances at the course that is returned.
     """
     import casadi as ca  # late: half a second
 
@@ -73,9 +80,12 @@ def refine(
     q = ca.mtimes(ca.DM(place), x) + ca.repmat(ca.DM(rest), 1, k)
     kin = robot.kinematics()
     tip, wrist, mu = (each.map(k)(q) for each in (kin.tip, kin.wrist, kin.mu))
-    across = _across(targets.wrist - targets.tip)
-    rows: list[tuple[Any, Any, Any]] = [(ca.vec(tip - ca.DM(targets.tip.T)), 0.0, 0.0)]
-    rows += [(ca.sum1(ca.DM(side.T) * (wrist - ca.DM(targets.tip.T))).T, 0.0, 0.0) for side in across]
+    # A start that is given keeps its own equations already.
+    there = slice(None) if free_start else slice(1, None)
+    wanted = ca.DM(targets.tip[there].T)
+    across = across_shafts((targets.wrist - targets.tip)[there])
+    rows: list[tuple[Any, Any, Any]] = [(ca.vec(tip[:, there] - wanted), 0.0, 0.0)]
+    rows += [(ca.sum1(ca.DM(side.T) * (wrist[:, there] - wanted)).T, 0.0, 0.0) for side in across]
     step = (speed_share * robot.v_max * targets.period_s)[moving] - INSIDE
     most = np.tile(step, k - 1)
     rows.append((ca.vec(x[:, 1:] - x[:, :-1]), -most, most))
@@ -94,6 +104,11 @@ def refine(
         cost = -least
     else:
         cost = -ca.dot(ca.DM(weight), (ca.log(mu) if objective == "log" else mu / scale).T)
+    if smoothness > 0.0:
+        still = ca.horzcat(x[:, 0], x, x[:, -1])
+        speed = (still[:, 1:] - still[:, :-1]) / targets.period_s
+        faster = (speed[:, 1:] - speed[:, :-1]) / targets.period_s
+        cost += smoothness / k * (ca.sumsqr(faster) + ca.sumsqr(speed) / SETTLED_S**2)
     bounds = [(np.broadcast_to(lo, g.numel()), np.broadcast_to(hi, g.numel())) for g, lo, hi in rows]
     problem = {"x": variables, "f": cost, "g": ca.vertcat(*(g for g, _, _ in rows))}
     solver = ca.nlpsol("course", "ipopt", problem, OPTIONS)
@@ -106,12 +121,13 @@ def refine(
     if not np.isfinite(poses).all():
         return course
     found = make_course(robot, targets, poses, margin_rad, speed_share)
-    if found.violation > MOST_VIOLATION or found.value(objective) < course.value(objective):
+    enough = course.value(objective) - (SMOOTH_LOSS * abs(course.value(objective)) if smoothness > 0.0 else 0.0)
+    if not found.kept or (course.kept and found.value(objective) < enough):
         return course
     return found.as_certified() if solver.stats()["success"] else found
 
 
-def _across(shafts: Array) -> tuple[Array, Array]:
+def across_shafts(shafts: Array) -> tuple[Array, Array]:
     """Two unit vectors (k,3) each, at right angles to the shafts (k,3) and to each other."""
     along = shafts / np.linalg.norm(shafts, axis=1, keepdims=True)
     other = np.eye(3)[np.argmin(np.abs(along).max(axis=0))]

@@ -114,11 +114,13 @@ def _course(found: PoseMap, back: NDArray[np.int32], b: int, j: int, start: Arra
 
 
 def _slack(q: Array, generous: bool) -> Array:
-    """(b,m,n) way of each joint within half a cell to either side [rad]; zero where nothing is made generous."""
-    if not generous:
-        return np.zeros_like(q)
+    return CURVED * half_cells(q) if generous else np.zeros_like(q)
+
+
+def half_cells(q: Array) -> Array:
+    """(b,m,n) way of each joint within half a cell to either side of poses (b,m,n) [rad]."""
     apart = np.abs(np.mod(np.roll(q, -1, axis=1) - q + np.pi, 2.0 * np.pi) - np.pi)
-    return 0.5 * CURVED * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=1)))
+    return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=1)))
 
 
 def _dilated(feasible: NDArray[np.bool_]) -> NDArray[np.bool_]:

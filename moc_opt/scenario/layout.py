@@ -42,6 +42,12 @@ class Layout:
     duration_s: float
 
 
+def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
+    """Seeds of the start, the plant and the faults of a run."""
+    start, plant, faults = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
+    return start, plant, faults
+
+
 def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generator) -> Layout:
     """Choose the start, lay the task out from it, and check that the arm can do it.
 

@@ -10,18 +10,15 @@ import numpy as np
 from moc_opt.errors import ScenarioError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
-from moc_opt.planning.follow import Follower
 from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, described, lay_out
+from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
 from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.025
-"""Between the times of a plan, if a path has no more than `MOST_TIMES` of them."""
-FEWEST_TIMES, MOST_TIMES = 50, 1000
-SPEED_LEFT = 0.2
-"""Share of the third level's joint speeds that a followed course leaves unused."""
+"""Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
+MOST_TIMES = 1000
 
 
 def plan(
@@ -42,7 +39,7 @@ def plan(
     Args:
         scenario: what would be run.
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
-        times: points of the path; None: one each `PERIOD_S`, 50 to 1000.
+        times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         swivels, margin_rad, speed_share, refined: as of `moc_opt.planning.plan.make_plan`.
 
     Raises:
@@ -53,9 +50,8 @@ def plan(
     if times is not None and not 2 <= times <= 100_000:
         raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
-    first_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()[0]
     unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
-    layout = lay_out(unchecked, robot, np.random.default_rng(first_seed))
+    layout = lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
     return make_plan(
         robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels, margin_rad=margin_rad,
         speed_share=speed_share, refined=refined,
@@ -64,36 +60,9 @@ def plan(
 
 def targets_of(robot: RobotModel, layout: Layout, times: int | None = None) -> Targets:
     """What the laid-out path asks of the arm from the first tick to the last."""
-    wanted = int(np.clip(np.ceil(layout.duration_s / PERIOD_S) + 1, FEWEST_TIMES, MOST_TIMES))
+    wanted = int(np.clip(np.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
     return lay_targets(
         layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, times or wanted
-    )
-
-
-def follower(scenario: Scenario, robot: RobotModel, layout: Layout) -> Follower:
-    """The guide of ``[control] third_level = "planned"``: the best course in mean mu from the start of this run.
-
-    It is planned within what the third level may do: its share of the joint speeds, less `SPEED_LEFT` for the feedback,
-    and its margin from the joint limits, or none where the path cannot be executed with it.
-
-    Raises:
-        ControlError: the third level cannot follow under these settings.
-        ScenarioError: the path cannot be executed from the start; says where and why.
-    """
-    scenario.control.check_guided()
-    settings, targets = scenario.control, targets_of(robot, layout)
-    share = (1.0 - SPEED_LEFT) * settings.speed_fraction
-    for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
-        found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
-        if found.from_start is not None:
-            gains = settings.resolve_gains(robot.data.gains, robot.n)
-            lead = 1.0 + gains.D_N2 / np.maximum(gains.K_N2, 1e-9)
-            return Follower(found.from_start, scenario.plant.period_s, lead=lead)
-    stuck = found.blocked
-    where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
-    raise ScenarioError(
-        f"[control] third_level = 'planned': no course goes all the way from this start: {where}; see "
-        "`python -m moc_opt plan`, or take third_level = 'local'"
     )
 
 

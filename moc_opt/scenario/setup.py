@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
+from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError, describe
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
-from moc_opt.scenario.layout import breathing, described, lay_out
+from moc_opt.scenario.guided import guides
+from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
-from moc_opt.scenario.planned import follower
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.closed_loop import ClosedLoop
@@ -50,7 +52,7 @@ class Setup:
                 start and the path.
         """
         self.scenario = scenario
-        start_seed, plant_seed, fault_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
+        start_seed, plant_seed, fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
         if scenario.control.law == "moc":
@@ -102,9 +104,13 @@ class Setup:
                 update={"supervisor": watch.model_copy(update={"budget_us": budget})}
             )
             times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
-        guided = settings.law == "moc" and settings.third_level == "planned"
-        guide = follower(self.scenario, self.robot, self.layout) if guided else None
+        guide = None if self._guides is None else self._guides()
         return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
+
+    @cached_property
+    def _guides(self) -> Callable[[], Guide] | None:
+        """Planned once, however many controllers are made."""
+        return guides(self.scenario, self.robot, self.layout)
 
     def fault_mask(self) -> NDArray[np.bool_]:
         """Return at which ticks the solver's answer is replaced by a fault, (N,)."""

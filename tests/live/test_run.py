@@ -37,6 +37,14 @@ def column(run: LiveRun, name: str, ticks: int) -> Any:
     return run.history(10**6)[-ticks:, COLUMN[name]]
 
 
+def test_a_course_that_ends_is_refused_at_the_start_and_later(run: LiveRun) -> None:
+    with pytest.raises(LiveError, match=r"third_level = 'planned'"):
+        LiveRun(Scenario().change(control={"third_level": "planned"}))
+    with pytest.raises(LiveError, match=r"third_level = 'planned'"):
+        run.tune(third_level="planned")
+    assert run.control.third_level == "local"
+
+
 # --- the run ---
 
 

@@ -11,8 +11,8 @@ from moc_opt.errors import ControlError, MocOptError, ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import Follower
-from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.planned import follower
+from moc_opt.scenario import Scenario, Setup, guided
+from moc_opt.scenario.guided import followed_course
 
 
 def straight(robot: RobotModel) -> Course:
@@ -54,7 +54,7 @@ def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -
     setup = Setup(FOLLOWED)
     controller = setup.controller()
     assert isinstance(controller, Controller)
-    guide = follower(FOLLOWED, setup.robot, setup.layout)
+    guide = setup._guides()
     state = setup.robot.state(setup.q_start)
     tip, trocar = setup.reference.rows(0.0), setup.registered.rows(0.0)
     controller.start(state, tip, trocar)
@@ -73,8 +73,8 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     setup = Setup(FOLLOWED)
     trace = mo.run(FOLLOWED)
     assert trace.meta["ended"] == "completed"
-    guide = follower(FOLLOWED, setup.robot, setup.layout)
-    wanted = guide._q[np.minimum(np.arange(len(trace)), len(guide._q) - 1)]
+    course = followed_course(FOLLOWED, setup.robot, setup.layout)
+    wanted = np.stack([np.interp(trace.t_s, course.t_s, joint) for joint in course.q_rad.T], axis=1)
     late = trace.t_s > 1.0
     assert np.abs(trace.q_rad - wanted)[late].max() < 0.05
     climbed = mo.run(FOLLOWED.change(control={"third_level": "local"}))
@@ -97,6 +97,28 @@ def test_a_path_without_a_course_is_refused_before_the_run() -> None:
         Setup(fast).controller()
 
 
-def test_without_a_third_level_nothing_is_planned() -> None:
-    setup = Setup(FOLLOWED.change(control={"law": "dcac"}))
-    assert setup.controller()._guide is None
+def test_dcac_with_a_course_is_refused_and_the_matched_baseline_has_none() -> None:
+    with pytest.raises(ControlError, match=r"law = 'dcac' with third_level = 'planned'"):
+        FOLLOWED.change(control={"law": "dcac"})
+    baseline = FOLLOWED.change(control=FOLLOWED.control.matched_dcac())
+    assert Setup(baseline).controller()._guide is None
+
+
+def test_another_controller_of_a_scenario_follows_the_same_course(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup = Setup(FOLLOWED)
+    setup.controller()
+    monkeypatch.setattr(guided, "make_plan", None)
+    state = setup.robot.state(setup.q_start)
+    one, other = (setup.controller()._guide for _ in range(2))
+    assert one is not None
+    assert other is not None
+    assert one is not other
+    for _ in range(300):  # a controller that runs leaves the others where they are
+        one.wish(state)
+    np.testing.assert_array_equal(other.wish(state), setup.controller()._guide.wish(state))
+
+
+@pytest.mark.parametrize("duration_s", [0.002, 0.02, 0.07])
+def test_a_run_of_a_few_ticks_is_planned_too(duration_s: float) -> None:
+    trace = mo.run(FOLLOWED.change(duration_s=duration_s))
+    assert len(trace) == round(duration_s / 0.002)

@@ -8,9 +8,11 @@ import pytest
 from moc_opt.errors import TaskError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import MOST_VIOLATION
 from moc_opt.planning.plan import make_plan
 from moc_opt.planning.targets import Targets
 from moc_opt.procedure.reachability import UnreachableError, check_reachable
+from moc_opt.scenario import Scenario, planned
 from moc_opt.tasks import Reference, Trocar, make_path
 from tests.conftest import Array
 from tests.planning.test_search import task
@@ -122,3 +124,15 @@ def test_a_start_off_the_path_is_refused(robot: RobotModel) -> None:
     q = robot.data.q_home
     with pytest.raises(TaskError, match="q_start"):
         make_plan(robot, q + 0.01, task(robot, q, 10))
+
+
+def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is_named() -> None:
+    """The joints' speeds leave room for a swivel that lies between two of a coarse map's."""
+    scenario = Scenario(seed=1).change(start={"pose": "random"})
+    coarse = {"swivels": 90, "speed_share": 0.15, "times": 400}
+    found, grid = planned.plan(scenario, **coarse), planned.plan(scenario, **coarse, refined=False)
+    assert found.from_start is not None
+    assert found.from_start.violation < MOST_VIOLATION
+    assert grid.from_start is None
+    assert grid.blocked is not None
+    assert "between the poses of the map" in grid.blocked.reason

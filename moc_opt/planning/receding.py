@@ -1,0 +1,148 @@
+"""A course planned anew while the arm moves: a short horizon from the measured pose, and V for what comes after.
+
+Every 1/rate a way is searched for on the map from the measured pose over the horizon and on by V (`to_go`): it decides
+which hump of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows the last
+answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop would be.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import TaskError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_state import RobotState
+from moc_opt.planning.course import make_course
+from moc_opt.planning.horizon import Horizon
+from moc_opt.planning.targets import Targets
+from moc_opt.planning.to_go import ToGo
+
+Array = NDArray[np.float64]
+
+NODES = 10
+"""Times of the nonlinear program after the measured pose."""
+HURRY = 1.15
+"""Times the speed that V counts with may be used on the horizon: what is late can catch up."""
+MOST_OFF = 1e-3
+"""Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
+2 keep tip and shaft whatever the third does."""
+
+
+class Answer(NamedTuple):
+    """A course at N + 1 evenly spaced times; straight between them, and at rest after the last."""
+
+    t_s: Array
+    q_rad: Array
+    v_rad_per_s: Array
+
+    def at(self, t_s: float) -> tuple[Array, Array]:
+        """Pose (n,) [rad] and velocity (n,) [rad/s]."""
+        if t_s >= self.t_s[-1]:
+            return self.q_rad[-1], np.zeros_like(self.q_rad[-1])
+        along = max(0.0, (t_s - self.t_s[0]) / (self.t_s[1] - self.t_s[0]))
+        k = min(int(along), len(self.t_s) - 2)
+        part = along - k
+        q, v = ((1.0 - part) * rows[k] + part * rows[k + 1] for rows in (self.q_rad, self.v_rad_per_s))
+        return q, v
+
+
+class Receding:
+    """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
+
+    def __init__(
+        self, to_go: ToGo, horizon: Horizon, robot: RobotModel, targets: Targets, q_start: Array, period_s: float, *,
+        horizon_s: float, rate_per_s: float, gain_per_s: float = 5.0, lead: Array | float = 1.0,
+    ) -> None:  # fmt: skip
+        """Solve once, from the start.
+
+        Args:
+            to_go: V over the path.
+            horizon: the program.
+            robot: the arm.
+            targets: tip and wrist over time, closely enough to interpolate between.
+            q_start: (n,) at t = 0 [rad].
+            period_s: of a tick [s].
+            horizon_s: least time from the measured pose to where V takes over [s].
+            rate_per_s: solves in a second.
+            gain_per_s, lead: of the tracking, as of `moc_opt.planning.follow.Follower`.
+
+        Raises:
+            TaskError: no course goes to the end of the path from the start.
+        """
+        self._to_go, self._horizon, self._robot, self._targets = to_go, horizon, robot, targets
+        self._horizon_s, self._every = horizon_s, max(1, round(1.0 / (rate_per_s * period_s)))
+        self._period, self._gain, self._lead = period_s, gain_per_s, np.asarray(lead, dtype=np.float64)
+        self._q_start = np.array(q_start)
+        self.solve_s: list[float] = []
+        """Time of every solve since the start [s]."""
+        self.kept = 0
+        """Solves since the start whose answer was not usable: the one before went on."""
+        self.start()
+        if self._answer is None:
+            raise TaskError("q_start: no course goes to the end of the path from there within joint speeds and limits")
+
+    def start(self) -> None:
+        """Go back to t = 0."""
+        self._tick, self.solve_s, self.kept = 0, [], 0
+        self._answer: Answer | None = None
+        self._answer = self._next = self._solve(self._q_start, 0.0)
+
+    def wish(self, state: RobotState) -> Array:
+        """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
+        t = self._tick * self._period
+        if self._tick and self._tick % self._every == 0:
+            self._answer, self._next = self._next, self._solve(state.q, t)
+        self._tick += 1
+        assert self._answer is not None
+        q, v = self._answer.at(t)
+        wish: Array = self._lead * (v + self._gain * (q - state.q))
+        return wish
+
+    def _solve(self, q: Array, t: float) -> Answer | None:
+        """The course from a pose at a time; the last one where there is no usable answer, or the path is over."""
+        path, began = self._to_go.map.targets, time.perf_counter()
+        end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
+        if path.t_s[end] - t < 0.5 * path.period_s:
+            return self._answer
+        found = self._found(q, t, end)
+        self.solve_s.append(time.perf_counter() - began)
+        self.kept += found is None
+        return self._answer if found is None else found
+
+    def _found(self, q: Array, t: float, end: int) -> Answer | None:
+        way = self._to_go.way(q, t, end, HURRY)
+        if way is None:
+            return None
+        times, poses, branch, sample = way
+        nodes = np.linspace(t, times[-1], NODES + 1)
+        there = self._at(nodes[1:])
+        guess = _between(nodes[1:], times, poses)
+        speed = np.zeros(len(q)) if self._answer is None else self._answer.at(t)[1]
+        answer = self._horizon.solve(guess, q, speed, there, self._to_go.near(end, branch, sample))
+        course = np.concatenate([q[None], answer])
+        if not self._usable(course, there):
+            return None
+        velocity = np.gradient(course, nodes, axis=0)
+        velocity[0] = speed
+        return Answer(nodes, course, velocity)
+
+    def _usable(self, course: Array, there: Targets) -> bool:
+        if not np.isfinite(course).all():
+            return False
+        step = there.period_s * self._horizon.speed
+        judged = make_course(self._robot, there, course[1:], self._horizon.margin_rad)
+        fast = np.abs(np.diff(course, axis=0)) - step
+        return judged.violation < MOST_OFF and float(fast.max()) < MOST_OFF
+
+    def _at(self, t: Array) -> Targets:
+        path = self._targets
+        tip, wrist = (_between(t, path.t_s, rows) for rows in (path.tip, path.wrist))
+        return Targets(t, tip, wrist, np.interp(t, path.t_s, path.arc_length_m))
+
+
+def _between(t: Array, times: Array, rows: Array) -> Array:
+    return np.stack([np.interp(t, times, column) for column in rows.T], axis=1)

@@ -1,0 +1,165 @@
+"""What a pose is still worth: the most mu, summed over the time, that can be had from it to the end of the path.
+
+Dynamic programming backwards over the map, once, before anything moves:
+
+    V_k(p) = g(p) + max { V_{k+1}(p') : |q - q'| <= v_max dt for every joint }
+
+A horizon that ends in V chooses as if it went to the end of the path: it leaves a hump of mu for a better one where
+that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model. It
+does not know what pushes the arm nor what accelerations cost, and it is as accurate as its map: a pose stands for half
+of the half cell around it.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
+from moc_opt.planning.course import weights
+from moc_opt.planning.pose_map import PoseMap
+from moc_opt.planning.search import half_cells
+
+Array = NDArray[np.float64]
+NEARBY_RAD = 0.2
+"""Poses within this way of each other are one neighbourhood, in which V is a parabola."""
+KEPT = 64
+"""Times whose poses are kept: a run goes through them in order."""
+
+
+class End(NamedTuple):
+    """V near a pose: value + slope z + bend z^2 / 2, low <= z = along . (q - q_rad) <= high."""
+
+    q_rad: Array
+    """(n,) [rad]"""
+    along: Array
+    """(n,) unit vector of the self-motion"""
+    slope: float
+    """[m^3 s / rad]"""
+    bend: float
+    """[m^3 s / rad^2], never above 0"""
+    low: float
+    """Beyond it no pose is known to reach the end of the path [rad]."""
+    high: float
+
+
+class ToGo:
+    """V over a map of k times, b branches, m samples."""
+
+    def __init__(self, found: PoseMap, step_rad: Array, margin_rad: float = 0.0) -> None:
+        """Go through the map from its end to its start.
+
+        Args:
+            found: the map.
+            step_rad: (n,) most that a joint turns in one period [rad].
+            margin_rad: from the joint limits.
+        """
+        self.map, self._step, count = found, step_rad, len(found.targets)
+        self._poses = lru_cache(KEPT)(self._evaluated)
+        weight = weights(count) * found.targets.period_s
+        self._gain = np.where(found.feasible(margin_rad), found.mu * weight[:, None, None], -np.inf)
+        self.value = np.array(self._gain)
+        """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
+        for k in range(count - 2, -1, -1):
+            self.value[k] = self._spread(k, *self._poses(k + 1), self.value[k + 1], self._gain[k])[0]
+
+    def way(self, q: Array, t_s: float, end: int, hurry: float = 1.0) -> tuple[Array, Array, int, int] | None:
+        """Find the best way from a pose at any time to the map's time ``end``, and on from there by V.
+
+        Args:
+            q: (n,) [rad].
+            t_s: before the time ``end`` [s].
+            end: number of a time of the map.
+            hurry: times the steps of V that may be used up to there.
+
+        Returns:
+            Times (w,) [s] and poses (w,n) [rad], the given one first, branch and sample at the end; None: there is
+            no way.
+        """
+        t, period = self.map.targets.t_s, self.map.targets.period_s
+        first = min(int(np.searchsorted(t, t_s + 0.5 * period)), end)
+        branches = self.value.shape[1]
+        before, slack = np.tile(q, (branches, 1, 1)), np.zeros((branches, 1, len(q)))
+        value, backs, now = np.zeros((branches, 1)), [], t_s
+        for k in range(first, end + 1):
+            gain = self.value[k] if k == end else self._gain[k]
+            value, back = self._spread(k, before, slack, value, gain, hurry * (float(t[k]) - now) / period)
+            backs.append(back)
+            (before, slack), now = self._poses(k), float(t[k])
+        b, j = (int(i) for i in np.unravel_index(int(np.argmax(value)), value.shape))
+        if not np.isfinite(value[b, j]):
+            return None
+        poses, i = [], j
+        for k, back in zip(range(end, first - 1, -1), backs[::-1], strict=True):
+            poses.append(self._poses(k)[0][b, i])
+            i = int(back[b, i])
+        return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
+
+    def near(self, end: int, b: int, j: int) -> End:
+        """The parabola through V around one pose of the map."""
+        q, count, value = self._poses(end)[0][b], self.value.shape[2], self.value[end, b]
+        along = q[(j + 1) % count] - q[j - 1]
+        size = float(np.linalg.norm(along))
+        if not 0.0 < size < NEARBY_RAD:
+            return End(q[j], np.zeros(q.shape[1]), 0.0, 0.0, 0.0, 0.0)
+        along /= size
+        with np.errstate(invalid="ignore"):
+            close = np.linalg.norm(q - q[j], axis=1) < NEARBY_RAD
+        z, dead = (q - q[j]) @ along, close & np.isneginf(value)
+        low = max(z[dead & (z < 0.0)], default=-NEARBY_RAD)
+        high = min(z[dead & (z > 0.0)], default=NEARBY_RAD)
+        near = close & np.isfinite(value) & (z > low) & (z < high)
+        if np.count_nonzero(near) < 4:
+            return End(q[j], along, 0.0, 0.0, min(z[near]), max(z[near]))
+        bend, slope, _ = np.polyfit(z[near], value[near] - value[j], 2)
+        return End(q[j], along, float(slope), float(min(2.0 * bend, 0.0)), min(z[near]), max(z[near]))
+
+    def _evaluated(self, k: int) -> tuple[Array, Array]:
+        """Poses (b,m,n), and the way that each stands for, (b,m,n) [rad]."""
+        q = self.map.poses(k)
+        return q, 0.5 * half_cells(q)
+
+    def _spread(
+        self, k: int, before: Array, slack: Array, value_before: Array, gain: Array, periods: float = 1.0
+    ) -> tuple[Array, NDArray[np.int32]]:
+        value, back = np.empty(gain.shape), np.empty(gain.shape, dtype=np.int32)
+        window = math.ceil(int(self.map.window[k : k + 2].max()) * max(periods, 1.0))
+        spread(before, slack, value_before, *self._poses(k), gain, periods * self._step, window, value, back)
+        return value, back
+
+
+@njit(cache=True, nogil=True)
+def spread(
+    before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array, step: Array,
+    window: int, value: Array, back: NDArray[np.int32],
+) -> None:  # fmt: skip
+    """Fill value and back (b,m) as `search_kernels.advance` does, going out from the poses that have a value.
+
+    That costs what is reached, not what there is: a horizon begins at one pose.
+    """
+    branches, m, n = q.shape
+    m0 = before.shape[1]
+    first, count = -window, 2 * window + 1
+    if count >= m or m0 == 1:
+        first, count = 0, m
+    value[:], back[:] = -math.inf, -1
+    for b in range(branches):
+        for j0 in range(m0):
+            worth = value_before[b, j0]
+            if worth == -math.inf:
+                continue
+            for i in range(count):
+                j = (j0 + first + i) % m
+                if not worth + gain[b, j] > value[b, j]:
+                    continue
+                near = True
+                for a in range(n):
+                    if not abs(q[b, j, a] - before[b, j0, a]) <= step[a] + slack[b, j, a] + slack_before[b, j0, a]:
+                        near = False
+                        break
+                if near:
+                    value[b, j], back[b, j] = worth + gain[b, j], j0

@@ -1,0 +1,97 @@
+"""What the third level of a scenario follows in place of the climb of mu: the guides of ``[control] third_level``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from moc_opt.control.guide import Guide
+from moc_opt.errors import ScenarioError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import Course
+from moc_opt.planning.follow import Follower
+from moc_opt.planning.horizon import Horizon
+from moc_opt.planning.plan import Plan, make_plan, map_of
+from moc_opt.planning.receding import HURRY, NODES, Receding
+from moc_opt.planning.targets import Targets, lay_targets
+from moc_opt.planning.to_go import ToGo
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.layout import Layout
+from moc_opt.scenario.planned import MOST_TIMES, targets_of
+
+SPEED_LEFT = 0.2
+"""Share of the third level's joint speeds that a followed course leaves unused, for the feedback."""
+V_PERIOD_S = 0.1
+"""Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
+FINER = 20
+"""Times as close are the targets that the horizon is interpolated from."""
+SMOOTHNESS = 1e-3
+"""[s^4/rad^2]"""
+
+
+def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
+    """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
+
+    Both keep within what the third level may do: its share of the joint speeds, less `SPEED_LEFT`, and its margin
+    from the joint limits, or none where the path cannot be executed with it.
+
+    Returns:
+        None: the third level climbs where it is.
+
+    Raises:
+        ControlError: the third level cannot follow under these settings.
+        ScenarioError: the path cannot be executed from the start; says where and why.
+    """
+    settings = scenario.control
+    if settings.third_level == "local":
+        return None
+    settings.check_guided()
+    gains, period = settings.resolve_gains(robot.data.gains, robot.n), scenario.plant.period_s
+    lead = 1.0 + gains.D_N2 / np.maximum(gains.K_N2, 1e-9)
+    if settings.third_level == "planned":
+        course = followed_course(scenario, robot, layout)
+        return lambda: Follower(course, period, lead=lead)
+    fine = _laid(robot, layout)
+    path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
+    found, share = map_of(robot, layout.q, path), (1.0 - SPEED_LEFT) * settings.speed_fraction
+    for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
+        to_go = ToGo(found, share * robot.v_max * path.period_s, margin)
+        if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
+            break
+    else:
+        raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
+    horizon = Horizon(
+        robot, NODES, mu=float(np.nanmean(found.highest(margin))), margin_rad=margin, speed=HURRY * share * robot.v_max,
+        smoothness=SMOOTHNESS,
+    )  # fmt: skip
+    return lambda: Receding(
+        to_go, horizon, robot, fine, layout.q, period, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s,
+        lead=lead,
+    )  # fmt: skip
+
+
+def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
+    """The best course in mean mu from the start of this run that the third level can follow."""
+    settings, targets = scenario.control, targets_of(robot, layout)
+    share = (1.0 - SPEED_LEFT) * settings.speed_fraction
+    for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
+        found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
+        if found.from_start is not None:
+            return found.from_start
+    raise _stuck(scenario, found)
+
+
+def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:
+    stuck = found.blocked
+    where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
+    return ScenarioError(
+        f"[control] third_level = {scenario.control.third_level!r}: no course goes all the way from this start: "
+        f"{where}; see `python -m moc_opt plan`, or take third_level = 'local'"
+    )
+
+
+def _laid(robot: RobotModel, layout: Layout) -> Targets:
+    count = int(np.clip(np.ceil(layout.duration_s / V_PERIOD_S), 1, MOST_TIMES))
+    span = robot.state(layout.q).tool_span
+    return lay_targets(layout.reference, layout.registered, span, layout.duration_s, FINER * count + 1)
