@@ -16,6 +16,7 @@ from moc_opt.inputs.files import plain, to_json
 
 if TYPE_CHECKING:
     from moc_opt.report.page import Page
+from moc_opt.report.tables import Column, Table
 
 PACKAGES = (
     "moc-opt", "numpy", "numba", "pin", "mujoco", "casadi", "osqp", "proxsuite", "qpsolvers", "daqp", "piqp",
@@ -83,6 +84,30 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     write_atomically(path, sink.getvalue().to_pybytes())
+
+
+def close_page(
+    page: Page, command: str, environment: Mapping[str, Any], rows: Iterable[Mapping[str, Any]], keys: Sequence[str]
+) -> None:
+    """End a report: the rows with an ``error``, by these keys, and what made the page, on which machine.
+
+    Args:
+        page: it is appended to.
+        command: of ``python -m benchmarks.COMMAND``.
+        environment: see `environment`.
+        rows: of the benchmark; one that went wrong has a text as its ``error``.
+        keys: what tells a row from others.
+    """
+    failed = [row for row in rows if row["error"]]
+    if failed:
+        page.section("Trials that failed")
+        page.table(Table("Errors", [Column(key, key) for key in (*keys, "error")], failed))
+    page.section("Made by")
+    machine = environment["machine"]
+    page.text(
+        f"`python -m benchmarks.{command}`, seed {environment['seed']}, commit {environment['commit']}, "
+        f"{machine['cores']} cores, {machine['processor']}, load {machine['load_1min']:.1f}."
+    )
 
 
 def environment(config: Mapping[str, Any], seed: int, argv: Sequence[str] = ()) -> dict[str, Any]:

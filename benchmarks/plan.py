@@ -1,28 +1,37 @@
-"""How much manipulability a path holds: the best course from each start and over all, its bound, and a local climb.
+"""How much manipulability a path holds, and how much of it each third level reaches in the loop.
 
 python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 
 Starts are drawn by the rules of `moc_opt.procedure.preflight.random_start`. The map's largest mu is searched for by
 inverse kinematics from random starts, the nonlinear program is begun elsewhere, the grid is halved, the map is timed.
+A trial that is done is kept in DIR/jobs: the same command goes on where it was broken off, at the same commit.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import Self
+from functools import partial
+from pathlib import Path
+from typing import Any, Self, get_args
 
 from pydantic import Field
 
 from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
+from benchmarks.output import write_json
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise, tables
+from moc_opt.control import ControlSettings
+from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario
 
+THIRD_LEVELS: tuple[str, ...] = get_args(ControlSettings.model_fields["third_level"].annotation)
 STREAM = 7
 """Of the seeds: no trial of this benchmark is one of another."""
 
@@ -30,9 +39,13 @@ STREAM = 7
 class Config(Configuration):
     """benchmarks/configs/plan.toml."""
 
-    robots: list[str] = Field(["lwr4", "iiwa14"], min_length=1)
+    robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     poses: int = Field(20, ge=1, description="random starts per task and robot")
+    loops: dict[str, dict[str, Any]] = Field(
+        {level: {"third_level": level} for level in THIRD_LEVELS}, description="closed loops: name -> [control]"
+    )
+    halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
     processes: int = Field(2, ge=1)
     map_points: int = Field(3, ge=0)
     random_starts: int = Field(1000, ge=1)
@@ -42,8 +55,8 @@ class Config(Configuration):
 
     def quick(self) -> Self:
         """The same on less data."""
-        less = {"tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30, "restart_poses": 1}
-        return self.model_copy(update=less | {"restarts": 3})
+        less = {"robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30}
+        return self.model_copy(update=less | {"restart_poses": 1, "restarts": 3, "halvings": 1})
 
     def jobs(self) -> list[Job]:
         """Every part on every trial that it is for; the timed one first, before other processes are busy."""
@@ -51,9 +64,12 @@ class Config(Configuration):
         for name in self.robots:
             base = self.scenario.change(robot={"name": name})
             drawn = trials(base, self.tasks, seeds(self.seed, STREAM, self.poses * len(self.tasks)))
+            found += [Job("courses", name, *trial, loops=self.loops) for trial in drawn]
+            spread = drawn[:: max(1, len(drawn) // max(self.map_points, self.restart_poses, self.halvings, 1))]
+            found += [Job("halving", name, *trial) for trial in spread[: self.halvings]]
+            if spherical(base.robot.arm()) is None:
+                continue  # the other parts are about the closed form
             found.append(Job("map", name, *drawn[0]))
-            found += [Job("courses", name, *trial) for trial in drawn]
-            spread = drawn[:: max(1, len(drawn) // max(self.map_points, self.restart_poses, 1))]
             found += [Job("closed_form", name, *trial, self.random_starts) for trial in spread[: self.map_points]]
             found += [Job("restarts", name, *trial, self.restarts) for trial in spread[: self.restart_poses]]
         return found
@@ -63,11 +79,28 @@ def study(given: Namespace) -> cli.Results:
     """Plan every trial; the timed part first, before other processes are busy."""
     config = Config.chosen(given, "plan")
     jobs = config.jobs()
+    environment = config.environment(given)
+    work = partial(kept_rows, given.out / "jobs", str(environment["commit"]))
     with cli.steps("plans", len(jobs)) as step:
-        rows = run_parallel(run_job, [job for job in jobs if job.part == "map"], 1, step)
-        rows += run_parallel(run_job, [job for job in jobs if job.part != "map"], config.processes, step)
-    summary, environment = summarise(rows), config.environment(given)
-    return cli.Results(summary, environment, rows, report(summary, rows, environment), tables(summary))
+        each = run_parallel(work, [job for job in jobs if job.part == "map"], 1, step)
+        each += run_parallel(work, [job for job in jobs if job.part != "map"], config.processes, step)
+    rows = [row for found in each for row in found]
+    summary = summarise(rows)
+    shown = tables(summary)
+    return cli.Results(summary, environment, rows, report(summary, rows, environment, shown), shown)
+
+
+def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
+    """The rows of a job: from its file, if it was done before at this commit, or else worked out."""
+    asked = [commit, job.part, job.robot, job.trial.model_dump(mode="json"), job.count, dict(job.loops)]
+    file = folder / f"{hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:24]}.json"
+    if file.exists():
+        found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
+        return found
+    rows = run_job(job)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(file, rows)
+    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -59,7 +59,8 @@ def study(given: Namespace) -> cli.Results:
     with cli.steps("trials", len(jobs)) as step:
         rows = [row for found in run_parallel(run_job, jobs, config.processes, step) for row in found]
     summary, environment = summarise(rows), config.environment(given)
-    return cli.Results(summary, environment, rows, report(summary, rows, environment), tables(summary))
+    shown = tables(summary)
+    return cli.Results(summary, environment, rows, report(summary, rows, environment, shown), shown)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
+import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,6 +49,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
     ahead.add_argument("--margin", type=float, default=0.0, help="that joints keep from their limits [rad]")
     ahead.add_argument("--speed-share", type=float, default=1.0, help="of the joints' speed limits that may be used")
+    ahead.add_argument("--place", choices=("trocar", "base"), help="also search for the place of it that serves best")
+    ahead.add_argument("--box", type=float, default=0.05, help="of the search: half the edge of its cube [m]")
+    ahead.add_argument("--candidates", type=int, default=40, help="of the search")
     ahead.add_argument("--out", type=Path, help="the course goes here (Parquet)")
     ahead.add_argument("--json", action="store_true", help="print JSON")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
@@ -116,12 +120,14 @@ def run_scenario(
 ) -> int:  # fmt: skip
     """Run, summarise against DCAC with the same gains, print, save."""
     from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.run_table import part, refusals, run_json, run_table, warnings
+    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
     from moc_opt.scenario import RunAway, Scenario, Setup
     from moc_opt.trace.metrics import summarize
 
     scenario = Scenario() if path is None else Scenario.load(path)
     title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
+    if "best_courses" not in scenario.model_fields_set:
+        scenario = scenario.change(best_courses=True)
     if seed is not None:
         scenario = scenario.change(seed=seed)
     if robot is not None:
@@ -142,6 +148,8 @@ def run_scenario(
         print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
     for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
         print(f"{title}: {line}", file=sys.stderr)
+    if below_best(trace):
+        print(f"{title}: {below_best(trace)}", file=sys.stderr)
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
         beside = None if trace_to is None else Path(folder, "dcac.parquet")
         baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
@@ -156,18 +164,32 @@ def run_scenario(
 def plan_scenario(given: argparse.Namespace) -> int:
     """Plan, print, and write the course."""
     from moc_opt.report.console import console, print_json
-    from moc_opt.report.plan_table import plan_json, plan_tables
+    from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables
     from moc_opt.scenario import Scenario
+    from moc_opt.scenario.followable import following_warnings
+    from moc_opt.scenario.placement import place
     from moc_opt.scenario.planned import plan, save_course
 
     scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
     title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
-    found = plan(scenario, objective=given.objective, margin_rad=given.margin, speed_share=given.speed_share)
+    asked = {"objective": given.objective, "margin_rad": given.margin, "speed_share": given.speed_share}
+    found = plan(scenario, **asked)
+    began, places = time.perf_counter(), []
+    if given.place is not None:
+        places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)
+    took = time.perf_counter() - began
+    warned = following_warnings(scenario, found)
+    for line in warned:
+        print(f"{title}: warning: {line}", file=sys.stderr)
     if given.json:
-        print_json(plan_json(found))
+        searched = {"places": place_json(places), "place_s": took} if places else {}
+        print_json(plan_json(found) | {"warnings": warned} | searched)
     else:
         screen = console()
-        for table in plan_tables(title, found):
+        shown = plan_tables(title, found)
+        if places:
+            shown.append(place_table(f"Places of the {given.place}", given.candidates, given.box, took, places))
+        for table in shown:
             for piece in table.fitted(screen.width):
                 screen.print(piece)
     if given.out is not None:
@@ -181,7 +203,8 @@ def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -
     from moc_opt.scenario import RunAway, run
 
     try:
-        trace = run(scenario.change(control=scenario.control.matched_dcac(), bound_samples=0), to=to)
+        matched = scenario.control.matched_dcac()
+        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
     except RunAway as error:
         trace = error.trace
     if len(trace) < ticks or "mu" not in trace.columns:

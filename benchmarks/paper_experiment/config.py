@@ -136,7 +136,7 @@ class Config(Configuration):
         controllers = (*BASELINES, *self.solvers)
         jobs = []
         for group in self.groups:
-            for i, (task, trial) in enumerate(trials(self.base(group), self.tasks, drawn)):
+            for i, (task, trial) in enumerate(trials(self.base(group).change(best_courses=True), self.tasks, drawn)):
                 # Which trial is looked at is known only when all have run.
                 keep = i == 0 or self.same_path(group)
                 jobs.append(Job(group, task, trial, controllers, self.settings, keep_traces=keep))

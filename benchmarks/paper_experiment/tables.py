@@ -73,12 +73,20 @@ GOAL = [
 ]
 
 
+SHOWN = (
+    "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", "torque_rate_rms_Nm_per_s",
+    "broke_off", "oscillated",
+)  # fmt: skip
+
+
 def group_table(summary: Summary, group: str, about: str) -> Table:
     """Make the table of a group's controllers: means over the trials with their intervals."""
     columns = [Column("controller", "controller")]
     columns += [Column(key, title, unit=unit) for key, (title, unit, _) in FIGURES.items()]
     columns += [
         Column("mu_fraction_of_bound", "of bound", digits=3, better="high"),
+        Column("mu_fraction_of_best_from_start", "of best from start", digits=3, better="high"),
+        Column("mu_fraction_of_best", "of best", digits=3, better="high"),
         Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", digits=3, better="low"),
         Column("broke_off", "broke off", format="d", better="low", help="stopped or failed; in no mean"),
         Column("oscillated", "oscillated", format="d", better="low", help="a joint shook; in the means"),
@@ -88,7 +96,7 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
         {
             **{
                 name: entries.get(name)
-                for name in ("mu_fraction_of_bound", "torque_rate_rms_Nm_per_s", "broke_off", "oscillated")
+                for name in SHOWN
             },
             "controller": names[controller],
             **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},

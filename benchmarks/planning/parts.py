@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from benchmarks.solver_study.cases import placed
+from moc_opt import scenario
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.planning.course import make_course
@@ -19,7 +22,11 @@ from moc_opt.planning.spherical import spherical
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.planned import plan
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import summarize
 
+ERRORS = ("tip_error_model_mean_mm", "rcm_error_model_mean_mm")
+"""By the robot's own kinematics, from the registered trocar."""
 MAP_SIZE = (1000, 720)
 """Points of the path and swivels of the timed map; there are 8 branches."""
 
@@ -34,6 +41,8 @@ class Job:
     trial: Scenario
     count: int = 0
     """Random starts."""
+    loops: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Name of a closed loop -> what it changes in [control]."""
 
     def row(self) -> dict[str, Any]:
         """What tells its rows from others."""
@@ -41,18 +50,22 @@ class Job:
                 "seed": self.trial.seed, "error": ""}  # fmt: skip
 
 
-def run_job(job: Job) -> dict[str, Any]:
-    """One row; what went wrong with the trial is in its ``error``."""
-    work = {"courses": courses, "closed_form": closed_form, "restarts": restarts, "map": map_time}[job.part]
+def run_job(job: Job) -> list[dict[str, Any]]:
+    """One row, of "courses" one more for each closed loop; what went wrong with the trial is in its ``error``."""
+    work: Callable[[Job], list[dict[str, Any]]] = {
+        "courses": courses, "halving": halving, "closed_form": closed_form, "restarts": restarts, "map": map_time
+    }[job.part]  # fmt: skip
     try:
-        return job.row() | work(job)
+        rows = work(job)
     except MocOptError as error:
-        return job.row() | {"error": f"{type(error).__name__}: {error}"}
+        rows = [{"error": f"{type(error).__name__}: {error}"}]
+    return [job.row() | row for row in rows]
 
 
-def courses(job: Job) -> dict[str, Any]:
-    """Every course from one start, their bounds, and the same search on a grid twice as fine in both directions."""
-    found = plan(job.trial)
+def courses(job: Job) -> list[dict[str, Any]]:
+    """Every course from one start with their bounds, and what closed loops make of the best one."""
+    trial = placed(job.trial)
+    found = plan(trial)
     row: dict[str, Any] = {
         "executable": found.executable, "blocked": "" if found.blocked is None else found.blocked.reason,
         "climbed_whole": found.climbed_whole, "bound_from_start": found.bound_from_start, "bound": found.bound,
@@ -64,23 +77,48 @@ def courses(job: Job) -> dict[str, Any]:
     if best is not None:
         row |= {"best": best.mu_mean, "best_certified": best.certified, "best_violation": best.violation}
     if mine is None or best is None:
-        return row
+        return [row]
     row |= {"from_start": mine.mu_mean, "certified": mine.certified, "violation": mine.violation,
             "start_loss_percent": 100.0 * (1.0 - mine.mu_mean / best.mu_mean),
             "bound_gap_percent": 100.0 * (found.bound_from_start / mine.mu_mean - 1.0),
             "bound_gap_best_percent": 100.0 * (found.bound / best.mu_mean - 1.0)}  # fmt: skip
     if found.climbed_whole:
         row["climb_gap_percent"] = 100.0 * (1.0 - found.climbed.mu_mean / mine.mu_mean)
-    coarse = plan(job.trial, refined=False).from_start
+    return [row, *(loop(trial, name, change, mine.mu_mean, best.mu_mean) for name, change in job.loops.items())]
+
+
+def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
+    """One run of the trial in its plant, against the mean mu of the best courses."""
+    row: dict[str, Any] = {"part": "loop", "loop": name}
+    try:
+        trace = scenario.run(trial.change(control=change, best_courses=False, bound_samples=0, judge=False))
+    except MocOptError as error:
+        return row | {"ended": "failed", "error": f"{type(error).__name__}: {error}"}
+    row["ended"] = str(trace.meta["ended"])
+    if not Ending.of(row["ended"]).whole:
+        return row | {"error": row["ended"]}
+    metrics = summarize(trace)
+    mu = metrics["mu_mean"]
+    return row | {name: metrics[name] for name in ERRORS} | {
+        "mu": mu, "gap_percent": 100.0 * (1.0 - mu / mine), "fraction_of_best": mu / best,
+        "solve_p99_us": metrics.get("solve_p99_us"),
+    }  # fmt: skip
+
+
+def halving(job: Job) -> list[dict[str, Any]]:
+    """What refinement adds to the grid's course, and what a grid twice as fine in both directions does."""
+    found, coarse = plan(job.trial), plan(job.trial, refined=False)
     finer = plan(job.trial, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
-    if coarse is not None:
-        row["refined_percent"] = 100.0 * (mine.mu_mean / coarse.mu_mean - 1.0)
+    row = {}
+    if found.from_start is not None and coarse.from_start is not None:
+        base = coarse.from_start.mu_mean
+        row["refined_percent"] = 100.0 * (found.from_start.mu_mean / base - 1.0)
         if finer is not None:
-            row["halving_percent"] = 100.0 * (finer.mu_mean / coarse.mu_mean - 1.0)
-    return row
+            row["halving_percent"] = 100.0 * (finer.mu_mean / base - 1.0)
+    return [row]
 
 
-def closed_form(job: Job) -> dict[str, Any]:
+def closed_form(job: Job) -> list[dict[str, Any]]:
     """The map's largest mu at the trial's first point, against inverse kinematics from random starts.
 
     Each pose that is found is then climbed along its own self-motion by continuation.
@@ -100,14 +138,14 @@ def closed_form(job: Job) -> dict[str, Any]:
             except RobotError:
                 continue  # singular: no curve leads through it
     top = max(reached, default=float("nan"))
-    return {"starts": job.count, "placed": len(reached), "map_mu": best, "random_mu": top, "above_map": top - best}
+    return [{"starts": job.count, "placed": len(reached), "map_mu": best, "random_mu": top, "above_map": top - best}]
 
 
-def restarts(job: Job) -> dict[str, Any]:
+def restarts(job: Job) -> list[dict[str, Any]]:
     """The nonlinear program begun at courses that are best for a mu distorted at random, against the plan's own."""
     found = plan(job.trial)
     if found.from_start is None:
-        return {}
+        return [{}]
     robot, targets = job.trial.robot.arm(), found.targets
     start = found.from_start.q_rad[0]
     grid = map_of(robot, start, targets)
@@ -124,11 +162,11 @@ def restarts(job: Job) -> dict[str, Any]:
         if other.q_rad is not None:
             values.append(refine(robot, targets, make_course(robot, targets, other.q_rad)).mu_mean)
     own = found.from_start.mu_mean
-    return {"restarts": len(values), "own": own, "above_own_percent": 100.0 * (max(values) / own - 1.0),
-            "as_good": sum(value > own * (1.0 - 1e-4) for value in values)}  # fmt: skip
+    return [{"restarts": len(values), "own": own, "above_own_percent": 100.0 * (max(values) / own - 1.0),
+             "as_good": sum(value > own * (1.0 - 1e-4) for value in values)}]  # fmt: skip
 
 
-def map_time(job: Job) -> dict[str, Any]:
+def map_time(job: Job) -> list[dict[str, Any]]:
     """Time of the whole map of one path on one core: the best of five, after one that compiles."""
     robot = job.trial.robot.arm()
     arm = spherical(robot)
@@ -141,5 +179,5 @@ def map_time(job: Job) -> dict[str, Any]:
         began = time.perf_counter()
         spherical_map(robot, arm, targets, swivels=swivels).feasible()
         spent.append(time.perf_counter() - began)
-    return {"map_s": min(spent[1:]), "map_median_s": float(np.median(spent[1:])), "poses": count * swivels * 8}
+    return [{"map_s": min(spent[1:]), "map_median_s": float(np.median(spent[1:])), "poses": count * swivels * 8}]
 

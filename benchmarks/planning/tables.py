@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.statistics import mean
+from benchmarks.output import close_page
+from benchmarks.planning.goals import GOALS, goal_rows
+from benchmarks.planning.parts import ERRORS
+from benchmarks.statistics import mean, relative_change, spread
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
@@ -15,8 +18,16 @@ Rows = Sequence[Mapping[str, Any]]
 
 MEANS = (
     "from_start", "best", "climbed", "climb_gap_percent", "start_loss_percent", "bound_gap_percent",
-    "bound_gap_best_percent", "refined_percent", "halving_percent", "map_s", "search_s", "refine_s",
+    "bound_gap_best_percent", "refined_percent", "halving_percent", "map_s", "search_s", "refine_s", "scratch_s",
 )  # fmt: skip
+LOOPS = [
+    Column("robot", "robot"), Column("loop", "third level"), Column("runs", "runs", format="d"),
+    Column("broken", "broke off", format="d"), Column("gap", "below best from start", unit="%"),
+    Column("gap_percent_max", "at worst", unit="%", format=".1f"),
+    Column("gap_over_5", "over 5 %", format="d"), Column("fraction_of_best", "of best over all", format=".3f"),
+    Column("tip", "tip", unit="mm", format=".3f"), Column("rcm", "RCM", unit="mm", format=".3f"),
+    Column("tip_change", "tip, to local", unit="%"), Column("rcm_change", "RCM, to local", unit="%"),
+]  # fmt: skip
 COURSES = [
     Column("robot", "robot"), Column("trials", "trials", format="d"),
     Column("executable", "can be executed", format="d"), Column("climbed_whole", "climb arrives", format="d"),
@@ -55,20 +66,48 @@ RESTARTS = [
 
 def summarise(rows: Rows) -> dict[str, Any]:
     """part -> robot (or "robot, trial") -> figures; trials that failed are counted."""
-    summary: dict[str, Any] = {"courses": {}, "closed_form": {}, "restarts": {}, "map": {}}
+    summary: dict[str, Any] = {"courses": {}, "loops": {}, "closed_form": {}, "restarts": {}, "map": {}}
     for robot in dict.fromkeys(row["robot"] for row in rows):
         mine = [row for row in rows if row["robot"] == robot]
-        summary["courses"][robot] = _courses([row for row in mine if row["part"] == "courses"])
+        planned = [row for row in mine if row["part"] in ("courses", "halving")]
+        summary["courses"][robot] = _courses(planned)
+        runs = [row for row in mine if row["part"] == "loop"]
+        names = dict.fromkeys(row["loop"] for row in runs)
+        summary["loops"][robot] = {name: _loop(runs, name) for name in names}
         for row in mine:
             if row["part"] in ("closed_form", "restarts", "map"):
                 about = ("part", "robot", "task", "trial", "seed")
                 name = robot if row["part"] == "map" else f"{robot}, {row['trial']}"
                 summary[row["part"]][name] = {key: value for key, value in row.items() if key not in about}
+    summary["goals"] = goal_rows(summary)
     return summary
 
 
+def _loop(runs: Rows, name: str) -> dict[str, Any]:
+    """Means over the whole runs of one third level; changes against "local" on the trials that both ended."""
+    mine = {row["trial"]: row for row in runs if row["loop"] == name}
+    whole = {trial: row for trial, row in mine.items() if not row["error"]}
+    found: dict[str, Any] = {"runs": len(mine), "broken": len(mine) - len(whole)}
+    if not whole:
+        return found
+    gaps = [row["gap_percent"] for row in whole.values()]
+    found |= mean(gaps).entries("gap_percent")
+    found |= {"gap_percent_max": max(gaps), "gap_over_5": sum(gap > 5.0 for gap in gaps)}
+    for key in ("fraction_of_best", *ERRORS):
+        found |= mean([row[key] for row in whole.values()]).entries(key)
+    found["solve_p99_us"] = max((row["solve_p99_us"] or 0.0 for row in whole.values()), default=None)
+    base = {row["trial"]: row for row in runs if row["loop"] == "local" and not row["error"]}
+    both = [trial for trial in whole if trial in base]
+    for key in ERRORS if both and name != "local" else ():
+        change = relative_change([whole[trial][key] for trial in both], [base[trial][key] for trial in both])
+        found |= change.entries(f"{key}_change_percent")
+    return found
+
+
 def _courses(rows: Rows) -> dict[str, Any]:
-    found: dict[str, Any] = {"trials": len(rows), "failed": sum(bool(row["error"]) for row in rows)}
+    trials = [row for row in rows if row["part"] == "courses"]
+    found: dict[str, Any] = {"trials": len(trials), "failed": sum(bool(row["error"]) for row in trials)}
+    rows = [{**row, **({"scratch_s": row["map_s"] + row["search_s"]} if "map_s" in row else {})} for row in rows]
     for name in ("executable", "climbed_whole", "certified"):
         found[name] = sum(bool(row.get(name)) for row in rows)
     for name in MEANS:
@@ -88,6 +127,17 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
         Table("Courses along the path, means over the trials", COURSES, by_robot),
         Table("How sure they are", TRUST, by_robot),
     ]
+    loops = [
+        {
+            "robot": robot, "loop": name, **figures, "gap": spread(figures, "gap_percent"),
+            **{short: figures.get(key) for short, key in zip(("tip", "rcm"), ERRORS, strict=True)},
+            **{f"{short}_change": spread(figures, f"{key}_change_percent", 2)
+               for short, key in zip(("tip", "rcm"), ERRORS, strict=True)},
+        } for robot, by in summary["loops"].items() for name, figures in by.items()
+    ]  # fmt: skip
+    if loops:
+        made.insert(0, Table("In the loop, means over the whole runs with 95 % intervals", LOOPS, loops))
+        made.insert(0, Table("Goals", GOALS, summary["goals"], "Met: the unfavourable end of the interval meets it."))
     for part, title, columns in (
         ("closed_form", "The map's largest mu against random inverse kinematics", CLOSED_FORM),
         ("restarts", "The nonlinear program begun elsewhere", RESTARTS),
@@ -104,8 +154,10 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
     return made
 
 
-def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any]) -> Page:
-    """One page that opens by itself."""
+def report(
+    summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any], shown: Sequence[Table]
+) -> Page:
+    """One page of these tables that opens by itself."""
     page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
     page.headline(headline(summary))
     page.section("How to read this")
@@ -114,22 +166,14 @@ def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any
         "along the path is nearly singular, within 0.05 rad of a limit or below the base, or where kinematics alone "
         "cannot follow the task. Best from start and best over all starts are means of mu over the whole run, rests "
         "included, within joint limits and joint speeds. The climb follows the gradient of mu as fast as the joints "
-        "can. The bound holds for every course; times are from scratch, with as many processes as configured."
+        "can. In the loop the realistic plant is run at the configured settings, and its mean mu is compared with the "
+        "best course from the same start; tip and RCM errors are by the robot's own kinematics, from the registered "
+        "trocar. The bound holds for every course; times are from scratch, with as many processes as configured."
     )
     page.section("Results")
-    for table in tables(summary):
+    for table in shown:
         page.table(table)
-    failed = [row for row in rows if row["error"]]
-    if failed:
-        page.section("Trials that failed")
-        columns = [Column("robot", "robot"), Column("trial", "trial"), Column("part", "part"), Column("error", "error")]
-        page.table(Table("Errors", columns, failed))
-    page.section("Made by")
-    machine = environment["machine"]
-    page.text(
-        f"`python -m benchmarks.plan`, seed {environment['seed']}, commit {environment['commit']}, {machine['cores']} "
-        f"cores, {machine['processor']}, load {machine['load_1min']:.1f}."
-    )
+    close_page(page, "plan", environment, rows, ("robot", "trial", "part"))
     return page
 
 

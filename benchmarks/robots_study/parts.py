@@ -18,7 +18,8 @@ from moc_opt.trace.metrics import summarize
 from moc_opt.trace.trace import Trace
 
 METRICS = (
-    "mu_mean", "mu_fraction_of_bound", "tip_error_mean_mm", "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
+    "mu_mean", "mu_fraction_of_bound", "mu_fraction_of_best_from_start", "mu_fraction_of_best", "tip_error_mean_mm",
+    "rcm_error_mean_mm", "rcm_error_registered_mean_mm",
     "trocar_force_mean_N", "torque_rate_rms_Nm_per_s", "verified_solved", "claimed_solved", "solve_p50_us",
     "solve_p99_us",
 )  # fmt: skip
@@ -39,7 +40,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
     """Rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
     about = {"robot": job.robot, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
     try:
-        trial = placed(job.trial)
+        trial = placed(job.trial).change(best_courses=True)
     except MocOptError as error:
         return [about | {"controller": "", "ended": "no start", "error": str(error)}]
     rows: list[dict[str, Any]] = []
@@ -59,6 +60,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
             traces[controller] = trace
             found = summarize(trace)
             row |= {name: found[name] for name in METRICS if name in found}
+            row["no_best_course"] = trace.meta["best_courses"]["absent"]
             if "status" in trace.columns and controller not in BASELINES:
                 row["infeasible_ticks"] = int(np.count_nonzero(trace.columns["status"] == "infeasible"))
         rows.append(row)

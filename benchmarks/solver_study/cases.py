@@ -15,7 +15,9 @@ def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[s
     """Make one scenario per task and seed; the seed draws the starting pose and swivel, the mismatch and the noise."""
     start = {"pose": "random", "swivel": "random"}
     return {
-        f"{task}/{seed}": placed(base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start))
+        f"{task}/{seed}": placed(
+            base.change(name=f"{task}/{seed}", seed=seed, task={"path": task}, start=start)
+        ).change(best_courses=True)
         for task in tasks
         for seed in seeds
     }

@@ -74,6 +74,8 @@ CLOSED = [
     count("runs", "trials", text="each from a pose of its own, drawn by its seed"),
     Column("mu_mean", "mu", format=".4f", better="high"),
     Column("mu_fraction_of_bound", "of bound", better="high", help="of the largest mu on the self-motion"),
+    Column("mu_fraction_of_best_from_start", "of best from start", better="high", help="of the best course from there"),
+    Column("mu_fraction_of_best", "of best", better="high", help="of the best course from any swivel and branch"),
     Column("mu_gain_interval", "gain", unit="%", help="of the mean over DCAC's, with its 95 % interval"),
     error("tip_error_model_mean_mm", "tip"),
     error("tip_error_model_max_mm", "tip max"),

@@ -10,6 +10,7 @@ from numba import float64
 from numpy.typing import NDArray
 
 from moc_opt.control import tick
+from moc_opt.control.climb import ScaledClimb
 from moc_opt.control.guide import Guide
 from moc_opt.control.law import law_of
 from moc_opt.control.null_space import follow_null_space, null_space
@@ -69,6 +70,8 @@ class Controller:
             )
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = law_of(settings, robot)
+        if guide is None and settings.climb == "scaled" and (settings.law, settings.third_level) == ("moc", "local"):
+            guide = ScaledClimb(robot)
         self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
         if guide is not None:
             settings.check_guided()

@@ -140,6 +140,9 @@ class ControlSettings(Settings):
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(
         default=20.0, description="under receding: solves in a second"
     )
+    climb: Literal["gradient", "scaled"] = Field(
+        default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
+    )
     c0: NotNegative = 0.01
     c1: NotNegative = 0.01
     c2: NotNegative = 0.001
@@ -217,8 +220,8 @@ class ControlSettings(Settings):
         """
         if not min(self.regularization, self.c2) > 0.0:
             raise ControlError(
-                f"third_level = {self.third_level!r} with c2 = {self.c2:g}, regularization = {self.regularization:g}: "
-                "set both above 0, so that the subproblem has one answer"
+                f"third_level = {self.third_level!r}, climb = {self.climb!r} with c2 = {self.c2:g}, regularization = "
+                f"{self.regularization:g}: set both above 0, so that the subproblem has one answer"
             )
 
     @property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,8 +15,8 @@ Array = NDArray[np.float64]
 def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0) -> Array:
     """Follow the gradient of mu from the start, on the samples of the map.
 
-    In each period the poses of the same branch within the joints' steps are looked at; from the one that asks the
-    least of the joints it goes uphill over neighbouring samples until mu falls, or a limit or the speed ends it.
+    In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
+    goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
 
     Args:
         found: the map.
@@ -25,22 +27,46 @@ def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0
     Returns:
         (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
     """
-    feasible, poses, branch = found.feasible(margin_rad), [np.array(start)], -1
+    feasible, poses = found.feasible(margin_rad), [np.array(start)]
     for k in range(1, len(found.targets)):
-        q, may = found.poses(k), np.array(feasible[k])
-        if branch >= 0:
-            may[np.arange(len(may)) != branch] = False
-        share = np.where(may, (np.abs(q - poses[-1]) / step_rad).max(axis=2), np.inf)
+        q = found.poses(k)
+        share = np.where(feasible[k], (np.abs(q - poses[-1]) / step_rad).max(axis=2), np.inf)
         b, j = (int(i) for i in np.unravel_index(int(np.argmin(share)), share.shape))
         if not share[b, j] <= 1.0:
             break
-        branch, mu, within = b, found.mu[k, b], share[b] <= 1.0
-        count = len(mu)
-        side = 1 if _height(mu, within, j + 1) >= _height(mu, within, j - 1) else -1
-        while _height(mu, within, j + side) > mu[j]:
-            j = (j + side) % count
-        poses.append(q[b, j])
+        poses.append(q[b, _uphill(found.mu[k, b], share[b] <= 1.0, j)[0]])
     return np.array(poses)
+
+
+class Top(NamedTuple):
+    """Where the way up from a pose ends."""
+
+    mu: float
+    """[m^3]"""
+    q_rad: Array
+    """(n,)"""
+    at_limit: bool
+    """Whether mu rises on, beyond a joint limit or the end of the known poses."""
+
+
+def top_of(found: PoseMap, q: Array) -> Top | None:
+    """Climb mu from the map's last pose next to q (n,), joint speeds aside; None where none is feasible then."""
+    poses, may = found.poses(-1), found.feasible()[-1]
+    if not may.any():
+        return None
+    away = np.where(may, np.abs(poses - q).sum(axis=2), np.inf)
+    b, j = (int(i) for i in np.unravel_index(int(np.argmin(away)), away.shape))
+    mu = found.mu[-1, b]
+    top, side = _uphill(mu, may[b], j)
+    return Top(float(mu[top]), poses[b, top], bool(mu[(top + side) % len(mu)] > mu[top]))
+
+
+def _uphill(mu: Array, within: NDArray[np.bool_], j: int) -> tuple[int, int]:
+    """The sample at which the climb from sample j ends, and the side, 1 or -1, to which it went."""
+    side = 1 if _height(mu, within, j + 1) >= _height(mu, within, j - 1) else -1
+    while _height(mu, within, j + side) > mu[j]:
+        j = (j + side) % len(mu)
+    return j, side
 
 
 def _height(mu: Array, within: NDArray[np.bool_], j: int) -> float:

@@ -44,6 +44,10 @@ class PoseMap:
         """The poses (b,m,n) [rad] at time k; NaN where there is none."""
         raise NotImplementedError
 
+    def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
+        """(m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
+        return np.zeros(self.mu.shape[2], dtype=np.int64)
+
     def feasible(self, margin_rad: float = 0.0) -> Flags:
         """(k,b,m) whether every joint keeps the margin from its limits."""
         found: Flags = self.room_rad >= margin_rad - ROUNDING_RAD
@@ -78,6 +82,12 @@ class SphericalMap(PoseMap):
         kernels.fill_poses(self.arm.offset, self.arm.middle, angles, found)
         found[..., 6] = np.where(np.isnan(angles[:, 0]), np.nan, self.idle_rad)
         return found
+
+    def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
+        """(m,) bits of joints 2, 4 and 6 that stand within two steps of zero or half a turn: there they change sign."""
+        with np.errstate(invalid="ignore"):
+            near = np.abs(np.sin(self.angles[k][:, 1::2])) <= np.sin(np.minimum(2.0 * step_rad[1:6:2], 0.5 * np.pi))
+        return near @ np.array([1, 2, 4])
 
     def at(self, k: int, swivel_rad: float, branch: int) -> Array:
         """The pose (7,) at one time, swivel [rad] and branch, between the map's swivels too."""

@@ -2,7 +2,7 @@
 
 At time k the value of a pose is the best of the values of the poses from which it can be reached in one period, plus
 (mean mu, mean log mu) or at most (worst mu) its own: V_k(p) = g_k(p) + max V_{k-1}(p'), |q - q'| <= v_max dt for every
-joint. A course keeps its branch: another one is reached through a singular pose only.
+joint. From a singular pose a course may go on in another branch: the joints tell which is next to it.
 
 The bound searches the same map made generous: every pose stands for the half cell around it, so it is allowed where a
 neighbour is, as good as the best nearby, and its joints get half a cell more of way. Any course whose poses lie on the
@@ -88,7 +88,7 @@ def search(
         slack = _slack(q, generous)
         advance(
             before, slack_before, value_before, q, slack, np.ascontiguousarray(gain[k]), step_rad,
-            int(found.window[k]), worst, value, back[k],
+            int(found.window[k]), found.crossing(k, step_rad), worst, value, back[k],
         )  # fmt: skip
         if not np.isfinite(value).any():
             return Search(-np.inf, k, None, last)
@@ -108,7 +108,7 @@ def _course(found: PoseMap, back: NDArray[np.int32], b: int, j: int, start: Arra
     poses = []
     for k in range(len(back) - 1, 0, -1):
         poses.append(found.poses(k)[b, j])
-        j = int(back[k, b, j])
+        b, j = divmod(int(back[k, b, j]), back.shape[2] if k > 1 or start is None else 1)
     poses.append(found.poses(0)[b, j] if start is None else start)
     return np.array(poses[::-1])
 

@@ -15,12 +15,12 @@ Array = NDArray[np.float64]
 @njit(cache=True)
 def advance(
     q_before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array,
-    step: Array, window: int, worst: bool, value: Array, back: NDArray[np.int32],
+    step: Array, window: int, crossing: NDArray[np.int64], worst: bool, value: Array, back: NDArray[np.int32],
 ) -> None:
-    """Fill value (b,m) and back (b,m), the index of the pose before it (-1: it cannot be reached), at one time.
+    """Fill value (b,m) and back (b,m): where the pose before it stands, flat in (b,m0); -1: it cannot be reached.
 
-    A pose is reached from one of its own branch, at most ``window`` swivels beside it, if no joint turns by more than
-    its step between them, the slack of both poses added.
+    A pose is reached from one at most ``window`` swivels beside it, if no joint turns by more than its step between
+    them, the slack of both poses added; from its own branch, or from one next to it near a singular pose.
 
     Args:
         q_before: (b,m0,n) poses of the time before [rad], NaN where there is none.
@@ -29,6 +29,7 @@ def advance(
         q, slack: (b,m,n); gain: (b,m) what the pose adds; -inf: forbidden.
         step: (n,) most that a joint turns in one period [rad].
         window: in swivels, around the circle.
+        crossing: (m,) bits of the branch's number that may be others at the time before.
         worst: the value is the least gain on the way, in place of their sum.
     """  # fmt: skip
     branches, m, n = q.shape
@@ -42,18 +43,24 @@ def advance(
             if gain[b, j] == -math.inf:
                 continue
             best, at = -math.inf, -1
-            for i in range(count):
-                j0 = (j + first + i) % m0
-                if not value_before[b, j0] > best:
-                    continue
-                near = True
-                for a in range(n):
-                    away = abs(q[b, j, a] - q_before[b, j0, a])
-                    if not away <= step[a] + slack[b, j, a] + slack_before[b, j0, a]:
-                        near = False
-                        break
-                if near:
-                    best, at = value_before[b, j0], j0
+            flips = crossing[j]
+            while True:  # over all subsets of the bits, the empty one last
+                b0 = b ^ flips
+                for i in range(count):
+                    j0 = (j + first + i) % m0
+                    if not value_before[b0, j0] > best:
+                        continue
+                    near = True
+                    for a in range(n):
+                        away = abs(q[b, j, a] - q_before[b0, j0, a])
+                        if not away <= step[a] + slack[b, j, a] + slack_before[b0, j0, a]:
+                            near = False
+                            break
+                    if near:
+                        best, at = value_before[b0, j0], b0 * m0 + j0
+                if flips == 0:
+                    break
+                flips = (flips - 1) & crossing[j]
             if at >= 0:
                 back[b, j] = at
                 value[b, j] = min(best, gain[b, j]) if worst else best + gain[b, j]

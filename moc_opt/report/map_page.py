@@ -22,8 +22,10 @@ from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.notation import Missing
 from moc_opt.report.page import Page
+from moc_opt.report.run_table import below_best
 from moc_opt.report.runs import load_runs
 from moc_opt.report.tables import Column, Table
+from moc_opt.trace.trace import Trace
 
 MOST_LINES = 8
 COLUMNS = (
@@ -199,8 +201,21 @@ def load_map(files: Sequence[str | os.PathLike[str]]) -> Page:
     """
     traces, robot = load_runs(files)
     page = Page("Manipulability along the path", " and ".join(traces))
-    add_map(page, manipulability_map(robot, traces))
+    for name, sentence in ((name, below_best(trace)) for name, trace in traces.items()):
+        if sentence:
+            page.text(f"{name}: {sentence}.")
+    add_map(page, manipulability_map(robot, {**traces, **best_courses(traces)}))
     return page
+
+
+def best_courses(traces: Mapping[str, Trace]) -> dict[str, Trace]:
+    """Return the best courses that the traces hold as trajectories of their own, one for each start."""
+    found: dict[str, Trace] = {}
+    for name, trace in traces.items():
+        course = trace.columns.get("q_best_from_start_rad")
+        if course is not None and not any(np.array_equal(course[0], other.q_rad[0]) for other in found.values()):
+            found[f"best course from the start of {name}"] = trace.with_columns(q_rad=course)
+    return found
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from moc_opt.report.tables import Column, Table
 
 if TYPE_CHECKING:
+    from moc_opt.planning.placement import Placement
     from moc_opt.planning.plan import Plan
 
 VERDICT = [Column("what", "plan"), Column("value", "value")]
@@ -19,6 +21,11 @@ COURSES = [
     Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]
+PLACES = [
+    Column("shift", "moved by", unit="mm"), Column("depth_mm", "tip below trocar", unit="mm", format=".0f"),
+    Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
+    Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
+]  # fmt: skip
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -61,6 +68,31 @@ def plan_tables(name: str, plan: Plan) -> list[Table]:
         Table(f"Plan of {name}", VERDICT, rows),
         Table(f"Courses, best in {_unit(plan)}", COURSES, _courses(plan)),
     ]
+
+
+def place_json(places: Sequence[Placement]) -> list[dict[str, Any]]:
+    """Return the places, the best first, with the start pose that each one's course begins at."""
+    return [
+        {
+            "shift_mm": [1e3 * x for x in found.shift_m], "depth_m": found.depth_m,
+            "mu_mean": None if found.course is None else found.course.mu_mean,
+            "mu_worst": None if found.course is None else found.course.value("worst"),
+            "q_rad": None if found.course is None else found.course.q_rad[0].tolist(),
+        } for found in places
+    ]  # fmt: skip
+
+
+def place_table(title: str, candidates: int, box_m: float, took_s: float, places: Sequence[Placement]) -> Table:
+    """Make the table of the places, the best first; the pose that serves the first one stands below."""
+    rows = []
+    for found, row in zip(places, place_json(places), strict=True):
+        x, y, z = row["shift_mm"]
+        here = " (as it is)" if not any(found.shift_m) else ""
+        rows.append({**row, "shift": f"{x:+.0f}, {y:+.0f}, {z:+.0f}{here}", "depth_mm": 1e3 * found.depth_m})
+    first = rows[0]["q_rad"]
+    told = "" if first is None else f" The first: [trocar] depth_m = {rows[0]['depth_m']:.6f}, [start] q_rad = {first}"
+    about = f"{candidates} places drawn from a cube of +-{1e3 * box_m:.0f} mm, planned in {took_s:.0f} s."
+    return Table(title, PLACES, rows, about + told)
 
 
 def _unit(plan: Plan) -> str:

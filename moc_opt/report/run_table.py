@@ -30,6 +30,33 @@ def warnings(trace: Trace) -> list[str]:
     ]
 
 
+NEAR = 0.02
+"""A run whose mean or final mu is at most this fraction below the best course is not spoken of."""
+
+
+def below_best(trace: Trace) -> str:
+    """Return a sentence on a run that stays below the best course from its start: by how much, and what holds it."""
+    told = trace.meta.get("best_courses", {})
+    if told.get("absent"):
+        return f"not compared with a best course: {told['absent']}"
+    if "mu_best_from_start" not in trace.columns:
+        return ""
+    below = 1.0 - float(trace.mu.mean()) / float(trace.mu_best_from_start.mean())
+    if not below > NEAR:
+        return ""
+    said, end = f"mean mu is {100.0 * below:.1f} % below the best course from this start", told.get("end")
+    control = trace.meta.get("scenario", {}).get("control", {})
+    if end is None or (control.get("law"), control.get("third_level")) != ("moc", "local"):
+        return said
+    there = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m^3)"
+    top = f"{end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m^3)"
+    if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
+        return f"{said}; in the end the local law is on its hump of mu, so the loss lies on the way there"
+    if end["at_limit"]:
+        return f"the local law is held by a joint limit: {said}; the way up ends at arm angle {top}, the course {there}"
+    return f"the local law is trapped: {said}; it ends on the hump at arm angle {top}, the course on the other {there}"
+
+
 def refusals(trace: Trace) -> list[str]:
     """Return a sentence on each kind of answer that the supervisor refused."""
     return [

@@ -144,6 +144,10 @@ class Scenario(Settings):
     bound_samples: int = Field(
         default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
     )
+    best_courses: bool = Field(
+        default=False,
+        description="plan the path's best courses after the run, which mu is then compared with; a second or more",
+    )
 
     @field_validator("control", mode="before")
     @classmethod

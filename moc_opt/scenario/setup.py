@@ -24,6 +24,7 @@ from moc_opt.scenario.guided import guides
 from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
 from moc_opt.scenario.parts import make_safety_filter, make_solver, make_stop, recorded_times
 from moc_opt.scenario.rows import Timed, check_room
+from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.closed_loop import ClosedLoop
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.log import Sink, TaskOffset
@@ -175,7 +176,8 @@ class Setup:
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        return trace.with_columns(mu_bound=self._largest_mu(trace))
+        best, told = self._best(trace)
+        return trace.with_columns(mu_bound=self._largest_mu(trace), **best).with_meta(**told)
 
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
@@ -218,7 +220,8 @@ class Setup:
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
             run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
-            writer.finish(run.meta, {"mu_bound": self._largest_mu(run)})
+            best, told = self._best(run)
+            writer.finish({**run.meta, **told}, {"mu_bound": self._largest_mu(run), **best})
         trace = Trace.open(to)
         if broken is not None:
             raise RunAway(str(broken), trace) from broken
@@ -233,6 +236,9 @@ class Setup:
         found |= model_errors(columns, self.robot, self.plant, self.offset)
         found["mu"] = self.robot.mu_along(columns["q_rad"])
         return found | (residual_columns(columns) if self.scenario.judge else {})
+
+    def _best(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        return against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
 
     def _largest_mu(self, trace: Trace) -> Array:
         return largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)

@@ -61,6 +61,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
         "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
         "mu_bound": Column("m^3", "(N,)", "largest mu on the feasible self-motion; NaN: not scanned"),
+        "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
+        "mu_best": Column("m^3", "(N,)", "mu along the best course over all swivels and branches at the start"),
+        "q_best_from_start_rad": Column("rad", "(N, n)", "the best course from the start of the run"),
     }
 )  # fmt: skip
 """Name -> unit, shape and meaning of every column that the package itself writes or reads."""

@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks import plan
 from benchmarks.output import default_config
+from benchmarks.planning.goals import goal_rows
 from benchmarks.planning.tables import summarise
 
 TINY = """
@@ -22,6 +23,13 @@ map_points = 1
 random_starts = 10
 restart_poses = 1
 restarts = 2
+halvings = 1
+[loops]
+local = { third_level = "local" }
+planned = { third_level = "planned" }
+[scenario]
+start = { pose = "random" }
+duration_s = 2.0
 """
 
 
@@ -41,8 +49,10 @@ def test_all_files_are_there_and_every_part_has_its_rows(results: Path) -> None:
     assert {"summary.json", "rows.parquet", "environment.json", "report.html"} <= {f.name for f in results.iterdir()}
     rows = rows_of(results)
     parts = [row["part"] for row in rows]
-    assert {part: parts.count(part) for part in parts} == {"map": 1, "courses": 2, "closed_form": 1, "restarts": 1}
-    assert not any(row["error"] for row in rows)
+    expected = {"map": 1, "courses": 2, "loop": 4, "halving": 1, "closed_form": 1, "restarts": 1}
+    assert {part: parts.count(part) for part in parts} == expected
+    assert not any(row["error"] for row in rows if row["part"] != "loop")
+    assert sum(not row["error"] for row in rows if row["part"] == "loop") >= 3
 
 
 def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(results: Path) -> None:
@@ -50,8 +60,13 @@ def test_courses_are_in_order_and_nothing_beats_map_plan_or_bound(results: Path)
         if row["part"] == "courses":
             assert row["climbed"] <= row["from_start"] <= row["bound_from_start"]
             assert row["from_start"] <= row["best"] <= row["bound"]
-            assert abs(row["halving_percent"]) < 0.5
             assert row["violation"] < 1e-8
+        if row["part"] == "halving":
+            assert abs(row["halving_percent"]) < 0.5
+        if row["part"] == "loop" and not row["error"]:
+            (course,) = [r for r in rows_of(results) if r["part"] == "courses" and r["trial"] == row["trial"]]
+            assert row["gap_percent"] == pytest.approx(100.0 * (1.0 - row["mu"] / course["from_start"]))
+            assert -0.5 < row["gap_percent"] < 50.0
         if row["part"] == "closed_form":
             assert row["placed"] > 0
             assert row["above_map"] < 1e-6
@@ -72,8 +87,31 @@ def test_the_summary_follows_from_the_rows(results: Path) -> None:
 def test_the_configuration_that_ships_is_the_default() -> None:
     shipped = plan.Config.load(default_config("plan"))
     assert shipped == plan.Config()
-    assert len([job for job in shipped.jobs() if job.part == "courses"]) == 120
-    assert len(plan.Config().quick().jobs()) == 10
+    assert len([job for job in shipped.jobs() if job.part == "courses"]) == 180
+    assert not [job for job in shipped.jobs() if job.robot == "panda" and job.part in ("map", "closed_form")]
+    assert len(plan.Config().quick().jobs()) == 12
+
+
+def test_a_job_that_was_done_is_not_done_again(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    commit = json.loads((results / "environment.json").read_text())["commit"]
+    (job,) = [job for job in plan.Config.load(results.parent / "tiny.toml").model_copy(update={"seed": 3}).jobs()
+              if job.part == "map"]  # fmt: skip
+    monkeypatch.setattr(plan, "run_job", lambda job: [{"done": "again"}])
+    (kept,) = plan.kept_rows(results / "jobs", str(commit), job)
+    assert kept["map_s"] in [row["map_s"] for row in rows_of(results) if row["part"] == "map"]
+    assert plan.kept_rows(results / "jobs", "another commit", job) == [{"done": "again"}]
+
+
+@pytest.mark.parametrize(
+    ("gap", "verdict"),
+    [((0.3, 0.2, 0.45), "met"), ((0.45, 0.3, 0.6), "open"), ((0.9, 0.6, 1.2), "missed"), (None, "not measured")],
+)
+def test_a_goal_is_judged_by_the_end_of_its_interval(gap: tuple[float, float, float] | None, verdict: str) -> None:
+    value = {} if gap is None else dict(zip(("gap_percent", "gap_percent_low", "gap_percent_high"), gap, strict=True))
+    summary = {"courses": {"arm": {}}, "loops": {"arm": {"planned": value}}, "closed_form": {}}
+    (row,) = [row for row in goal_rows(summary) if row["goal"].startswith("planned: mean gap")]
+    assert row["verdict"] == verdict
+    assert {row["verdict"] for row in goal_rows(summary) if row is not None} <= {verdict, "not measured"}
 
 
 def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,6 +47,7 @@ def test_all_files_are_there_and_every_run_is_a_row(results: Path) -> None:
         gain = 100.0 * (mine["mu_mean"] / base["mu_mean"] - 1.0)
         assert summary["robots"][robot]["exact"]["mu_gain_percent"] == pytest.approx(gain)
         assert set(summary["findings"][robot]) == set(FINDINGS)
+        assert ("freedoms" in mine["no_best_course"]) == (mine["mu_fraction_of_best"] is None) == (robot == "lwr4_rail")
 
 
 def test_the_default_configuration_has_every_arm() -> None:

@@ -217,7 +217,8 @@ def test_an_arm_with_two_freedoms_is_refused_where_the_null_space_is_used(odd_ro
 
 
 def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) -> None:
-    unknown = set(ControlSettings.model_fields) - OBEYED - {"third_level", "horizon_s", "replan_per_s"}  # refused below
+    refused = {"third_level", "horizon_s", "replan_per_s", "climb"}  # below
+    unknown = set(ControlSettings.model_fields) - OBEYED - refused
     assert not unknown, f"teach moc_opt.embedded about {unknown}, or refuse it in support.py and say so here"
 
     class Later(ControlSettings):
@@ -226,6 +227,8 @@ def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) ->
     build_tick(TickSpec(robot, Later(), Exact(), PERIOD))
     with pytest.raises(ControlError, match=r"third_level = 'planned' is not known"):
         build_tick(TickSpec(robot, ControlSettings(third_level="planned"), Exact(), PERIOD))
+    with pytest.raises(ControlError, match=r"climb = 'scaled' is not known"):
+        build_tick(TickSpec(robot, ControlSettings(climb="scaled"), Exact(), PERIOD))
     with pytest.raises(ControlError, match=r"sharpness = 2.0 is not known"):
         build_tick(TickSpec(robot, Later(sharpness=2.0), Exact(), PERIOD))
 

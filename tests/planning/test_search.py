@@ -13,7 +13,7 @@ from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
 from moc_opt.planning.pose_map import PoseMap, SphericalMap, spherical_map
 from moc_opt.planning.search import search
-from moc_opt.planning.spherical import spherical
+from moc_opt.planning.spherical import branch_of, spherical
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.tasks import Reference, Trocar, make_path
 from tests.conftest import Array
@@ -184,6 +184,29 @@ def test_the_climb_is_a_course_and_no_better_than_the_best(robot: RobotModel) ->
             # where the path rests (0.2 s) it only goes uphill
             assert (np.diff(climbed.mu[: int(0.2 / found.targets.period_s)]) >= -1e-12).all()
     assert seen > 2
+
+
+@pytest.mark.parametrize("joint", [1, 5])
+def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: RobotModel, joint: int) -> None:
+    """The targets are those of a joint turning through zero: that motion itself is a course."""
+    arm = spherical(robot)
+    assert arm is not None
+    t = 0.025 * np.arange(41)
+    way = np.tile(np.array([0.3, 0.5, -0.4, 1.2, 0.5, -0.7, 0.0]), (41, 1))
+    way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
+    tips, wrists = robot.tool_along(way)
+    targets = Targets(t, tips, wrists, np.linalg.norm(tips - tips[0], axis=1))
+    found = spherical_map(robot, arm, targets, swivels=720)
+    start, step = (way[0], float(robot.state(way[0]).mu)), robot.v_max * 0.025
+    answer, climbed = search(found, step, start=start), climb(found, step, way[0])
+    course = course_of(robot, found, answer.q_rad)
+    assert course.violation < 1e-12
+    assert course_of(robot, found, climbed).violation < 1e-12
+    if joint == 1:  # the other one gains by going round
+        assert branch_of(arm, course.q_rad[0]) != branch_of(arm, course.q_rad[-1])
+    assert course.mu_mean > 0.995 * make_course(robot, targets, way).mu_mean
+    bound = search(found, step, start=start, generous=True)
+    assert make_course(robot, targets, way).mu_mean <= bound.value
 
 
 def test_a_path_that_leaves_the_reach_is_blocked_there(robot: RobotModel) -> None:

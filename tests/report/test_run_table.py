@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.report.console import print_json
-from moc_opt.report.run_table import part, run_json, run_table, warnings
+from moc_opt.report.run_table import below_best, part, run_json, run_table, warnings
 from moc_opt.trace.trace import Trace
 
 WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
@@ -36,6 +36,35 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     whole = run_table("slip", trace(), metrics)
     assert [row["metric"] for row in whole.rows] == ["ended", *metrics]
     assert warnings(trace()) == []
+
+
+END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3, "best_swivel_deg": -103.0, "mu": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("mu", "end", "third_level", "said"),
+    [
+        (0.295, {}, "local", ""),
+        (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends on the hump at "
+         "arm angle 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
+        (0.24, {"at_limit": True}, "local", "held by a joint limit"),
+        (0.24, {"top_mu": 0.298}, "local", "on its hump of mu"),
+        (0.24, {}, "planned", "20.0 % below"),
+    ],
+)  # fmt: skip
+def test_what_holds_a_run_below_its_best_course_is_said(mu, end, third_level, said):
+    run = trace(
+        best_courses={"absent": "", "end": {**END, **end}},
+        scenario={"control": {"law": "moc", "third_level": third_level}},
+    ).with_columns(mu=[mu] * 4, mu_best_from_start=[0.3] * 4)
+    assert said in below_best(run)
+    assert bool(said) == bool(below_best(run))
+    assert ("the local law" in below_best(run)) == (bool(said) and third_level == "local")
+
+
+def test_why_there_is_no_best_course_is_said():
+    assert "three freedoms" in below_best(trace(best_courses={"absent": "three freedoms"}))
+    assert below_best(trace()) == ""
 
 
 @pytest.mark.parametrize(("raised", "most"), [(1, False), (2, False), (3, True)])

@@ -28,6 +28,8 @@ def run(**changed: object) -> Trace:
         "v_rad_per_s": [[0.0, 0.0], [0.0, 2.0], [0.0, 0.0], [0.0, 2.0]],
         "mu": [0.1, 0.2, 0.3, 0.4],
         "mu_bound": [0.2, NAN, 0.4, NAN],
+        "mu_best_from_start": [0.1, 0.4, 0.5, 0.6],
+        "mu_best": [0.5, 0.5, 0.5, 0.5],
         "tip_error_m": [0.001, 0.003, 0.001, 0.003],
         "tip_error_registered_m": [0.0, 0.001, 0.002, 0.003],
         "tip_error_model_m": [0.0, 0.0, 0.0, 0.001],
@@ -72,6 +74,8 @@ def test_every_metric_by_hand() -> None:
         "mu_final": 0.4,
         "mu_gain_percent": 25.0,
         "mu_fraction_of_bound": 0.2 / 0.3,
+        "mu_fraction_of_best_from_start": 0.25 / 0.4,
+        "mu_fraction_of_best": 0.5,
         "tip_error_mean_mm": 2.0,
         "tip_error_max_mm": 3.0,
         "tip_error_registered_mean_mm": 1.5,
@@ -113,7 +117,12 @@ def test_every_metric_by_hand() -> None:
 @pytest.mark.parametrize(
     ("column", "gone"),
     [
-        ("mu", "mu_mean mu_final mu_gain_percent mu_fraction_of_bound"),
+        (
+            "mu",
+            "mu_mean mu_final mu_gain_percent mu_fraction_of_bound mu_fraction_of_best_from_start mu_fraction_of_best",
+        ),
+        ("mu_best_from_start", "mu_fraction_of_best_from_start"),
+        ("mu_best", "mu_fraction_of_best"),
         ("mu_bound", "mu_fraction_of_bound"),
         ("tip_error_m", "tip_error_mean_mm tip_error_max_mm"),
         ("tip_error_registered_m", "tip_error_registered_mean_mm tip_error_registered_max_mm"),

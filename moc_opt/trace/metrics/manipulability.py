@@ -36,3 +36,15 @@ def mu_fraction_of_bound(trace: Trace) -> float:
     """Mean manipulability over that of the largest on the feasible self-motion, where scanned."""
     bound = float(known(trace, "mu_bound").mean())
     return float(floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
+
+
+@metric
+def mu_fraction_of_best_from_start(trace: Trace) -> float:
+    """Mean manipulability over that of the best course from the same start, where planned."""
+    return mu_mean(trace) / known(trace, "mu_best_from_start").mean()
+
+
+@metric
+def mu_fraction_of_best(trace: Trace) -> float:
+    """Mean manipulability over that of the best course from any swivel and branch, where planned."""
+    return mu_mean(trace) / known(trace, "mu_best").mean()

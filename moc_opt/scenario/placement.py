@@ -1,0 +1,105 @@
+"""Where the trocar, or the arm's base, serves a path best: a seeded search over a box, every candidate planned.
+
+All candidates are planned on a coarse grid, the best few again on the plan's own: by dynamic programming over every
+swivel and branch at the start, within joint limits and speeds. The path of the tip stays where it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import ScenarioError, TaskError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import Objective, make_course
+from moc_opt.planning.placement import Placement
+from moc_opt.planning.plan import map_of
+from moc_opt.planning.search import search
+from moc_opt.planning.targets import Targets
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.layout import Layout, lay_out
+from moc_opt.scenario.planned import targets_of
+from moc_opt.tasks import Trocar
+
+Array = NDArray[np.float64]
+Movable = Literal["trocar", "base"]
+MOVABLE: tuple[Movable, ...] = get_args(Movable)
+
+COARSE_S, COARSE_SWIVELS = 0.05, 180
+"""Of the grid on which all candidates are planned."""
+
+
+def place(
+    scenario: Scenario,
+    what: Movable,
+    *,
+    box_m: float = 0.05,
+    candidates: int = 40,
+    seed: int = 0,
+    best: int = 5,
+    objective: Objective = "mean",
+    margin_rad: float = 0.0,
+    speed_share: float = 1.0,
+) -> list[Placement]:
+    """Search a cube for the place that serves the path best; the best first, the present place among them.
+
+    Args:
+        scenario: what would be run.
+        what: moves, in the world's axes: the "trocar", or the "base" without turning.
+        box_m: half the edge of the cube about the present place [m].
+        candidates: drawn evenly from the cube.
+        seed: of the draw.
+        best: places that are planned on the finer grid and returned, besides the present one.
+        objective, margin_rad, speed_share: as of `moc_opt.planning.plan.make_plan`.
+
+    Raises:
+        ScenarioError: an argument is out of range.
+        MocOptError: the scenario's start, path or trocar is not usable.
+    """
+    if what not in MOVABLE:
+        raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
+    if not 0.0 < box_m <= 1.0 or candidates < 1 or best < 1:
+        raise ScenarioError(
+            f"box_m = {box_m!r}, candidates = {candidates!r}, best = {best!r}: give above 0 to 1 m, and 1 or more"
+        )
+    robot = scenario.robot.arm()
+    first_seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()[0]
+    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
+    layout = lay_out(unchecked, robot, np.random.default_rng(first_seed))
+    shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
+
+    def planned(shift: Array, times: int | None, swivels: int) -> Placement:
+        moved, course = (float(shift[0]), float(shift[1]), float(shift[2])), None
+        depth = float(np.linalg.norm(_trocar(layout, what, shift).at(0.0)[0] - robot.state(layout.q).tip))
+        try:
+            targets = _targets(robot, layout, what, shift, times)
+        except TaskError:  # the trocar is off the shaft somewhere
+            return Placement(moved, None, depth)
+        found = map_of(robot, layout.q, targets, swivels)
+        step = speed_share * robot.v_max * targets.period_s
+        q = search(found, step, objective, margin_rad=margin_rad).q_rad
+        if q is not None:
+            course = make_course(robot, targets, q, margin_rad, speed_share)
+        return Placement(moved, course, depth)
+
+    def value(placement: Placement) -> float:
+        return -np.inf if placement.course is None else placement.course.value(objective)
+
+    coarse_times = max(2, round(layout.duration_s / COARSE_S) + 1)
+    coarse = [value(planned(shift, coarse_times, COARSE_SWIVELS)) for shift in shifts]
+    order = [int(k) for k in np.argsort(coarse)[::-1] if np.isfinite(coarse[int(k)]) and k][:best]
+    return sorted((planned(shifts[k], None, 720) for k in (0, *order)), key=value, reverse=True)
+
+
+def _trocar(layout: Layout, what: Movable, shift: Array) -> Trocar:
+    trocar = layout.registered
+    return trocar if what == "base" else replace(trocar, point=np.asarray(trocar.point) + shift)
+
+
+def _targets(robot: RobotModel, layout: Layout, what: Movable, shift: Array, times: int | None) -> Targets:
+    """What the path asks for with the trocar, or the base, moved."""
+    found = targets_of(robot, replace(layout, registered=_trocar(layout, what, shift)), times)
+    return found if what == "trocar" else replace(found, tip=found.tip - shift, wrist=found.wrist - shift)

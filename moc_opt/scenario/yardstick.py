@@ -1,0 +1,112 @@
+"""What a run's manipulability is compared with: the best course from its start, and the best over all starts.
+
+Both are courses of dynamic programming, within the arm's own joint limits and speeds, on a grid of 50 ms and 0.5
+degree; refined as `moc_opt.scenario.planned.plan` does they are a little better (docs/planning.md). They are planned
+once for all runs of one path and start, whatever the controller.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import MocOptError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.climb import top_of
+from moc_opt.planning.course import Course, make_course
+from moc_opt.planning.plan import map_of
+from moc_opt.planning.pose_map import PoseMap
+from moc_opt.planning.search import search
+from moc_opt.redundancy.arm_angle import Elbow
+from moc_opt.redundancy.freedoms import best_freedoms
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.layout import lay_out
+from moc_opt.scenario.planned import targets_of
+from moc_opt.trace.trace import Trace
+
+PERIOD_S = 0.05
+"""Of the grid: a joint's way in one period is then several swivels of the map, so that little of its speed is lost."""
+MOST_TIMES = 1000
+PATH = ("robot", "start", "trocar", "task", "duration_s", "seed")
+"""The fields of a scenario that path and start follow from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Yardstick:
+    """The best courses of one path."""
+
+    robot: RobotModel
+    from_start: Course | None
+    best: Course | None
+    absent: str
+    """Why a course is missing; empty where none is."""
+    last: PoseMap | None
+    """Of the end of the path alone."""
+
+
+def yardstick(scenario: Scenario) -> Yardstick:
+    """Plan the best courses of a scenario's path, or return those planned before.
+
+    Raises:
+        MocOptError: the scenario's start, path or trocar is not usable.
+    """
+    table = scenario.model_dump(mode="json", include=set(PATH))
+    if scenario.start.pose != "random":
+        table["start"]["check_path"] = False
+    return _planned(json.dumps(table, sort_keys=True))
+
+
+@lru_cache(maxsize=64)
+def _planned(table: str) -> Yardstick:
+    scenario = Scenario(**json.loads(table))
+    robot = scenario.robot.arm()
+    real = best_freedoms(robot).real
+    if real != 1:
+        return Yardstick(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
+    seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()[0]
+    layout = lay_out(scenario, robot, np.random.default_rng(seed))
+    times = int(np.clip(math.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
+    targets = targets_of(robot, layout, times)
+    found, step = map_of(robot, layout.q, targets), robot.v_max * targets.period_s
+    courses = [
+        None if q is None else make_course(robot, targets, q)
+        for q in (
+            search(found, step, start=start).q_rad for start in ((layout.q, float(robot.state(layout.q).mu)), None)
+        )
+    ]
+    absent = "" if courses[0] is not None else "no course was found from this start on the grid of the map"
+    return Yardstick(robot, courses[0], courses[1], absent, map_of(robot, layout.q, targets.last()))
+
+
+def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Columns of the best courses, and the entry ``best_courses`` of meta, whose ``absent`` says why there are none.
+
+    Its ``end`` has the top of mu [m^3] above the run's last pose, the course's last mu, and the swivels of both [deg].
+    """
+    try:
+        known = yardstick(scenario)
+    except MocOptError as error:
+        return {}, {"best_courses": {"absent": str(error)}}
+    columns: dict[str, NDArray[Any]] = {}
+    t = trace.t_s
+    for name, course in (("mu_best_from_start", known.from_start), ("mu_best", known.best)):
+        if course is not None:
+            columns[name] = np.interp(t, course.t_s, course.mu)
+    told: dict[str, Any] = {"absent": known.absent}
+    if known.from_start is not None and known.last is not None:
+        mine = known.from_start
+        columns["q_best_from_start_rad"] = np.stack([np.interp(t, mine.t_s, q) for q in mine.q_rad.T], axis=1)
+        top, elbow = top_of(known.last, trace.q_rad[-1]), Elbow(known.robot, known.last.targets.wrist)
+        if top is not None and abs(t[-1] - mine.t_s[-1]) < PERIOD_S:  # a run that was stopped ends elsewhere
+            here, there = np.degrees(elbow.swivel(np.stack([top.q_rad, mine.q_rad[-1]]))).tolist()
+            told["end"] = {
+                "mu": float(trace.mu[-1]), "top_mu": top.mu, "top_swivel_deg": here, "at_limit": top.at_limit,
+                "best_mu": float(mine.mu[-1]), "best_swivel_deg": there,
+            }  # fmt: skip
+    return columns, {"best_courses": told}
