@@ -95,10 +95,10 @@ class ToGo:
         b, j = (int(i) for i in np.unravel_index(int(np.argmax(value)), value.shape))
         if not np.isfinite(value[b, j]):
             return None
-        poses, i = [], j
+        poses, at = [], (b, j)
         for k, back in zip(range(end, first - 1, -1), backs[::-1], strict=True):
-            poses.append(self._poses(k)[0][b, i])
-            i = int(back[b, i])
+            poses.append(self._poses(k)[0][at])
+            at = divmod(int(back[at]), back.shape[1])
         return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
 
     def near(self, end: int, b: int, j: int) -> End:
@@ -130,17 +130,18 @@ class ToGo:
     ) -> tuple[Array, NDArray[np.int32]]:
         value, back = np.empty(gain.shape), np.empty(gain.shape, dtype=np.int32)
         window = math.ceil(int(self.map.window[k : k + 2].max()) * max(periods, 1.0))
-        price = self._price / max(periods, 1e-9)
-        spread(before, slack, value_before, *self._poses(k), gain, periods * self._step, window, price, value, back)
+        price, step = self._price / max(periods, 1e-9), periods * self._step
+        crossing = self.map.crossing(k, step)
+        spread(before, slack, value_before, *self._poses(k), gain, step, window, crossing, price, value, back)
         return value, back
 
 
 @njit(cache=True, nogil=True)
 def spread(
     before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array, step: Array,
-    window: int, price: float, value: Array, back: NDArray[np.int32],
+    window: int, crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
 ) -> None:  # fmt: skip
-    """Fill value and back (b,m) as `search_kernels.advance` does, going out from the poses that have a value.
+    """Fill value and back (b,m) as `search_kernels.advance` does, but going out from the poses that have a value.
 
     That costs what is reached, not what there is: a horizon begins at one pose. Price: of a step's square [1/rad^2].
     """
@@ -157,14 +158,18 @@ def spread(
                 continue
             for i in range(count):
                 j = (j0 + first + i) % m
-                if not worth + gain[b, j] > value[b, j]:
-                    continue
-                near, total = True, worth + gain[b, j]
-                for a in range(n):
-                    away = abs(q[b, j, a] - before[b, j0, a])
-                    if not away <= step[a] + slack[b, j, a] + slack_before[b, j0, a]:
-                        near = False
+                flips = crossing[j]
+                while True:  # over all subsets of the bits, the empty one last
+                    to = b ^ flips
+                    near, total = worth + gain[to, j] > value[to, j], worth + gain[to, j]
+                    for a in range(n):
+                        if not near:
+                            break
+                        away = abs(q[to, j, a] - before[b, j0, a])
+                        near = away <= step[a] + slack[to, j, a] + slack_before[b, j0, a]
+                        total -= price * away * away
+                    if near and total > value[to, j]:
+                        value[to, j], back[to, j] = total, b * m0 + j0
+                    if flips == 0:
                         break
-                    total -= price * away * away
-                if near and total > value[b, j]:
-                    value[b, j], back[b, j] = total, j0
+                    flips = (flips - 1) & crossing[j]

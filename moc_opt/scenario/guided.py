@@ -27,7 +27,7 @@ V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
 FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
-SMOOTHNESS = 3e-3
+SMOOTHNESS = {"planned": 3e-3, "receding": 6e-3}
 """What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
 
 
@@ -55,10 +55,11 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
         return lambda: Follower(course, period, lead=lead)
     fine = _laid(robot, layout)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
+    smooth = SMOOTHNESS["receding"]
     found, share = map_of(robot, layout.q, path), (1.0 - SPEED_LEFT) * settings.speed_fraction
     for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
         usual = float(np.nanmean(found.highest(margin)))
-        to_go = ToGo(found, share * robot.v_max * path.period_s, margin, SMOOTHNESS / SETTLED_S**2 * usual)
+        to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
         if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
             break
     else:
@@ -66,7 +67,7 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
 
     def receding() -> Receding:
         horizon = Horizon(
-            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=SMOOTHNESS
+            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth
         )
         return Receding(
             to_go, horizon, robot, fine, layout.q, period, horizon_s=settings.horizon_s,
@@ -84,7 +85,7 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
         found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
         if found.from_start is not None:
             return refine(
-                robot, targets, found.from_start, margin_rad=margin, speed_share=share, smoothness=SMOOTHNESS
+                robot, targets, found.from_start, margin_rad=margin, speed_share=share, smoothness=SMOOTHNESS["planned"]
             )
     raise _stuck(scenario, found)
 
