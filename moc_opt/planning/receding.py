@@ -92,6 +92,13 @@ class Receding:
         self._answer: Answer | None = None
         self._before = self._answer = self._next = self._solve(self._q_start, 0.0)
 
+    @property
+    def told(self) -> dict[str, float]:
+        """Number of ``solves`` since the start, of those ``kept``, and their times [ms]."""
+        times = 1e3 * np.array(self.solve_s or [0.0])
+        median, high = np.percentile(times, [50.0, 99.0]).tolist()
+        return {"solves": len(self.solve_s), "kept": self.kept, "solve_ms_median": median, "solve_ms_p99": high}
+
     def wish(self, state: RobotState) -> Array:
         """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         t = self._tick * self._period

@@ -54,6 +54,10 @@ def followed(one: Receding) -> Array:
 
 def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
     assert ran().meta["ended"] == "completed"
+    told = ran().meta["replans"]
+    assert told["solves"] > 20.0 * (setup().duration_s - 0.3)
+    assert told["kept"] <= 0.05 * told["solves"]
+    assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
     assert ran().mu.mean() > 1.15 * climbed().mu.mean()
     assert ran().columns["tip_error_model_m"].mean() < 2.0 * climbed().columns["tip_error_model_m"].mean()
 
