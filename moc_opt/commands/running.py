@@ -90,6 +90,8 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         scenario = scenario.change(seed=given.seed)
     if given.robot is not None:
         scenario = scenario.change(robot={"name": given.robot})
+    if given.third_level is not None:
+        scenario = scenario.change(control={"third_level": given.third_level})
     if given.solver is not None:
         scenario = scenario.change(solver={"name": given.solver, "settings": {}})
     if given.task is not None:

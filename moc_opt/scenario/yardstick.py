@@ -26,7 +26,7 @@ from moc_opt.planning.search import search
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.freedoms import best_freedoms
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import lay_out
+from moc_opt.scenario.layout import lay_out, seeds_of
 from moc_opt.scenario.planned import targets_of
 from moc_opt.trace.trace import Trace
 
@@ -69,8 +69,7 @@ def _planned(table: str) -> Yardstick:
     real = best_freedoms(robot).real
     if real != 1:
         return Yardstick(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
-    seed = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()[0]
-    layout = lay_out(scenario, robot, np.random.default_rng(seed))
+    layout = lay_out(scenario, robot, np.random.default_rng(seeds_of(scenario)[0]))
     times = int(np.clip(math.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
     targets = targets_of(robot, layout, times)
     found, step = map_of(robot, layout.q, targets), robot.v_max * targets.period_s

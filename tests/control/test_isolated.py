@@ -252,7 +252,7 @@ def test_a_budget_is_kept_by_one_of_the_two():
 
 def test_against_a_wall_clock_no_tick_waits_for_long():
     scenario = Scenario(solver={"isolation": "process"}, plant={"period_s": 0.004, "substeps": 4}, **QUICK)
-    simulated, real = (Setup(scenario, realtime).controller().solver for realtime in (False, True))
+    simulated, real = (Setup(scenario, realtime=realtime).controller().solver for realtime in (False, True))
     assert (simulated.waits, simulated.budget_us) == (True, float("inf"))
     assert (real.waits, real.budget_us) == (False, 2000.0)
-    assert Setup(scenario.change(solver={"isolation": "none"}), True).controller().solver.name == "exact"
+    assert Setup(scenario.change(solver={"isolation": "none"}), realtime=True).controller().solver.name == "exact"

@@ -196,7 +196,7 @@ def test_a_course_goes_through_a_singular_pose_into_the_next_branch(robot: Robot
     way[:, joint] = np.linspace(0.45, -0.47, 41) * (1.0 if joint == 1 else -1.0)
     tips, wrists = robot.tool_along(way)
     targets = Targets(t, tips, wrists, np.linalg.norm(tips - tips[0], axis=1))
-    found = spherical_map(robot, arm, targets, swivels=720, idle_rad=0.0)
+    found = spherical_map(robot, arm, targets, swivels=720)
     start, step = (way[0], float(robot.state(way[0]).mu)), robot.v_max * 0.025
     answer, climbed = search(found, step, start=start), climb(found, step, way[0])
     course = course_of(robot, found, answer.q_rad)
