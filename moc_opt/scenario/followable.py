@@ -7,7 +7,7 @@ import numpy as np
 from moc_opt.errors import ControlError
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.planned import SPEED_LEFT
+from moc_opt.scenario.guided import SPEED_LEFT
 
 ROUNDING = 1e-6
 

@@ -8,7 +8,8 @@ import pytest
 import moc_opt as mo
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.followable import following_warnings
-from moc_opt.scenario.planned import SPEED_LEFT, plan
+from moc_opt.scenario.guided import SPEED_LEFT
+from moc_opt.scenario.planned import plan
 
 ASKED = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
 
