@@ -48,7 +48,7 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
     j = int(np.argmax(short))
     if short[j] > ROUNDING:
         found.append(
-            f"the course comes to {room[j]:.3f} of the limit of {robot.data.joint_names[j]}; the third level's box "
-            f"closes at {margins[j]:g}: plan with --margin {margins[j]:g}, or lower limit_margin_rad"
+            f"the course comes to {room[j]:.3f} of the limit of {robot.data.joint_names[j]}, where the box of the "
+            f"third level closes at {margins[j]:g}: plan with --margin {margins[j]:g}, or lower limit_margin_rad"
         )
     return found
