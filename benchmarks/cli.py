@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from rich.console import Console
+
+from benchmarks.answer import Answer
+from benchmarks.index import write_index
 from benchmarks.output import save_page, write_json, write_rows
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
@@ -32,10 +36,11 @@ class Results:
         environment: of environment.json, see `output.environment`.
         rows: of rows.parquet; None writes no such file.
         page: report.html; None writes no such file.
-        tables: for the screen.
+        tables: for the screen, each with as many of its first columns as fit.
         sentences: printed below the tables.
         files: names of files that the benchmark has written in the same folder by itself.
         status: exit status.
+        answer: printed before the tables: the first screen of the page too.
     """
 
     summary: Mapping[str, Any]
@@ -46,6 +51,7 @@ class Results:
     sentences: Iterable[str] = ()
     files: Sequence[str] = ()
     status: int = 0
+    answer: Answer | None = None
 
 
 def parser(name: str, about: str, *, configured: bool = True) -> ArgumentParser:
@@ -122,16 +128,23 @@ def leave(found: Results, given: Namespace) -> None:
     if found.page is not None:
         save_page(found.page, out / "report.html", figures=given.figures)
         files.append("report.html")
+        write_index(out.parent)
     if given.json:
         print((out / "summary.json").read_text(encoding="utf-8"), end="")
         return
     screen = console()
+    if found.answer is not None:
+        show(screen, found.answer.screens(screen.width))
     for table in found.tables:
-        for piece in table.fitted(screen.width):
-            screen.print(piece)
-    for sentence in found.sentences:
-        screen.print(sentence, markup=False, soft_wrap=True)
+        screen.print(table.narrowed(screen.width))
+    show(screen, found.sentences)
     screen.print(f"written: {out}/{' '.join([*files, *found.files])}", markup=False, soft_wrap=True)
+
+
+def show(screen: Console, parts: Iterable[Any]) -> None:
+    """Print tables, and sentences as paragraphs."""
+    for part in parts:
+        screen.print(part, markup=False)
 
 
 class Step(Protocol):

@@ -16,7 +16,7 @@ from benchmarks.config import runnable
 from benchmarks.crew import run_parallel
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
-from benchmarks.reliability.report import headline, report, tables
+from benchmarks.reliability.report import answer, report
 from benchmarks.reliability.runs import jobs, run_job
 from benchmarks.reliability.summary import goals, summarise
 
@@ -37,9 +37,10 @@ def inject(given: Namespace) -> cli.Results:
     environment = config.environment(given, timing=timing)
     if given.page:
         write_page({"cases": cases, "goals": reached, "environment": environment})
+    first = answer(cases, reached, traces)
     return cli.Results(
         {**cases, "goals": {goal["goal"]: goal for goal in reached}}, environment, rows,
-        report(cases, reached, traces, environment), tables(cases, reached), [headline(cases, reached)],
+        report(cases, reached, first, environment), answer=first,
     )  # fmt: skip
 
 

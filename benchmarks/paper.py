@@ -22,7 +22,7 @@ from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
 from benchmarks.paper_experiment.config import STREAM, Config
-from benchmarks.paper_experiment.tables import tables
+from benchmarks.paper_experiment.first_screen import answer
 from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, run_job, seeds, trials
 from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
@@ -121,13 +121,13 @@ def experiment(given: Namespace) -> cli.Results:
         print(environment["figures"], file=sys.stderr)
     groups = {name: group.about or name for name, group in config.groups.items()}
     best = (config.best, config.best_solver)
+    first = answer(summary, list(groups), drawn)
     page = report.page(
-        summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config)
+        summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config), first
     )
     return cli.Results(
         summary, environment, rows=[*measured, *broken, *failed, *swivel, *procedure], page=page,
-        tables=tables(summary, groups, best), sentences=report.headline(summary, list(groups), best[1]),
-        files=["replay.html", "figures/"],
+        files=["replay.html", "figures/"], answer=first,
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, attempt, seeds, trials, variant
-from benchmarks.statistics import mean
+from moc_opt.comparison.statistics import mean
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 from moc_opt.sim.settings import PlantSettings

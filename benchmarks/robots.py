@@ -46,7 +46,7 @@ class Config(Configuration):
         """One trial each."""
         drawn = seeds(self.seed, STREAM, self.starts * len(self.tasks))
         return [
-            Job(name, task, trial, tuple(self.solvers))
+            Job(task, trial, tuple(self.solvers))
             for name in self.robots
             for task, trial in trials(self.scenario.change(robot={"name": name}), self.tasks, drawn)
         ]

@@ -3,8 +3,9 @@
 python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
                              [--sets NAME ...] [--parts PART ...]
 
-A run that was stopped goes on where it stopped: finished parts are kept in DIR/parts, and a part whose question, data,
-libraries or source changed is done again.
+Three minutes on two cores; benchmarks/configs/solvers-long.toml asks for more of everything and takes nine, --full for
+more yet. A run that was stopped goes on where it stopped: finished parts are kept in DIR/parts, and a part whose
+question, data, libraries or source changed is done again.
 """
 
 from __future__ import annotations
@@ -12,20 +13,22 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
 from benchmarks import cli, export, output
-from benchmarks.solver_study.closed_parts import JOBS, steps
+from benchmarks.solver_study.closed_parts import JOBS, SECONDS, weights
 from benchmarks.solver_study.config import PARTS, Config
+from benchmarks.solver_study.first_screen import answer
 from benchmarks.solver_study.look import look
-from benchmarks.solver_study.report import SCREEN, report_page, sentences
+from benchmarks.solver_study.progress import Progress
+from benchmarks.solver_study.report import report_page, sentences
 from benchmarks.solver_study.study import Study, run_study
 from benchmarks.solver_study.tables import tables
 from benchmarks.timing import clock_cost_us, each_us
 from moc_opt.errors import UnknownNameError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
+from moc_opt.report.console import console, progress
 from moc_opt.solvers import available
 
 
@@ -69,13 +72,20 @@ def compare(given: Namespace) -> cli.Results:
         config = config.full()
     config = config.choosing(given.sets, given.parts)
     names, missing = choose(given.only or config.solvers)
-    asked = Study(config, names, given.out, lambda _: None)
-    with cli.steps("solvers", steps(asked)) as step:
-        study = replace(asked, advance=step)
-        found = run_study(study, JOBS)
-        if "qpbenchmark" in config.parts:
-            found.summary["qpbenchmark"] = export.ranking(given.out / "qpbenchmark", names)
-            step("qpbenchmark")
+    weighed = weights(Study(config, names, given.out, lambda _: None))
+    shown = Progress(weighed, console(stderr=True), config.scenario.deadline_us)
+    study = Study(config, names, given.out, shown.advance, shown.show, shown.enter)
+    total = sum(SECONDS[part] for part in weighed)
+    try:
+        with progress("solvers", total, below=shown.below) as shown.bar:
+            found = run_study(study, JOBS)
+            if "qpbenchmark" in config.parts:
+                shown.enter("qpbenchmark")
+                found.summary["qpbenchmark"] = export.ranking(given.out / "qpbenchmark", names)
+                shown.advance("qpbenchmark")
+    except KeyboardInterrupt:
+        shown.interrupted(console())
+        raise
     summary: dict[str, Any] = found.summary
     summary["not_run"] = {name: {"reason": reason} for name, reason in missing.items()} | summary["not_run"]
     summary["clock"] = {"cost": {"p50_us": clock_cost_us()}, "assembly": {"p50_us": assembly_us(found.sequence)}}
@@ -84,13 +94,13 @@ def compare(given: Namespace) -> cli.Results:
         summary["courses"] = seen.rows()
     environment = output.environment(config.model_dump(mode="json"), config.seed, given.argv)
     environment |= {"parts_of_an_earlier_run": study.store.reused, "seconds": found.seconds}
-    made = tables(summary)
+    first = answer(summary, config.scenario.deadline_us)
     return cli.Results(
         {**summary, "words": {name: {"text": text} for name, text in found.words.items()}},
         environment,
         rows=found.rows + [run.row() for run in found.runs],
-        page=report_page(study, found, made, environment, seen),
-        tables=[made[part] for part in SCREEN if part in made],
+        page=report_page(study, found, tables(summary), environment, seen, first),
+        answer=first,
         sentences=sentences(study, found),
         files=["replay.html"] if seen is not None else [],
     )

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from benchmarks import cli
 from benchmarks.latency.config import Config
-from benchmarks.latency.report import headline, report, tables
+from benchmarks.latency.report import answer, report, tables
 from benchmarks.latency.run import Run
 
 
@@ -22,8 +22,9 @@ def measure(given: Namespace) -> cli.Results:
     with cli.steps("speed", run.steps()) as step:
         summary = run.measure(step)
     environment = config.environment(given)
-    page = report(summary, run.ticks, environment)
-    return cli.Results(summary, environment, run.rows, page, tables(summary).values(), [headline(summary)])
+    first = answer(summary, run.ticks)
+    shown = [table for name, table in tables(summary).items() if name in ("tick", "peers")]
+    return cli.Results(summary, environment, run.rows, report(summary, first, environment), shown, answer=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from moc_opt import solvers
+    from moc_opt.comparison.compare import Comparison, compare
     from moc_opt.errors import MocOptError
     from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
     from moc_opt.planning.plan import Plan
@@ -18,19 +19,20 @@ if TYPE_CHECKING:
     from moc_opt.scenario import Scenario, run
     from moc_opt.scenario.planned import plan
     from moc_opt.trace.metrics import summarize
-    from moc_opt.trace.trace import Trace
+    from moc_opt.trace.trace import Trace, load_trace
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan", "RobotModel": "model.robot_model",
-    "RobotState": "model.robot_model", "Scenario": "scenario", "Trace": "trace.trace",
-    "load_robot": "model.robot_model", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",
+    "Comparison": "comparison.compare", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
+    "RobotModel": "model.robot_model", "RobotState": "model.robot_model", "Scenario": "scenario",
+    "Trace": "trace.trace", "compare": "comparison.compare", "load_robot": "model.robot_model",
+    "load_trace": "trace.trace", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",
 }  # fmt: skip
 
 __all__ = [
-    "MocOptError", "NullSpaceQP", "Plan", "RobotModel", "RobotState", "Scenario", "Trace", "load_robot", "plan", "run",
-    "solvers", "summarize",
+    "Comparison", "MocOptError", "NullSpaceQP", "Plan", "RobotModel", "RobotState", "Scenario", "Trace", "compare",
+    "load_robot", "load_trace", "plan", "run", "solvers", "summarize",
 ]  # fmt: skip
 
 

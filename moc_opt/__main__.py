@@ -1,28 +1,28 @@
-"""python -m moc_opt run | plan | replay | map | live | export-c | robot: scenarios and robots from the command line."""
+"""moc-opt, or python -m moc_opt: scenarios, robots and solvers from the command line."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
-import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from moc_opt import __version__
+from moc_opt.commands import arguments as more
 from moc_opt.commissioning.command import add_commands as robot_commands
 from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
 
 if TYPE_CHECKING:
-    from moc_opt.scenario import Scenario
-    from moc_opt.trace.trace import Trace
+    pass
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
-    parser = argparse.ArgumentParser(prog="python -m moc_opt", description=__doc__)
+    parser = argparse.ArgumentParser(prog="moc-opt", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
@@ -33,11 +33,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--seed", type=int, help="replaces the scenario's seed")
     one.add_argument("--solver", help="replaces the scenario's solver")
     one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
+    one.add_argument("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file: x,y,z [m] a line")
+    one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
+    one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")
     c.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     c.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    c.add_argument("--main", choices=("test", "udp"), default="test", help="udp: also a controller for `plant`")
     ahead = commands.add_parser(
         "plan", help="say before anything moves whether and how well a scenario can be executed",
         epilog="Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot.",
@@ -64,18 +68,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     live.add_argument("--host", default="127.0.0.1", help="a loopback address")
     live.add_argument("--port", type=int, default=8642)
     live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
+    plant = commands.add_parser(
+        "plant", help="the plant of a scenario in real time, for a controller at the other end of a wire",
+        epilog="Exit status as of `run`. docs/realtime.md describes the wire.",
+    )  # fmt: skip
+    plant.add_argument("--listen", metavar="HOST:PORT", default="127.0.0.1:30200")
+    plant.add_argument("--lock-step", action="store_true", help="wait for each command instead of keeping the time")
+    plant.add_argument("--trace", type=Path, help="the trace goes here (Parquet)")
+    plant.add_argument("--json", action="store_true", help="print JSON")
+    control = commands.add_parser(
+        "control", help="the controller of a scenario, for a plant at the other end of a wire",
+        epilog="Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or "
+        "the plant fell silent.",
+    )  # fmt: skip
+    control.add_argument("--connect", metavar="HOST:PORT", default="127.0.0.1:30200")
+    for end in (plant, control):
+        end.add_argument("scenario", nargs="?", type=Path, help="TOML, the same at both ends; without it the default")
+        end.add_argument("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
     robot_commands(commands)
-    given = parser.parse_args(arguments)
+    more.add_commands(commands)
+    given, rest = parser.parse_known_args(arguments)
+    if rest and (given.command != "solvers" or given.list):
+        parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
+        if given.command in more.NAMES:
+            return more.run_command(given, rest)
         if given.command == "robot":
             return robot_command(given)
         if given.command == "export-c":
-            return export_c(given.scenario, given.out)
+            return export_c(given.scenario, given.out, given.main)
         if given.command == "plan":
+            from moc_opt.commands.ahead import plan_scenario
+
             return plan_scenario(given)
         if given.command == "replay":
+            from moc_opt.report.document import check_out
             from moc_opt.report.replay import Replay
 
+            check_out(given.out, "replay")
             print(Replay.load(given.traces).save(given.out))
             return 0
         if given.command == "map":
@@ -85,8 +115,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             from moc_opt.scenario import Scenario
 
             scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
-            return serve(scenario, host=given.host, port=given.port, public=given.public)
-        return run_scenario(given.scenario, given.seed, given.solver, given.trace, given.json, given.robot)
+            named = "name" in scenario.model_fields_set
+            title = scenario.name if named else scenario.task.path if given.scenario is None else given.scenario.stem
+            return serve(scenario, host=given.host, port=given.port, public=given.public, title=title)
+        if given.command in ("plant", "control"):
+            from moc_opt.commands.wire import run_control, run_plant
+
+            return (run_plant if given.command == "plant" else run_control)(given)
+        from moc_opt.commands.running import run_scenario
+
+        return run_scenario(given)
     except (MocOptError, MemoryError) as error:
         print(_one_line(error), file=sys.stderr)
         return 2
@@ -110,108 +148,13 @@ def _one_line(error: BaseException) -> str:
     return "; ".join([said + where, *getattr(error, "__notes__", [])])
 
 
-def run_scenario(
-    path: Path | None, seed: int | None, solver: str | None, trace_to: Path | None, as_json: bool,
-    robot: str | None = None,
-) -> int:  # fmt: skip
-    """Run, summarise against DCAC with the same gains, print, save."""
-    from moc_opt.report.console import console, print_json, progress
-    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
-    from moc_opt.scenario import RunAway, Scenario, Setup
-    from moc_opt.trace.metrics import summarize
-
-    scenario = Scenario() if path is None else Scenario.load(path)
-    title = scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
-    if "best_courses" not in scenario.model_fields_set:
-        scenario = scenario.change(best_courses=True)
-    if seed is not None:
-        scenario = scenario.change(seed=seed)
-    if robot is not None:
-        scenario = scenario.change(robot={"name": robot})
-    if solver is not None:
-        scenario = scenario.change(solver={"name": solver, "settings": {}})
-    setup = Setup(scenario)
-    ticks = len(setup.times())
-    with progress(title, ticks) as bar:
-        try:
-            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, trace_to)
-        except RunAway as error:
-            trace = error.trace
-    ended = str(trace.meta["ended"])
-    if "earlier_run" in trace.meta:
-        print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
-    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
-        print(f"{title}: {line}", file=sys.stderr)
-    if below_best(trace):
-        print(f"{title}: {below_best(trace)}", file=sys.stderr)
-    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
-        beside = None if trace_to is None else Path(folder, "dcac.parquet")
-        baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
-        metrics = summarize(trace, baseline)
-    if as_json:
-        print_json(run_json(trace, metrics))
-    else:
-        console().print(run_table(title, trace, metrics).to_rich())
-    return 0 if ended == "completed" else 3
-
-
-def plan_scenario(given: argparse.Namespace) -> int:
-    """Plan, print, and write the course."""
-    from moc_opt.report.console import console, print_json
-    from moc_opt.report.plan_table import place_json, place_table, plan_json, plan_tables
-    from moc_opt.scenario import Scenario
-    from moc_opt.scenario.followable import following_warnings
-    from moc_opt.scenario.placement import place
-    from moc_opt.scenario.planned import plan, save_course
-
-    scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
-    title = scenario.name if given.scenario is None or "name" in scenario.model_fields_set else given.scenario.stem
-    asked = {"objective": given.objective, "margin_rad": given.margin, "speed_share": given.speed_share}
-    found = plan(scenario, acceleration=given.acceleration, **asked)
-    began, places = time.perf_counter(), []
-    if given.place is not None:
-        places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)
-    took = time.perf_counter() - began
-    warned = following_warnings(scenario, found)
-    for line in warned:
-        print(f"{title}: warning: {line}", file=sys.stderr)
-    if given.json:
-        searched = {"places": place_json(places), "place_s": took} if places else {}
-        print_json(plan_json(found) | {"warnings": warned} | searched)
-    else:
-        screen = console()
-        shown = plan_tables(title, found)
-        if places:
-            shown.append(place_table(f"Places of the {given.place}", given.candidates, given.box, took, places))
-        for table in shown:
-            for piece in table.fitted(screen.width):
-                screen.print(piece)
-    if given.out is not None:
-        path = save_course(found, scenario, given.out)
-        print(path, file=sys.stderr if given.json else sys.stdout)
-    return 0 if found.executable else 3
-
-
-def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
-    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
-    from moc_opt.scenario import RunAway, run
-
-    try:
-        matched = scenario.control.matched_dcac()
-        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
-    except RunAway as error:
-        trace = error.trace
-    if len(trace) < ticks or "mu" not in trace.columns:
-        print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
-        return None
-    return trace.head(ticks)
-
-
 def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     """Write the page, then the figures: the page is there even where no browser can draw the files."""
+    from moc_opt.report.document import check_out
     from moc_opt.report.export import save_figures
     from moc_opt.report.map_page import load_map
 
+    check_out(out, "map")
     page = load_map(traces)
     print(page.save(out))
     for file in save_figures(page.figures, out.parent / "figures") if figures else ():
@@ -219,17 +162,20 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
     return 0
 
 
-def export_c(path: Path | None, out: Path) -> int:
+def export_c(path: Path | None, out: Path, main: str = "test") -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
     from moc_opt.scenario import Scenario
     from moc_opt.scenario.exported import export_scenario
 
-    files, operations = export_scenario(Scenario() if path is None else Scenario.load(path), out)
+    scenario = Scenario() if path is None else Scenario.load(path)
+    files, operations = export_scenario(scenario, out, udp=main == "udp")
     for file in files:
         print(file)
     parts = ", ".join(f"{part} {count}" for part, count in operations.items() if part != "in all")
     print(f"longest step: {operations['in all']} floating-point operations ({parts})")
     print(f"next: make -C {out} test, make -C {out} sanitize")
+    if main == "udp":
+        print(f"then: make -C {out} moc_udp, {out}/moc_udp 127.0.0.1 30200 {out}/reference.bin")
     return 0
 
 

@@ -1,1 +1,1 @@
-"""Where the time goes: what `python -m benchmarks.speed` is made of."""
+"""Where the time goes: what `python -m benchmarks.speed` and `python -m benchmarks.realtime` are made of."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -71,11 +72,11 @@ GOALS = {
 """Key -> goal."""
 
 
-def goal_verdicts(summary: Summary) -> dict[str, dict[str, Any]]:
+def goal_verdicts(summary: Summary, goals: Mapping[str, Goal] = MappingProxyType(GOALS)) -> dict[str, dict[str, Any]]:
     """Map goal to what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
     found = {}
     threads = summary.get("exact", {}).get("recorded", {}).get("batch_threads", "all")
-    for key, goal in GOALS.items():
+    for key, goal in goals.items():
         try:
             value = float(goal.measured(summary))
         except (LookupError, ValueError):  # a part that did not run has no entries, and no largest of them

@@ -8,6 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from benchmarks import baselines as peers
+from benchmarks.answer import Answer, Picture, goals_answer
 from benchmarks.latency.goals import Summary
 from benchmarks.latency.tick import PARTS
 from moc_opt.report import figures
@@ -194,19 +195,30 @@ TEXTS = {
 }  # fmt: skip
 
 
-def report(summary: Summary, ticks: Mapping[str, ArrayLike], environment: Mapping[str, Any]) -> Page:
-    """Make the page out of the summary and the times of the ticks [us]."""
+def answer(summary: Summary, ticks: Mapping[str, ArrayLike]) -> Answer:
+    """Make the first screen out of the summary and the times of the ticks [us]: what was wanted, and what it takes."""
+    pictures = [
+        Picture(figures.latency_ecdf(ticks), "Time of a tick: further left is faster, steeper is steadier.", "ticks"),
+        Picture(figures.latency_ecdf(ticks, tail=True), "The rare late ones: lower at the right is better.", "tail"),
+    ]
+    found = tables(summary)["goals"]
+    return goals_answer([headline(summary)], found.title, found.columns, found.rows, pictures)
+
+
+def report(summary: Summary, first: Answer, environment: Mapping[str, Any]) -> Page:
+    """Make the page out of the summary and its first screen."""
     page = Page("Speed", "ticks, solvers, adapters, the loop, set-up, and other libraries, side by side")
-    page.headline(headline(summary))
+    first.begin(page)
     for name, table in tables(summary).items():
+        if name == "goals":
+            page.section("How to read this")
+            page.text(TEXTS[name][1])
+            continue
         if name in TEXTS:
             title, text = TEXTS[name]
             page.section(title)
             page.text(text)
         page.table(table)
-        if name == "peers":
-            page.figure(figures.latency_ecdf(ticks), "Time of a tick: distribution.", name="ticks")
-            page.figure(figures.latency_ecdf(ticks, tail=True), "Time of a tick: the rare late ones.", name="tail")
     page.environment(environment)
     return page
 

@@ -16,31 +16,14 @@ from typing import Any
 
 from benchmarks import cli
 from benchmarks.latency.goals import GOALS
-from benchmarks.markdown import fill_section, table
+from benchmarks.markdown import fill_section, of_columns, table
 from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
-from benchmarks.solver_study.cases import BASELINE
-from benchmarks.solver_study.tables import STEADY
-from benchmarks.statistics import spread
+from benchmarks.solver_study.first_screen import answer
+from moc_opt.comparison.statistics import spread
 from moc_opt.errors import MocOptError
 
 Summary = Mapping[str, Any]
-
-# The native back-ends: qpsolvers' libraries are the same ones, called another way.
-LISTED = (
-    "exact", "daqp", "casadi:qrqp", "quadprog", "proxqp", "piqp", "osqp", "clarabel", "nlp-sqp", "nlp-fatrop",
-    "nlp-ipopt", "rnn", "rnn-printed",
-)  # fmt: skip
-COLUMNS = (
-    "solver", "verified", "silently wrong", "primal", "loss", "p50 [us]", "p99 [us]", "mu", "gain [%]", "tip [mm]",
-    "RCM [mm]", "steady RCM [mm]", "trials", "chatter [Nm/s]",
-)  # fmt: skip
-CLOSED = {
-    "mu_mean": ".4f", "mu_gain_percent": ".1f", "tip_error_model_mean_mm": ".3f",
-    "rcm_error_model_mean_mm": ".3f", "rcm_error_model_settled_mean_mm": ".3f", "runs": ".0f",
-    "torque_rate_rms_Nm_per_s": ".0f",
-}  # fmt: skip
-OPEN = {"primal_max": ".0e", "loss_max": ".0e", "solve_p50_us": ".1f", "solve_p99_us": ".1f"}
 
 
 class ReadmeError(MocOptError, ValueError):
@@ -48,40 +31,15 @@ class ReadmeError(MocOptError, ValueError):
 
 
 def solvers_section(summary: Summary, environment: Summary) -> str:
-    """Return the table of the main job: recorded subproblems on the left, closed loop on the right."""
-    warm, closed = summary["open_loop_warm"], summary["closed_loop"]
-    rows = [["`dcac` (no third level)", *[""] * 6, *_figures(closed[BASELINE], CLOSED)]]
-    for name in LISTED:
-        if name in warm:
-            given = warm[name]
-            star = "*" if name.startswith("nlp-") else ""
-            counts = [f"{given['verified_solved']}/{given['solves']}", str(given["silently_wrong"])]
-            figures = [*_figures(given, OPEN), *_figures(closed.get(name, {}), CLOSED)]
-            rows.append([f"`{name}`{star}", *counts, *figures])
-    runs = closed[BASELINE].get("runs", 0)
-    trials = f"{runs} {'trial' if runs == 1 else 'trials'} from random poses"
+    """Return the first screen of the solvers' report: its sentences and its table."""
+    first = answer(summary, 0.0, drawn=False)
     cut = environment.get("config", {}).get("closed_loop", {}).get("duration_s")
-    trials += f" (the first {cut:g} s of each)" if cut else ""
-    gain = spread(closed.get("exact", {}), "mu_gain_percent") or "not measured"
-    wrong = {
-        name.removesuffix("@default"): row["silently_wrong"]
-        for name, row in summary.get("testsets", {}).items()
-        if name.endswith("@default") and row["silently_wrong"] and ":" not in name and not name.startswith("nlp-")
-    }
-    listed = ", ".join(f"{name} {count}" for name, count in sorted(wrong.items(), key=lambda item: -item[1]))
-    asked = max((row["solves"] for row in summary.get("testsets", {}).values()), default=0)
-    return f"""\
-`python -m benchmarks.solvers` ({_where(environment)}): on the left
-a 500 Hz sequence of recorded subproblems solved warm, on the right means over {trials} in the realistic plant, the
-same for all controllers; the gain is that of the mean over DCAC's (`exact`: {gain} %, 95 % interval).
-
-{table(COLUMNS, rows)}
-
-\\* The NLP solvers answer the nonlinear one-step problem, which lies about 1e-3 m/s off the linear subproblem that the
-judge knows: they count as not verified, and in closed loop it costs nothing.
-
-As the libraries come, without our settings, many claim success for wrong answers on the {asked} problems of the
-certified sets: {listed}. {STEADY}"""
+    trials = max((row["trials"] or 0 for row in first.table.rows), default=0)
+    loop = f"; in closed loop {trials:g} trials from random poses" + (f", the first {cut:g} s of each" if cut else "")
+    return "\n\n".join([
+        f"`python -m benchmarks.solvers` ({_where(environment)}{loop if trials else ''}):",
+        *first.sentences, of_columns(first.table.columns, first.table.rows), f"{first.table.caption}.",
+    ])  # fmt: skip
 
 
 def paper_section(summary: Summary, environment: Summary) -> str:
@@ -194,11 +152,6 @@ def _read(path: Path) -> Summary:
     except ValueError as error:
         raise ReadmeError(f"{path}: not JSON: {error}; run the benchmark again") from error
     return found
-
-
-def _figures(row: Mapping[str, Any], formats: Mapping[str, str]) -> list[str]:
-    values = [(row.get(name), form) for name, form in formats.items()]
-    return ["" if value is None else format(value, form) for value, form in values]
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from pydantic import Field
 from benchmarks.paper_experiment.trials import MATCHED, Measurement, attempt, trials, variant
 from benchmarks.paper_experiment.trials import seeds as seeds_of
 from benchmarks.paper_experiment.verdict import CLAIMS, Claim, effect, pairs
-from benchmarks.statistics import difference_of_changes
+from moc_opt.comparison.statistics import difference_of_changes
 from moc_opt.control import ControlSettings
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Settings

@@ -7,6 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
+from benchmarks.answer import Answer
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.tables import (
     Summary,
@@ -74,11 +75,14 @@ def page(
     drawn: Mapping[str, go.Figure],
     environment: Mapping[str, Any],
     look: Callable[[Page], None],
+    first: Answer,
 ) -> Page:
-    """Make the page; ``look`` adds the section on single trials."""
+    """Make the page; ``first`` is its first screen, ``look`` adds the section on single trials."""
     page = Page("The paper's experiment in simulation", "DCAC and MOC on three virtual tasks")
+    first.begin(page)
+    page.section("In more words")
     for sentence in headline(summary, list(groups), best[1]):
-        page.headline(sentence)
+        page.text(sentence)
     page.section("Goals")
     page.table(goal_table(summary, *best))
     for group, about in groups.items():
@@ -88,7 +92,7 @@ def page(
         page.table(group_table(summary, group, about))
         page.table(phase_table(summary["phases"], group))
         for name, figure in drawn.items():
-            if name.startswith(f"figure7-{group}-"):
+            if name.startswith(f"figure7-{group}-") and name not in page.figures:
                 page.figure(figure, "Distribution over the ticks of all trials, by task.", name=name)
         if f"trial-{group}" in drawn:
             page.figure(drawn[f"trial-{group}"], "The first trial over time.", name=f"trial-{group}")
@@ -102,7 +106,6 @@ def page(
         "The same trial from every place of the feasible self-motion. The gain in mu is a statement about the start "
         "as much as about the controller."
     )
-    page.figure(drawn["swivel"], "Gain in mean mu over DCAC, and mu at the start, against the start.", name="swivel")
     page.section("The procedure")
     page.text(
         "A hand guides the tip to the incision, where the trocar is registered; the camera finds the board; the tip "

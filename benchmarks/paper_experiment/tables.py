@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.figures import titles
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.report.tables import Column, Table
 
 Summary = Mapping[str, Any]
@@ -181,13 +181,3 @@ def procedure_table(summary: Summary) -> Table:
         f"off by {pictures['position_median_mm']:.2f} mm and {pictures['angle_median_deg']:.2f} deg (medians)."
     )
     return Table("The operative procedure, whole", PROCEDURE, rows, caption)
-
-
-def tables(summary: Summary, groups: Mapping[str, str], best: tuple[str, str]) -> list[Table]:
-    """List the tables for the screen."""
-    found = []
-    for group, about in groups.items():
-        found += [group_table(summary, group, about), verdict_table(summary["verdict"], group)]
-    found += [phase_table(summary["phases"], best[0]), goal_table(summary, *best)]
-    found += [ablation_table(summary["ablation"])] if summary["ablation"] else []
-    return [*found, procedure_table(summary)]

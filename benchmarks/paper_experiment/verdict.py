@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.paper_experiment.trials import BASELINES, DAMPED, MATCHED, OWN, Measurement
-from benchmarks.statistics import Interval, StatisticsError, mean, relative_change
+from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relative_change
 from moc_opt.trace.metrics import PHASES
 
 HOLDS, GAINS_ONLY, FAILS = "holds", "holds only against softer gains", "does not hold"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.planning.parts import ERRORS
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.report.tables import Column
 
 MOST_GAP_PERCENT: Mapping[str, float] = {"local": 2.0, "receding": 1.0, "planned": 0.5}

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.output import close_page
 from benchmarks.planning.goals import GOALS, goal_rows
 from benchmarks.planning.parts import ERRORS
-from benchmarks.statistics import mean, relative_change, spread
+from moc_opt.comparison.statistics import mean, relative_change, spread
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -49,7 +49,7 @@ def _pair(law: int) -> tuple[Scenario, RobotModel, GuardedController]:
     robot = scenario.robot.arm()
     solver = make_solver("exact", robot) if scenario.control.law == "moc" else None
     period = scenario.plant.period_s
-    return scenario, robot, GuardedController(robot, scenario.control, solver, period, scenario.guard)
+    return scenario, robot, GuardedController(robot, scenario.control, solver, period, scenario.told_guard)
 
 
 def warm_up() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from benchmarks.answer import Answer, Picture, goals_answer
 from benchmarks.reliability.summary import Summary, outcome
 from moc_opt.report import figures
 from moc_opt.report.page import Page
@@ -81,22 +82,25 @@ def headline(summary: Summary, goals: list[dict[str, Any]]) -> str:
     return text + ". " + (f"Not reached: {'; '.join(missed)}." if missed else "Every goal is reached.")
 
 
-def report(
-    summary: Summary, goals: list[dict[str, Any]], traces: Mapping[str, Trace], environment: Mapping[str, Any]
-) -> Page:
-    """Make the page out of the summary, the goals and the traces of one trial."""
+def answer(summary: Summary, goals: list[dict[str, Any]], traces: Mapping[str, Trace]) -> Answer:
+    """Make the first screen out of the summary, the goals and the traces of one trial."""
+    pictures = [
+        Picture(
+            figures.time_series(traces, ("tip_error_m", "rcm_error_m", "trocar_force_N")),
+            "MOC with exact, first trial: errors and trocar force come back after a fault, or the arm has stopped.",
+            "faults",
+        )
+    ] if traces else []  # fmt: skip
+    return goals_answer([headline(summary, goals)], "Goals", GOALS, goals, pictures)
+
+
+def report(summary: Summary, goals: list[dict[str, Any]], first: Answer, environment: Mapping[str, Any]) -> Page:
+    """Make the page out of the summary, the goals and its first screen."""
     page = Page("Faults", "every fault under every controller: survived, or stopped safely")
-    page.headline(headline(summary, goals))
-    first, cases, seen = tables(summary, goals)
-    page.section("Goals")
-    page.table(first)
+    first.begin(page)
+    _, cases, seen = tables(summary, goals)
     page.section("Every fault")
     page.table(cases)
-    if traces:
-        page.figure(
-            figures.time_series(traces, ("tip_error_m", "rcm_error_m", "trocar_force_N")),
-            "MOC with exact, first trial: errors and trocar force over time, without a fault and with some.",
-        )
     page.section("Solver faults")
     page.table(seen)
     page.environment(environment)

@@ -30,7 +30,6 @@ SETTLED = ("tip_error_mean_mm", "rcm_error_registered_mean_mm")
 class Job:
     """One trial and who runs it."""
 
-    robot: str
     task: str
     trial: Scenario
     solvers: tuple[str, ...]
@@ -38,7 +37,7 @@ class Job:
 
 def run_job(job: Job) -> list[dict[str, Any]]:
     """Rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
-    about = {"robot": job.robot, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
+    about = {"robot": job.trial.robot.name, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
     try:
         trial = placed(job.trial).change(best_courses=True)
     except MocOptError as error:
@@ -59,6 +58,8 @@ def run_job(job: Job) -> list[dict[str, Any]]:
         if row["whole"]:
             traces[controller] = trace
             found = summarize(trace)
+            if "mu_bound_method" in trace.meta:
+                row["mu_bound_method"] = str(trace.meta["mu_bound_method"])
             row |= {name: found[name] for name in METRICS if name in found}
             row["no_best_course"] = trace.meta["best_courses"]["absent"]
             if "status" in trace.columns and controller not in BASELINES:

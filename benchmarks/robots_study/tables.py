@@ -11,7 +11,7 @@ from scipy import stats
 
 from benchmarks.output import close_page
 from benchmarks.paper_experiment.trials import MATCHED
-from benchmarks.statistics import mean, relative_change
+from moc_opt.comparison.statistics import mean, relative_change
 from moc_opt.report.figures.boxes import box_plots
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -38,7 +38,8 @@ FINDINGS: Mapping[str, str] = {
 BY_ARM = [
     Column("robot", "arm"), Column("controller", "controller"), Column("trials", "trials", format="d"),
     Column("broken", "broke off", format="d"), Column("mu_gain_percent", "gain in mu", unit="%", format="+.1f"),
-    Column("mu_fraction_of_bound", "of bound", format=".3f", help="of the largest mu on the self-motion"),
+    Column("mu_fraction_of_bound", "of bound", format=".3f"),
+    Column("mu_bound_method", "best of"),
     Column("mu_fraction_of_best_from_start", "of best from start", format=".3f", help="of the best course from there"),
     Column("mu_fraction_of_best", "of best", format=".3f", help="of the best course from any swivel and branch"),
     Column("tip_change_percent", "tip, settled", unit="%", format="+.1f"),
@@ -84,6 +85,9 @@ def _figures(rows: Rows, controller: str) -> dict[str, Any]:
         both = [(a[name], b[name]) for a, b in pairs if name in a and name in b]
         if both:
             found |= relative_change(*zip(*both, strict=True)).entries(change)
+    methods = dict.fromkeys(row["mu_bound_method"] for row, _ in pairs if "mu_bound_method" in row)
+    if methods:
+        found["mu_bound_method"] = ", ".join(methods)
     tips = [(a["tip_error_mean_mm"], b["tip_error_mean_mm"]) for a, b in pairs]
     return found | {"tip_much_worse": sum(a > MUCH_WORSE * b for a, b in tips)}
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from moc_opt import scenario
+from moc_opt.comparison.trials import BASELINE, placed, variant
 from moc_opt.scenario import Scenario
 
-BASELINE = "dcac"  # tip and RCM alone, with the gains of the others
+__all__ = ["BASELINE", "placed", "trials", "variant"]
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:
@@ -21,16 +20,3 @@ def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[s
         for task in tasks
         for seed in seeds
     }
-
-
-def placed(trial: Scenario) -> Scenario:
-    """Return the trial with its drawn pose written out: many controllers start there, and it is searched for once."""
-    q = scenario.Setup(trial).q_start.tolist()
-    return trial.change(start={"pose": "home", "q_rad": q, "swivel": "given", "check_path": False})
-
-
-def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None = None) -> Scenario:
-    """Return the trial under DCAC (with MOC's gains) or under MOC with the named solver."""
-    if controller == BASELINE:
-        return trial.change(control=trial.control.matched_dcac())
-    return trial.change(solver={"name": controller, "settings": dict(settings or {})})

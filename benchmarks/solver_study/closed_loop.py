@@ -55,6 +55,13 @@ class Run:
     ended: str = "completed"
     timed: bool = True
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # as in the trace's meta
+    short: bool = False  # only the beginning of the trial was run
+    begun: Mapping[str, float] = field(default_factory=dict)  # metrics of that beginning, where some runs are short
+
+    @property
+    def beginning(self) -> Run:
+        """The ticks that the short runs have too; the run itself where it is short or broke off."""
+        return replace(self, metrics=self.begun) if self.begun and not self.short else self
 
     @property
     def raised(self) -> str:
@@ -90,7 +97,9 @@ def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
     return {name: column for name, column in columns.items() if name not in (*POSES, TRANSIENT)}
 
 
-def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool) -> Iterator[Part]:
+def finish(
+    trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool, begin_s: float = np.inf
+) -> Iterator[Part]:
     """Run and summarise, in a worker; a run that breaks off is a result, with its reason.
 
     Args:
@@ -98,6 +107,7 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, t
         baseline: columns of the run that mu is compared with.
         poses: keep where arm and trocar were.
         travel: find the ticks at which the elbow is on its way.
+        begin_s: summarise the ticks before this time apart too.
     """
     last = perf_counter()
 
@@ -116,7 +126,12 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, t
     if not Ending.of(ended).whole:
         yield Part({"ended": ended, "error": ended, "metrics": summarize(trace)}, {})
         return
-    metrics = summarize(trace, None if baseline is None else Trace(baseline))
+    reference = None if baseline is None else Trace(baseline)
+    metrics = summarize(trace, None if reference is None else reference.head(len(trace)))
+    begun: dict[str, float] = {}
+    count = int((trace.t_s < begin_s).sum())
+    if count < len(trace):
+        begun = summarize(trace.head(count), None if reference is None else reference.head(count))
     if "fault" in trace.columns:
         names, counts = np.unique(trace.fault, return_counts=True)
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
@@ -131,13 +146,14 @@ def finish(trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, t
         arrays[TRANSIENT] = flags
     if poses:
         arrays |= {name: trace.columns[name][::POSES_EVERY].astype(np.float32) for name in POSES}
-    found = {"ended": ended, "error": None, "metrics": metrics, "faults": trace.meta.get("faults", {})}
+    faults = trace.meta.get("faults", {})
+    found = {"ended": ended, "error": None, "metrics": metrics, "faults": faults, "begun": begun}
     yield Part(found, arrays)
 
 
 def run_one(
     store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
-    travel: bool = True,
+    travel: bool = True, begin_s: float = np.inf,
 ) -> Run:
     """Run one scenario in the worker, or take its run from the store.
 
@@ -149,24 +165,28 @@ def run_one(
         baseline: the run that mu is compared with.
         timed: whether its times mean anything: nothing else ran meanwhile.
         travel: whether the ticks are found at which the elbow is on its way: `with_steady_errors` needs them.
+        begin_s: summarise the ticks before this time apart too.
     """
     reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
     key = store.key(
         part="closed loop", scenario=trial.model_dump(mode="json"), timed=timed, travel=travel,
-        baseline=None if reference is None else reference["mu"],
+        baseline=None if reference is None else reference["mu"], begin_s=begin_s if np.isfinite(begin_s) else None,
     )  # fmt: skip
     part = store.get(key)
     if part is None:
         try:
             # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
-            asked = (finish, trial, reference, timed, travel)
+            asked = (finish, trial, reference, timed, travel, begin_s)
             (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()
             part = Part({"ended": "failed", "error": f"{word}: {error}", "metrics": {}}, {})
         store.put(key, part)
     values, faults = part.values, part.values.get("faults", {})
-    return Run(label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, faults)
+    return Run(
+        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, faults,
+        begun=values.get("begun", {}),
+    )  # fmt: skip
 
 
 def run_all(
@@ -177,6 +197,9 @@ def run_all(
     *,
     timed: int = 1,
     processes: int = 1,
+    short: Sequence[str] = (),
+    short_s: float = np.inf,
+    show: Callable[[list[Run]], None] = lambda _: None,
 ) -> list[Run]:
     """Run every controller on every trial, the baseline first; in the order of the trials.
 
@@ -187,12 +210,18 @@ def run_all(
         store: of finished runs; None keeps nothing.
         timed: how many trials, the first ones, run alone, so that their times hold; the others' are not used.
         processes: how many of the others run at a time.
+        short: solvers that run the beginning of each trial alone,
+        short_s: and how long that is; of the other runs it is summarised apart too.
+        show: called with the runs so far after each trial.
     """
     store = store or Store(None)
     hung: dict[str, str] = {}
+    brief = set(short) & set(controllers)
+    begin_s = short_s if brief else np.inf
+    so_far: list[Run] = []
 
     def one_trial(worker: Worker, trial: Scenario, alone: bool) -> list[Run]:
-        baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=alone)
+        baseline = run_one(store, worker, variant(trial, BASELINE), BASELINE, None, timed=alone, begin_s=begin_s)
         advance(f"{trial.name} {BASELINE}")
         runs = [baseline]
         for name, settings in controllers.items():
@@ -200,11 +229,18 @@ def run_all(
                 reason = f"not run: it hung on trial {hung[name]}"
                 runs.append(Run(name, trial.name, {}, error=reason, ended="failed", timed=alone))
             else:
-                runs.append(run_one(store, worker, variant(trial, name, settings), name, baseline, timed=alone))
+                asked, cut = variant(trial, name, settings), False
+                if name in brief and short_s < (trial.duration_s or np.inf):
+                    asked, cut = asked.change(duration_s=short_s), True
+                run = run_one(store, worker, asked, name, baseline, timed=alone, begin_s=begin_s)
+                runs.append(replace(run, trial=trial.name, short=cut))
                 if (runs[-1].error or "").startswith(HUNG):
                     hung[name] = trial.name
             advance(f"{trial.name} {name}")
-        return with_steady_errors(runs)
+        runs = with_steady_errors(runs)
+        so_far.extend(runs)
+        show(list(so_far))
+        return runs
 
     trials = list(cases.values())
     with Worker() as worker:
@@ -221,14 +257,18 @@ def with_steady_errors(runs: Sequence[Run]) -> list[Run]:
     Steady are the ticks at which the elbow of no controller with a third level is on its way to its optimum; DCAC,
     which leads its elbow nowhere, has no say in them, nor has a run that broke off.
     """
-    transient = [run.columns[TRANSIENT].astype(bool) for run in runs if run.columns and run.controller != BASELINE]
+    transient = [
+        run.columns[TRANSIENT].astype(bool)
+        for run in runs
+        if run.columns and run.controller != BASELINE and not run.short
+    ]
     if not transient:
         return list(runs)
     steady = ~np.any(transient, axis=0)
     found = []
     for run in runs:
         metrics = dict(run.metrics)
-        if run.columns:
+        if run.columns and not run.short:
             metrics["settled_ticks"] = float(steady.sum())
             if steady.any():
                 for name in STEADY:

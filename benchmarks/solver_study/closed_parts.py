@@ -34,9 +34,13 @@ def controllers(study: Study, so_far: Findings) -> Findings:
     part = study.config.closed_loop
     runs = closed_loop.run_all(
         cases(study, part), {s.solver: s.options for s in study.controllers}, study.advance, study.store,
-        timed=part.timed, processes=study.config.processes,
+        timed=part.timed, processes=study.config.processes, short=part.short, short_s=part.short_s,
+        show=lambda runs: study.show({"closed_loop": combine.summary(runs)}),
     )  # fmt: skip
-    return Findings({"closed_loop": combine.summary(runs)}, runs=runs)
+    found = {"closed_loop": combine.summary(runs)}
+    if any(run.short for run in runs):
+        found["closed_loop_beginning"] = combine.summary([run.beginning for run in runs])
+    return Findings(found, runs=runs)
 
 
 def chosen_sweeps(study: Study) -> list[Sweep]:
@@ -115,7 +119,7 @@ def _recommended(so_far: Findings, trials: set[str]) -> dict[str, tuple[dict[str
     found = {}
     for name, metrics in so_far.summary.get("open_loop_warm", {}).items():
         mine = [run for run in so_far.runs if run.controller == name and run.trial in trials]
-        if {run.trial for run in mine} == trials:
+        if {run.trial for run in mine} == trials and not any(run.short for run in mine):
             found[f"{name} as recommended"] = metrics, combine.combined(mine)
     return found
 
@@ -137,21 +141,32 @@ def prediction(opened: compare.Figures, closed: compare.Figures, trials: int) ->
 
 
 JOBS: dict[str, Part] = {
-    "testsets": open_parts.certified_sets, "open_loop": open_parts.recorded_sequence, "growth": open_parts.more_joints,
-    "closed_loop": controllers, "sweeps": all_sweeps, "duals": open_parts.duals,
+    "open_loop": open_parts.recorded_sequence, "testsets": open_parts.certified_sets, "closed_loop": controllers,
+    "sweeps": all_sweeps, "growth": open_parts.more_joints, "duals": open_parts.duals,
 }  # fmt: skip
 """Name in the configuration -> what runs, in the order in which they need each other."""
 
 
-def steps(study: Study) -> int:
-    """Return how often the parts call ``study.advance``."""
+SECONDS = {
+    "open_loop": 12.0, "testsets": 55.0, "closed_loop": 50.0, "sweeps": 30.0, "growth": 18.0, "duals": 2.0,
+    "qpbenchmark": 10.0,
+}  # fmt: skip
+"""That each part takes, roughly, on two cores: what its steps weigh in the time that is left."""
+
+
+def weights(study: Study) -> dict[str, float]:
+    """Return for each part that is asked for what one of its steps weighs."""
+    return {part: SECONDS[part] / max(count, 1) for part, count in steps(study).items() if part in study.config.parts}
+
+
+def steps(study: Study) -> dict[str, int]:
+    """Return how often each part calls ``study.advance``."""
     config = study.config
     points = sum(len(sweep.points) for sweep in chosen_sweeps(study))
     points += len(sweeps.LATE) * len(config.sweeps.late_percent) * len(study.deadline_solvers)
     trials = len(config.closed_loop.tasks) * config.closed_loop.seeds
-    counts = {
+    return {
         "open_loop": 2 * len(study.recommended), "testsets": 2 * len(study.settings), "growth": len(study.growing),
         "closed_loop": trials * (1 + len(study.controllers)), "sweeps": points, "duals": len(study.with_duals),
         "qpbenchmark": 1,
     }  # fmt: skip
-    return 1 + sum(counts[part] for part in config.parts)

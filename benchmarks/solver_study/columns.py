@@ -72,6 +72,7 @@ RESIDUALS = [
 ]
 CLOSED = [
     count("runs", "trials", text="each from a pose of its own, drawn by its seed"),
+    count("ticks", "ticks", text="of all its trials; slow solvers run the beginning of each alone"),
     Column("mu_mean", "mu", format=".4f", better="high"),
     Column("mu_fraction_of_bound", "of bound", better="high", help="of the largest mu on the self-motion"),
     Column("mu_fraction_of_best_from_start", "of best from start", better="high", help="of the best course from there"),

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.closed_loop import Run
-from benchmarks.statistics import StatisticsError, relative_change
 from benchmarks.timing import percentiles
+from moc_opt.comparison.statistics import StatisticsError, relative_change
 from moc_opt.trace.ending import Ending
 
 COMPARED = {
@@ -34,7 +34,8 @@ def changes(runs: Sequence[Run], baseline: Sequence[Run]) -> dict[str, float]:
 
     The mean of the trials' own gains is another number, and is not given.
     """
-    theirs = {run.trial: run.metrics for run in baseline if run.columns}
+    short = any(run.short for run in runs)
+    theirs = {run.trial: (run.beginning if short else run).metrics for run in baseline if run.columns}
     found: dict[str, float] = {}
     for metric, name in COMPARED.items():
         pairs = [
@@ -59,6 +60,7 @@ def combined(runs: Sequence[Run]) -> dict[str, Any]:
     whole = [run for run in runs if run.columns]
     values: dict[str, Any] = {
         "runs": len(runs), "broke_off": len(runs) - len(whole), "timed_runs": sum(run.timed for run in whole),
+        "short_runs": sum(run.short for run in runs),
     }  # fmt: skip
     values |= {
         ending.value: sum(Ending.of(run.ended) is ending for run in runs)

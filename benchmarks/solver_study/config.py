@@ -18,6 +18,7 @@ PARTS: tuple[Parts, ...] = (
     "open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark",
 )  # fmt: skip
 
+SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
 
 
@@ -26,8 +27,8 @@ class OpenLoop(Settings):
 
     KIND: ClassVar[str] = "[open_loop]"
     task: str = "circle"
-    ticks: int = Field(1000, ge=2)
-    cold: int = Field(100, ge=1)
+    ticks: int = Field(500, ge=2)
+    cold: int = Field(50, ge=1)
 
 
 class ClosedLoop(Settings):
@@ -38,6 +39,8 @@ class ClosedLoop(Settings):
     seeds: int = Field(5, ge=1, description="trials per task, each from a random pose")
     timed: int = Field(1, ge=1, description="trials that run alone, the only ones whose times are used")
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
+    short: list[str] = Field(list(SLOW), description="solvers whose runs are short: they take a millisecond a tick")
+    short_s: float = Field(1.0, gt=0.0, description="of each of their trials; compared with the same ticks of others")
     twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
 
 
@@ -50,8 +53,9 @@ class TestSets(Settings):
     names: Literal["all"] | list[str] = "all"
     timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under default and tight settings too")
     every: int = Field(1, ge=1, description="take each every-th problem")
+    every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
     rounds: int = Field(8, ge=1)
-    seconds: float = Field(0.1, gt=0.0, description="of timing a set, at most")
+    seconds: float = Field(0.05, gt=0.0, description="of timing a set, at most")
     patience_s: float = Field(1.0, gt=0.0, description="longer without an answer is a hang")
     setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
     cold: int = Field(16, ge=1)
@@ -77,7 +81,7 @@ class Growth(Settings):
     """Arms with more joints."""
 
     KIND: ClassVar[str] = "[growth]"
-    joints: list[int] = Field([7, 8, 10, 12, 14], min_length=2)
+    joints: list[int] = Field([7, 10, 14], min_length=2)
     nonlinear: bool = Field(False, description="nlp-*, whose programs take minutes to build for many joints")
 
 
@@ -86,8 +90,8 @@ class Sweeps(Settings):
 
     KIND: ClassVar[str] = "[sweeps]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(5, ge=1, description="trials per task, as in [closed_loop]")
-    duration_s: Level = Field(4.0, description="as in [closed_loop]")
+    seeds: int = Field(2, ge=1, description="trials per task, the first ones of [closed_loop]")
+    duration_s: Level = Field(1.5, description="of a trial; as in [closed_loop], its runs count in the prediction too")
     values: Literal["few", "usual", "many"] = "usual"
     deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
     late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
@@ -112,8 +116,8 @@ class Config(Configuration):
     def quick(self) -> Self:
         """Return the same study on less data: for a first look and for the tests."""
         few = {
-            "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "rounds": 2, "cold": 4,
-            "seconds": 0.02, "setup_s": 6.0,
+            "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "every_other": 1, "rounds": 2,
+            "cold": 4, "seconds": 0.02, "setup_s": 6.0,
         }  # fmt: skip
         return self._with(
             open_loop={"ticks": 200, "cold": 10},
@@ -131,9 +135,13 @@ class Config(Configuration):
         """Return the study with more of everything, for figures to be cited: an hour or two."""
         return self._with(
             open_loop={"ticks": 4000, "cold": 400},
-            testsets={"timed": list(RECIPES), "rounds": 100, "seconds": 10.0, "cold": 128, "patience_s": 10.0},
+            testsets={
+                "timed": list(RECIPES), "every_other": 1, "rounds": 100, "seconds": 10.0, "cold": 128,
+                "patience_s": 10.0,
+            },
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "twice": True},
+            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "short": [],
+                         "twice": True},
             sweeps={
                 "tasks": list(TASKS), "seeds": 5, "duration_s": None, "values": "many",
                 "late_percent": [0.1, 1.0, 5.0, 20.0],

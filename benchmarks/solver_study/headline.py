@@ -9,7 +9,7 @@ from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly, share_right
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.study import NONLINEAR
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 
 Rows = Mapping[str, Mapping[str, Any]]
 

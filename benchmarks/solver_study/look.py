@@ -64,7 +64,7 @@ def look(scenario: Scenario, runs: Sequence[Run]) -> Look | None:
     if not runs:
         return None
     trial = runs[0].trial
-    seen = {run.controller: run.seen for run in runs if run.trial == trial}
+    seen = {run.controller: run.seen for run in runs if run.trial == trial and not run.short}
     traces = {name: trace for name, trace in seen.items() if trace is not None}
     return Look(scenario, trial, traces, trial_map(scenario.robot.arm(), traces))
 

@@ -21,7 +21,7 @@ from benchmarks.solver_study.cells import (
     totals,
 )
 from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, effective, in_words
-from benchmarks.solver_study.study import Findings, Study
+from benchmarks.solver_study.study import NONLINEAR, Findings, Study
 from moc_opt.qp.problem import NullSpaceQP
 
 DUAL_SETS = ("circle", "random")
@@ -50,6 +50,7 @@ def recorded_sequence(study: Study, so_far: Findings) -> Findings:
             warm[solver], cold[solver] = cell.summary(times), apart.summary(cold_only(times))
             found.rows += cell.rows("open_loop_warm") + apart.rows("open_loop_cold")
             samples[solver] = times.arrays["solve_us"].ravel()
+            study.show({"open_loop_warm": dict(warm)})
             study.advance(f"open loop {solver}, cold")
     found.summary |= {"open_loop_warm": warm, "open_loop_cold": cold}
     found.samples["open_loop"] = samples
@@ -60,17 +61,24 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
     """Ask every solver under every setting for every set; the answers several at a time, the times one by one."""
     table = study.config.testsets
     chosen = [load(name, table.every) for name in table.chosen()]
+    thinned = [data.thinned(table.every_other) for data in chosen]
     limits = table.limits()
+    first = study.recommended
+    order = [*first, *(setting for setting in study.settings if setting not in first)]
+    early: dict[str, Any] = {}
 
     def all_sets(worker: Worker, setting: SolverSetting) -> list[Cell]:
-        cells = asked_all(study.store, worker, setting, chosen, limits)
+        fully = setting.name == RECOMMENDED and not setting.solver.startswith(NONLINEAR)
+        cells = asked_all(study.store, worker, setting, chosen if fully else thinned, limits)
+        early[setting.label] = totals(cells, {})
+        study.show({"testsets": dict(early)})
         study.advance(f"answers {setting.label}")
         return cells
 
-    answered = spread(study.settings, all_sets, study.config.processes)
+    answered = spread(order, all_sets, study.config.processes)
     found, whole, costs = Findings(), {}, {}
     with Worker() as worker:
-        for setting, cells in zip(study.settings, answered, strict=True):
+        for setting, cells in zip(order, answered, strict=True):
             recommended = setting.name == RECOMMENDED
             measured = {
                 cell.data.name: timed(study.store, worker, setting, cell.data, limits, cell.complete)
@@ -82,7 +90,7 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
                 part[setting.label] = cell.summary(measured.get(cell.data.name))
                 found.rows += cell.rows("testset")
             whole[setting.label] = totals(cells, measured)
-            if recommended:
+            if recommended and len(cells[0].data.rows) == len(chosen[0].rows):
                 costs[setting.solver] = costs_of(cells, measured)
             study.advance(f"times {setting.label}")
     found.summary["testsets"] = whole

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.solver_study import compare
+from benchmarks.answer import Answer
+from benchmarks.solver_study import compare, verdicts
 from benchmarks.solver_study import figures as study_figures
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly
+from benchmarks.solver_study.first_screen import CERTIFIED, CLOSED_LOOP, RECORDED, RULES
 from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.look import Look
 from benchmarks.solver_study.study import Findings, Study
@@ -18,7 +20,6 @@ from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 
-SCREEN = ("testsets", "closed_loop", "prediction", "troubles", "not_run")
 LAST = {
     "qpbenchmark": "What qpbenchmark says", "troubles": "Exceptions, hangs and crashes", "not_run": "Not run",
 }  # fmt: skip
@@ -29,16 +30,19 @@ METRICS = {
 
 
 def sentences(study: Study, found: Findings) -> list[str]:
-    """Return what stands below the tables on the screen."""
-    said = [headline(found.summary, found.words)]
+    """Return what stands below the first screen in the terminal."""
+    said = []
+    if found.summary["not_run"]:
+        said.append(f"{len(found.summary['not_run'])} solvers could not run here: the report says why.")
     if study.store.reused:
         said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
     return said
 
 
 def report_page(
-    study: Study, found: Findings, made: Mapping[str, Table], environment: Mapping[str, Any], look: Look | None
-) -> Page:
+    study: Study, found: Findings, made: Mapping[str, Table], environment: Mapping[str, Any], look: Look | None,
+    first: Answer,
+) -> Page:  # fmt: skip
     """Build one page that opens by itself; the replay is written beside it.
 
     Args:
@@ -47,9 +51,14 @@ def report_page(
         made: part -> its table.
         environment: of environment.json.
         look: at the first trial; None where nothing ran in closed loop.
+        first: the first screen.
     """
     page = Page("Solvers of the null-space subproblem", "open loop and in closed loop, judged by one measure")
-    page.headline(headline(found.summary, found.words))
+    first.begin(page)
+    page.section("In more words")
+    page.text(headline(found.summary, found.words))
+    page.section(RULES)
+    page.text(verdicts.__doc__ or "")
     page.section("How to read this")
     page.text(
         "An answer is verified when its primal residual is at most 1e-6, its relative natural residual 1e-3 and its "
@@ -82,7 +91,7 @@ def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
     summary = found.summary
     if "testsets" not in made:
         return
-    page.section("Certified test sets")
+    page.section(CERTIFIED)
     page.table(made["testsets"])
     costs = {name: cost for name, cost in found.samples.get("profile", {}).items() if np.isfinite(cost).any()}
     if costs:
@@ -128,7 +137,7 @@ def _testsets(page: Page, found: Findings, made: Mapping[str, Table]) -> None:
 def _open_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Table]) -> None:
     if "open_loop_warm" not in made:
         return
-    page.section("Open loop on a recorded run")
+    page.section(RECORDED)
     page.table(made["open_loop_warm"])
     samples = {name: times for name, times in found.samples.get("open_loop", {}).items() if len(times)}
     if samples:
@@ -146,7 +155,7 @@ def _open_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Tab
 def _closed_loop(page: Page, study: Study, found: Findings, made: Mapping[str, Table]) -> None:
     if "closed_loop" not in made:
         return
-    page.section("Closed loop")
+    page.section(CLOSED_LOOP)
     cut = study.config.closed_loop.duration_s
     page.text(
         "Each trial begins at a random pose and shows "
@@ -154,7 +163,8 @@ def _closed_loop(page: Page, study: Study, found: Findings, made: Mapping[str, T
     )
     page.table(made["closed_loop"])
     first = found.runs[0].trial if found.runs else ""
-    shown = {r.controller: r.trace for r in found.runs if r.trial == first and r.trace is not None}
+    whole = [r for r in found.runs if r.trial == first and not r.short]
+    shown = {r.controller: r.trace for r in whole if r.trace is not None}
     if shown:
         page.figure(
             figures.time_series(shown),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -33,12 +33,16 @@ class Study:
         names: of the solvers that can run here.
         out: folder of the results; finished parts are kept in ``out/parts``.
         advance: called with a few words after each step.
+        show: called with parts of the summary as far as they have come.
+        enter: called with the name of each part as it begins.
     """
 
     config: Config
     names: Sequence[str]
     out: Path
     advance: Advance
+    show: Callable[[Mapping[str, Any]], None] = lambda _: None
+    enter: Callable[[str], None] = lambda _: None
 
     @cached_property
     def store(self) -> Store:
@@ -126,7 +130,9 @@ def run_study(study: Study, parts: dict[str, Part]) -> Findings:
     for name, part in parts.items():
         if name in study.config.parts:
             begin = perf_counter()
+            study.enter(name)
             found.add(part(study, found))
+            study.show(found.summary)
             found.seconds[name] = round(perf_counter() - begin, 1)
     found.summary.setdefault("not_run", {})
     return found

@@ -26,7 +26,7 @@ from benchmarks.solver_study.combine import COMPARED
 from benchmarks.solver_study.compare import WORDS
 from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import NONLINEAR
-from benchmarks.statistics import spread
+from moc_opt.comparison.statistics import spread
 from moc_opt.report.tables import Column, Table
 
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]

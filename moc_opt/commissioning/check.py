@@ -18,6 +18,7 @@ from moc_opt.redundancy.freedoms import best_freedoms, freedoms
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.robots import urdf
 from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.derived import largest_mu
 
 Array = NDArray[np.float64]
 Verdict = Literal["ok", "care", "cannot"]
@@ -50,7 +51,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
     asked = scenario or Scenario(robot={"name": robot.data.name})
     found = [_size(robot), _freedom(robot), _regularity(robot)]
     if all(row.verdict != "cannot" for row in found):
-        found += [_climb(robot), _task(robot, asked)]
+        found += [_climb(robot), _largest(robot), _task(robot, asked)]
     return [*found, _limits(robot), _speeds(robot), _weight(robot), _bodies(robot), *_gains(robot, asked)]
 
 
@@ -107,6 +108,12 @@ def _climb(robot: RobotModel) -> Finding:
     if best < (1.0 + LITTLE_TO_GAIN) * mu:
         return Finding("mu at home", text, "care", "little to gain from there: choose another home.q_rad")
     return Finding("mu at home", text, "ok")
+
+
+def _largest(robot: RobotModel) -> Finding:
+    """The largest mu with tip and wrist where they are at home; a local law may not get there."""
+    (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
+    return Finding("largest mu there", f"{largest:.3g}, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
@@ -180,7 +187,7 @@ def _bodies(robot: RobotModel) -> Finding:
 
 
 def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
-    """The rates of the asked control's gains, and of the preset "tuned", whose numbers are the LWR4+'s."""
+    """The rates of the asked control's gains, and of those of the preset "tuned"."""
     limit, period = allowed_rate(asked.plant), asked.plant.period_s
     yield _rate_row("gains", gain_rates(robot, asked.control), limit, period, lambda s: (
         f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {s[0]} by {s[1]:.2g} in "
@@ -188,7 +195,7 @@ def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
     ))  # fmt: skip
     tuned = type(asked.control).preset("tuned")
     yield _rate_row("preset tuned", gain_rates(robot, tuned), limit, period, lambda s: (
-        f"its {s[0]} is the LWR4+'s and too much here: leave the preset out, or multiply {s[0]} by {s[1]:.2g}"
+        f"leave the preset out, or multiply {s[0]} in the robot file's [gains.tuned] by {s[1]:.2g}"
     ), worst="care")  # fmt: skip
 
 

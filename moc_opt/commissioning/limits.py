@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from moc_opt.commissioning.vendor import VendorArm, chain_joints
+from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import urdf
 
@@ -38,6 +39,9 @@ TURNING, SLIDING = Unit("turning", "rad", "rad/s", "Nm"), Unit("sliding", "m", "
 def choose_limits(arm: VendorArm) -> list[str]:
     """Give every joint of the chain a finite range, a speed and an effort, in place; what was changed is noted.
 
+    Raises:
+        RobotError: a joint's lower limit lies above its upper one; which range is meant is not for us to choose.
+
     Returns:
         Joints without a usable effort: `choose_efforts` finds theirs when the arm's weight is known.
     """
@@ -65,6 +69,11 @@ def _range(
     name: str, endless: bool, unit: Unit, given: dict[str, float], notes: list[str]
 ) -> tuple[float, float]:
     lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
+    if lower > upper and not endless:
+        raise RobotError(
+            f"urdf joint {name!r}: lower = {lower:g} lies above upper = {upper:g}: are they exchanged? Give the range "
+            f"of the data sheet in {unit.position}, the smaller number as lower"
+        )
     if unit is SLIDING:
         if lower < upper <= 100.0:
             return lower, upper

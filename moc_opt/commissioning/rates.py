@@ -5,16 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from moc_opt.control import ControlSettings
-from moc_opt.model.gains import largest_rate
+from moc_opt.model.gains import largest_inverse_masses, largest_null_rate, largest_rate
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
-_POSES = 16
 
 
 class Rates(NamedTuple):
@@ -39,25 +33,8 @@ def gain_rates(robot: RobotModel, control: ControlSettings) -> Rates:
     space: the largest eigenvalue of (Z M Z^T)^-1 Z (K_N2 + D_N2) Z^T.
     """
     gains = control.resolve_gains(robot.data.gains, robot.n)
-    joints = np.diag(gains.K_N2 + gains.D_N2)
-    rng = np.random.default_rng(0)
-    found = np.zeros(3)
-    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
-        state = robot.state(q)
-        yields = np.linalg.solve(state.M, state.A.T)
-        tip, wrist = state.J_tip @ yields[:, :3], state.J_wrist @ yields[:, 3:]
-        _, values, rows = np.linalg.svd(state.A)
-        Z = rows[int(np.sum(values > 1e-6 * values[0])) :]
-        null = (
-            np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ joints @ Z.T)).real if len(Z) else [0.0]
-        )
-        here = [
-            gains.D_X * np.linalg.eigvalsh(tip)[-1],
-            gains.D_N * np.linalg.eigvalsh(wrist)[-1],
-            np.max(null),
-        ]
-        found = np.maximum(found, here)
-    return Rates(*(float(rate) for rate in found))
+    tip, wrist = largest_inverse_masses(robot)
+    return Rates(gains.D_X * tip, gains.D_N * wrist, largest_null_rate(robot, gains.K_N2 + gains.D_N2))
 
 
 def allowed_rate(plant: PlantSettings) -> float:

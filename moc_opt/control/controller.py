@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from moc_opt.control import tick
 from moc_opt.control.climb import ScaledClimb
 from moc_opt.control.guide import Guide
+from moc_opt.control.isolated import IsolatedSession
 from moc_opt.control.law import law_of
 from moc_opt.control.null_space import follow_null_space, null_space
 from moc_opt.control.observer import MomentumObserver
@@ -78,7 +79,6 @@ class Controller:
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         gain = settings.observer_gain_per_s
         self._observer = MomentumObserver(robot, gain, period) if gain else None
-        self._session: Session | None = None
         self._observes = self._started = False
         self._damps = solver is None and settings.damps_dcac
         self._rest = np.zeros(robot.n)
@@ -93,6 +93,7 @@ class Controller:
         self._Z = np.zeros((0, n))
         self._tau = read_only(np.zeros(n))
         self._supervisor.forget()
+        self._session: Session | None = None
         self.subproblem: NullSpaceQP | None = None
         self.solution: Solution | None = None
         self.answer = np.full(n, np.nan)
@@ -110,6 +111,12 @@ class Controller:
             label: {"count": counts[label], "first_at_s": self._period * first.tick, "first": first.text}
             for label, first in firsts.items()
         }
+
+    @property
+    def restarts(self) -> list[dict[str, Any]]:
+        """When the process of an isolated solver was replaced since the start [s], and why."""
+        found = self._session.restarts if isinstance(self._session, IsolatedSession) else []
+        return [{"at_s": self._period * restart.tick, "reason": restart.reason} for restart in found]
 
     @property
     def solve_us(self) -> float:

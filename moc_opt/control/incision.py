@@ -6,6 +6,9 @@ forces of the trocar, f, and of what the tip touches, g:
 
     force = f + g,   torque about the mount = (L - d) z x f + L z x g,   hence   f = (L force - torque x z) / d
 
+That depth is the believed one: a shaft that has left its incision presses with its tip, and all of f would pass for g.
+So of g no more than a given force is believed, and the rest counts as the trocar's.
+
 Nearer to the tip than ``SHORTEST_DEPTH_M`` the two cannot be told apart, and the whole force counts as the trocar's.
 The tool's inertia force is left in: some 0.3 N for each m/s^2 of the default tool.
 """
@@ -48,7 +51,7 @@ def rcm_error(pose: Array, point: Array) -> float:
 
 
 @njit(cache=True, nogil=True)
-def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: float) -> float:
+def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: float, touch: float) -> float:
     """Return the force of the trocar on the shaft, across it [N]; NaN where the sensor's reading is no number.
 
     Args:
@@ -57,17 +60,21 @@ def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: 
         wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         mass: of the tool, a uniform rod [kg].
         length: L, from its mount to its tip [m].
+        touch: what the tip may press across the shaft [N]: of the whole force no less than the rest is the trocar's.
     """
     depth = 0.0
     for i in range(3):
         depth += pose[2, i] * (pose[3, i] - point[i])
     weight_x, weight_y = -mass * _GRAVITY_M_PER_S2 * pose[0, 2], -mass * _GRAVITY_M_PER_S2 * pose[1, 2]
     force_x, force_y = wrench[0] - weight_x, wrench[1] - weight_y
+    whole = np.sqrt(force_x * force_x + force_y * force_y)
     if depth >= SHORTEST_DEPTH_M:
         # torque x z; the weight acts in the middle of the rod
         moment_x, moment_y = wrench[4] - 0.5 * length * weight_x, -wrench[3] - 0.5 * length * weight_y
         force_x, force_y = (length * force_x - moment_x) / depth, (length * force_y - moment_y) / depth
-    return float(np.sqrt(force_x * force_x + force_y * force_y))
+        force = np.sqrt(force_x * force_x + force_y * force_y)
+        return float(whole - touch if whole - touch > force else force)
+    return float(whole)
 
 
 _BELOW, _ABOVE, _NO_READING = 0, 1, 2
@@ -75,11 +82,12 @@ _BELOW, _ABOVE, _NO_READING = 0, 1, 2
 
 @njit(cache=True, nogil=True)
 def _take(
-    mass: float, length: float, share: float, lowest: Array, means: Array, pose: Array, trocar: Array, wrench: Array
-) -> int:
+    mass: float, length: float, touch: float, share: float, lowest: Array, means: Array,
+    pose: Array, trocar: Array, wrench: Array,
+) -> int:  # fmt: skip
     """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number."""
     point = trocar[0]
-    distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, mass, length)
+    distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, mass, length, touch)
     means[0] += share * (distance * distance - means[0])
     if not np.isfinite(force):
         return _NO_READING
@@ -87,7 +95,7 @@ def _take(
     return _BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else _ABOVE
 
 
-_TAKE = CompiledKernel(_take, float64, float64, float64, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
+_TAKE = CompiledKernel(_take, float64, float64, float64, float64, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
 
 
 @dataclass
@@ -123,7 +131,7 @@ class Incision:
 
     Args:
         tool_pose: q (n,) [rad] -> (4, 3), ``RobotModel.tool_pose``.
-        tool: mass [kg] and length [m] of the tool.
+        tool: mass [kg] and length [m] of the tool, and what its tip may press across the shaft [N].
         share: control period over the time constant.
         patience_ticks: readings of the wrench sensor in a row that may be no numbers.
         rcm: warning level and limit of the RCM error against the registered trocar [m]; None: off.
@@ -133,7 +141,7 @@ class Incision:
     def __init__(
         self,
         tool_pose: Callable[[Array], Array],
-        tool: tuple[float, float],
+        tool: tuple[float, float, float],
         share: float,
         patience_ticks: int,
         rcm: tuple[float | None, float | None],

@@ -24,7 +24,7 @@ SETTLED = 6.0  # time constants of the residual after which it is what it will b
 
 _AGE = CompiledKernel(kernels.age, int64, int64, INDICES)
 _MOMENTUM = CompiledKernel(
-    kernels.compare_momentum, int64, VECTOR, VECTOR, MATRIX, float64, VECTOR, VECTOR, int64
+    kernels.compare_momentum, int64, VECTOR, VECTOR, MATRIX, VECTOR, float64, VECTOR, VECTOR, int64
 )
 
 
@@ -36,14 +36,19 @@ class MotionMonitor:
         period: control period [s].
         patience: ticks.
         tau_max: (n,) [Nm].
+        coulomb: (n,) Coulomb friction as the robot's file tells it [Nm], 0 where it does not; None: nowhere.
     """
 
-    def __init__(self, settings: MotionSettings, period: float, patience: int, tau_max: Array) -> None:
+    def __init__(
+        self, settings: MotionSettings, period: float, patience: int, tau_max: Array, coulomb: Array | None = None
+    ) -> None:
+        self._held = settings.held(tau_max, np.zeros(len(tau_max)) if coulomb is None else coulomb)
         self._period, self._patience, self._tau_max = period, patience, np.array(tau_max)
         self._settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self._levels, self._on = settings.levels, settings.motion
         self._age = _AGE.code
-        self._replayed, self._most_replayed = _REPLAYED.code, settings.repeat_whole_ticks
+        self._replayed = _REPLAYED.code
+        self._most_replayed = (settings.replayed_ticks(len(tau_max)), float(settings.repeat_whole_ticks))
         self._no_wrench = np.full(6, np.nan)
         self._n = self._tau_max.size
         self._rest = np.zeros(self._n)
@@ -58,7 +63,7 @@ class MotionMonitor:
         self._seen, self._count = np.zeros((2, replays.SLOTS)), np.zeros(3)
         fixed = (self._patience, self._tau_max, self._levels, self._memory)
         self._readings = partial(_READINGS.code, *fixed, self._still)
-        self._momentum = partial(_MOMENTUM.code, *fixed, self._period)
+        self._momentum = partial(_MOMENTUM.code, *fixed, self._held, self._period)
         self._checked, self._ticks = 0, 0  # control periods since the last reading that was looked at
         self._tip = np.zeros(3)
 
@@ -83,10 +88,12 @@ class MotionMonitor:
         found = self._readings(q, v, tau, wrench, self._tip, self._period * max(1, self._ticks))
         self._ticks = 0
         came_before = self._replayed(q, v, wrench, self._seen, self._count)
-        if came_before > self._most_replayed and kernels.has_noise(self._still):
+        if came_before > self._most_replayed[kernels.has_noise(self._still)]:
             return "the measurements are a recording: they came before, to the last bit"
         if found == kernels.NOTHING:
             return ""
+        if found == kernels.ONE_REPEATED:
+            return "one encoder repeats its reading, as its noise does not let it"
         if found == kernels.REPEATED:
             return "all encoders repeat one reading, as no arm that moves or has noise does"
         return "the encoders' positions do not follow their velocities"

@@ -5,7 +5,8 @@ Four signs, each of which a sound arm stays well below:
 - the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
 - all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
   enough where the wrench sensor repeats its reading too;
-- one encoder repeats its reading, while the momentum residual says that its joint must have gathered speed;
+- one encoder repeats its reading for longer than its noise lets it, or while the momentum residual says that its joint
+  must have gathered speed;
 - the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that no encoder shows.
 """
 
@@ -27,7 +28,7 @@ joint began to repeat, and the speed that it must have gathered since; ticks in 
 ROWS = 11
 FIRST_TICKS = 100.0
 
-NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED = 0, 1, 2, 3, 4
+NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED = range(6)
 
 FRESH, REPEAT, OLD = 0, 1, 2
 
@@ -89,7 +90,7 @@ def compare_readings(
         elapsed: time since the reading before [s].
 
     Returns:
-        NOTHING, RAN_AWAY, or REPEATED.
+        NOTHING, RAN_AWAY, REPEATED, or ONE_REPEATED.
     """
     n = q.shape[0]
     still[9] += 1.0
@@ -102,7 +103,7 @@ def compare_readings(
         if still[9] > 0.0:
             still[11] = 1.0
     keep = 1.0 - min(1.0, elapsed / levels[0])
-    ran_away, fewest = False, 1e18
+    ran_away, fewest, most = False, 1e18, 0.0
     for i in range(n):
         if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
             memory[SHOWN, i] = q[i] - elapsed * v[i]
@@ -115,7 +116,7 @@ def compare_readings(
         else:
             memory[REPEATS, i] = 0.0
             memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
-        fewest = min(fewest, memory[REPEATS, i])
+        fewest, most = min(fewest, memory[REPEATS, i]), max(most, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
     if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
         for i in range(n):
@@ -133,18 +134,21 @@ def compare_readings(
         for i in range(n):
             if abs(tau[i] - memory[TORQUE, i]) > least * tau_max[i]:
                 return REPEATED
-    return RAN_AWAY if ran_away else NOTHING
+    if ran_away:
+        return RAN_AWAY
+    return ONE_REPEATED if most > levels[6] else NOTHING
 
 
 @njit(cache=True, nogil=True)
 def compare_momentum(
-    patience: int, tau_max: Array, levels: Array, memory: Array, period: float,
+    patience: int, tau_max: Array, levels: Array, memory: Array, held: Array, period: float,
     record: Array, tau: Array, settled: int,
 ) -> int:  # fmt: skip
     """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
 
-    Args are those of ``compare_readings``; record is the flat state of the measurement, period the control period [s],
-    and settled 0 while the residual is still on its way from nothing to what the model does not know.
+    Args are those of ``compare_readings``; held (n,) is the change of torque that static friction
+    holds [Nm], record the flat state of the measurement, period the control period [s], and settled 0 while the
+    residual is still on its way from nothing to what the model does not know.
 
     Returns:
         NOTHING, STUCK or UNEXPLAINED.
@@ -161,8 +165,8 @@ def compare_momentum(
         if settled == 0:
             memory[MEAN, i], memory[AT_REPEAT, i], memory[UNSEEN, i] = r, r, 0.0
         memory[MEAN, i] += share * (r - memory[MEAN, i])
-        beyond = r - memory[AT_REPEAT, i]  # what static friction does not hold
-        beyond -= min(max(beyond, -levels[6] * tau_max[i]), levels[6] * tau_max[i])
+        beyond = r - memory[AT_REPEAT, i]
+        beyond -= min(max(beyond, -held[i]), held[i])
         memory[UNSEEN, i] += period * beyond / s.M[i, i]
         if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[7]:
             found = STUCK

@@ -70,12 +70,14 @@ class SafetyFilter:
         self._step = settings.torque_rate_Nm_per_s * period
         self._unknown, self._rest = np.empty(0), np.zeros(data.n)
         self._gravity, self._state = gravity, state
-        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max)
+        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max, data.coulomb_friction)
         self._share = min(1.0, period / settings.tip_error_s)
         self._most = settings.tip_error_m**2
+        self._most_open = round(settings.stop_yield_s / period)
         self._press_share = min(1.0, PRESS_PER_S * period)
+        touch = np.inf if settings.tip_force_N is None else settings.tip_force_N
         self._incision = None if tool_pose is None else Incision(
-            tool_pose, (data.tool_mass, data.tool_length), min(1.0, period / settings.incision_s),
+            tool_pose, (data.tool_mass, data.tool_length, touch), min(1.0, period / settings.incision_s),
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
             (settings.trocar_force_warning_N, settings.trocar_force_N),
         )  # fmt: skip
@@ -84,7 +86,7 @@ class SafetyFilter:
     def _forget(self, q: Array, v: Array) -> None:
         self._q, self._v, self._bad = q, v, 0
         self._square, self.limited, self.reason, self._yields = 0.0, 0, "", False
-        self._press = 0.0
+        self._press, self._borne, self._open = 0.0, 0.0, 0
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
         """Begin at the first measurement, number ``stamp``, and run every compiled check once, before the loop.
@@ -208,8 +210,9 @@ class SafetyFilter:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
         Closed brakes hold the arm against tissue that pushes it, and keep up the force; open ones let it sink under
-        any load that its model does not know of. So they open at ``stop_yield_N``, close again at half of it, and stay
-        closed where the drives cannot carry the weight.
+        any load that its model does not know of. So they open at ``stop_yield_N``, close again at half of it or after
+        ``stop_yield_s``, and open once more where the force has risen by as much again since. They stay closed where
+        the drives cannot carry the weight.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
@@ -220,7 +223,12 @@ class SafetyFilter:
             # A mean: in the first moments the sensor also shows the tool's inertia force.
             force = self._incision.pressed(self._q, wrench)
             self._press = self._press + self._press_share * (force - self._press) if np.isfinite(force) else 0.0
-            self._yields = self._press > (0.5 * level if self._yields else level)
+            self._yields = self._press - self._borne > (0.5 * level if self._yields else level)
+            self._open = self._open + 1 if self._yields else 0
+            if self._open > self._most_open:
+                self._yields, self._borne = False, self._press
+            elif not self._yields:
+                self._borne = min(self._borne, self._press)
         if not self._yields:
             holding_friction(weight, self._limits[3], self.settings.stop_holding, friction)
         return friction

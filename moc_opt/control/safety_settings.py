@@ -14,6 +14,10 @@ from moc_opt.inputs.settings import Level, Settings
 Array = NDArray[np.float64]
 
 
+def _or_never(ticks: int | None) -> float:
+    return np.inf if ticks is None else float(ticks)
+
+
 class MotionSettings(Settings):
     """When a measurement is not believed to show the arm: part of ``[guard]``."""
 
@@ -43,6 +47,14 @@ class MotionSettings(Settings):
         description="change of a joint's momentum residual, of tau_max, that static friction holds while its encoder "
         "repeats one reading",
     )  # fmt: skip
+    stuck_friction: float = Field(
+        6.0, gt=0.0, description="the same as a multiple of the Coulomb friction in the robot's file; the lesser counts"
+    )
+    repeat_joint_ticks: int | None = Field(
+        None, ge=1,
+        description="ticks in a row in which one encoder may repeat its reading to the last bit; where it is left out, "
+        "a scenario works it out from its encoders' noise and step, and without noise there is no limit",
+    )  # fmt: skip
     stuck_rad_per_s: float = Field(
         0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
     )
@@ -52,12 +64,25 @@ class MotionSettings(Settings):
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
 
+    def replayed_ticks(self, n: int) -> float:
+        """Return how many readings of n encoders may have come before, where the wrench sensor has no noise.
+
+        The chance that one encoder with noise shows an earlier reading once more is at most that of repeating itself;
+        that all of them do is its n-th power.
+        """
+        return max(float(self.repeat_whole_ticks), _or_never(self.repeat_joint_ticks) / n)
+
+    def held(self, tau_max: Array, coulomb: Array) -> Array:
+        """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""
+        known = np.where(coulomb > 0.0, self.stuck_friction * coulomb, np.inf)
+        return np.minimum(self.stuck_torque * tau_max, known)
+
     @property
     def levels(self) -> Array:
         """(13,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
-            self.repeat_whole_torque, self.stuck_torque, self.stuck_rad_per_s, self.residual_torque,
+            self.repeat_whole_torque, _or_never(self.repeat_joint_ticks), self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
             self.repeat_whole_m, self.repeat_whole_ticks,
         ])  # fmt: skip
@@ -73,7 +98,7 @@ class SafetyFilterSettings(MotionSettings):
     position_margin_rad: float = Field(
         0.045, ge=0.0, description="the wall begins this far inside a joint limit"
     )
-    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0)
+    wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0, description="torque back, by the depth in the wall")
     wall_damping_Nm_s_per_rad: float = Field(
         20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
     )
@@ -99,6 +124,9 @@ class SafetyFilterSettings(MotionSettings):
         15.0, description="root mean square of the trocar's force on the shaft, by the wrench sensor: above it, stop"
     )
     trocar_force_warning_N: Level = Field(8.0, description="above it, a warning is recorded")
+    tip_force_N: Level = Field(
+        10.0, description="what the tip may press across the shaft: of the whole force the rest counts as the trocar's"
+    )
     incision_s: float = Field(0.1, gt=0.0, description="time constant of these two means")
     stop_damping_Nm_s_per_rad: float = Field(20.0, gt=0.0, description="of the drives in a damped stop")
     stop_holding: float = Field(
@@ -107,6 +135,9 @@ class SafetyFilterSettings(MotionSettings):
     )
     stop_yield_N: Level = Field(
         8.0, description="while the trocar presses harder in a stop, the brakes open and damping alone is left"
+    )
+    stop_yield_s: float = Field(
+        0.4, ge=0.0, le=60.0, description="and for no longer: a force that rises by as much more opens them again"
     )
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
 

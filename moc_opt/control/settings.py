@@ -67,18 +67,16 @@ PAPER: dict[str, Any] = {
     "speed_fraction": 1.0,
     "limit_margin_rad": 0.0,
     "limit_margin_m": 0.0,
+    "shaft_margin_m2": 0.0,
     "fallback": "damping",
     "ramp_s": 0.0,
 }
 
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant.
+# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
+# another arm's table of that name is its own, or derived from its inertia (`moc_opt.model.gains`).
 TUNED: dict[str, Any] = {
-    "gains": "default",
+    "gains": "tuned",
     "fallback": "damping",
-    "K_N": 1670.0,
-    "D_N": 74.2,
-    "K_N2": 22.9,
-    "D_N2": 2.0,
     "observer_gain_per_s": 33.3,
     "feedforward": True,
     "k0_per_s": 1.58,
@@ -89,7 +87,7 @@ TUNED: dict[str, Any] = {
 
 # Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
 # trocar; half as much tip error again.
-ROBUST: dict[str, Any] = {**TUNED, "D_X": 50.0, "K_N2": 15.0, "observer_gain_per_s": 22.0}
+ROBUST: dict[str, Any] = {**TUNED, "gains": "robust", "observer_gain_per_s": 22.0}
 
 
 class ControlSettings(Settings):
@@ -104,8 +102,12 @@ class ControlSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
     FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
-    law: Literal["dcac", "moc"] = "moc"
-    gains: str | None = "default"
+    law: Literal["dcac", "moc"] = Field(
+        default="moc", description="'dcac': tip and RCM alone; 'moc' adds the third level"
+    )
+    gains: str | None = Field(
+        default="default", description="table of the robot's file to start from; '' or None: the one named like the law"
+    )
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
@@ -126,7 +128,9 @@ class ControlSettings(Settings):
         default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
     )
     observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
-    limit_torque: bool = True
+    limit_torque: bool = Field(
+        default=True, description="whether the controller keeps within the joints' largest torques"
+    )
 
     k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
     third_level: Literal["local", "planned", "receding"] = Field(
@@ -143,9 +147,9 @@ class ControlSettings(Settings):
     climb: Literal["gradient", "scaled"] = Field(
         default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
     )
-    c0: NotNegative = 0.01
-    c1: NotNegative = 0.01
-    c2: NotNegative = 0.001
+    c0: NotNegative = Field(default=0.01, description="weight of the tip's velocity in the subproblem's cost")
+    c1: NotNegative = Field(default=0.01, description="the same of the wrist's")
+    c2: NotNegative = Field(default=0.001, description="weight of the manipulability's gradient in it")
     regularization: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
     fallback: Literal["damping", "hold", "least-violation"] = Field(
         default="least-violation", description="the answer to an infeasible subproblem"
@@ -158,6 +162,11 @@ class ControlSettings(Settings):
     )
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides; guard.position_margin_rad is one number for both"
+    )
+    shaft_margin_m2: NotNegative = Field(
+        default=0.025,
+        description="where mu_shaft, what motion that leaves the tip alone does to the shaft, is below this, the climb "
+        "leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
@@ -174,7 +183,7 @@ class ControlSettings(Settings):
             raise ValueError(  # noqa: TRY004 - pydantic turns no other error into the field's
                 "give the name of a table of the robot's file; single gains are keys of [control] itself"
             )
-        return given
+        return None if given == "" else given  # a file has no None
 
     @model_validator(mode="after")
     def _third_level_of_moc(self) -> Self:
@@ -192,7 +201,7 @@ class ControlSettings(Settings):
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
-        """Make what ``python -m benchmarks.tune`` found for the LWR4+ in the realistic plant; see ``TUNED``."""
+        """Make what ``python -m benchmarks.tune`` found for the LWR4+, with the arm's own gains; see ``TUNED``."""
         return cls(**{**TUNED, **cls.present_names(changes)})
 
     @classmethod

@@ -43,6 +43,7 @@ class Fault(Enum):
     OUTSIDE = "the answer leaves the box or misses the references by more than the check allows"
     FALSE_OPTIMUM = "the solver claimed an optimum and the residual check disagrees"
     LATE = "the solver took longer than its budget"
+    LOST = "the solver's process hung or ended, and is replaced"
 
     label: str
     """Name in traces and reports."""
@@ -50,6 +51,14 @@ class Fault(Enum):
     def __init__(self, meaning: str) -> None:
         # Traces keep the label that readers of older ones know.
         self.label = "lied" if self.name == "FALSE_OPTIMUM" else self.name.lower()
+
+
+class Unanswered(Exception):
+    """Raised by a session in another process that has no answer: which fault that is, and what is known of it."""
+
+    def __init__(self, fault: Fault, text: str) -> None:
+        super().__init__(text)
+        self.fault, self.text = fault, text
 
 
 class First(NamedTuple):
@@ -153,8 +162,8 @@ class Supervisor:
         Returns:
             what the solver said, and the x (n,) that the arm follows.
         """
-        solution, wrong, raised = self._ask(session, qp, v)
-        self.fault = Fault.RAISED if raised else Fault.MALFORMED if wrong else self._judge(solution, qp, Z)
+        solution, fault, text = self._ask(session, qp, v)
+        self.fault = fault or self._judge(solution, qp, Z)
         self._asked += 1
         if self.fault is _NO_FAULT:
             self._good, self._age = solution.x.copy(), 0  # a copy: the caller has the solution as well
@@ -163,12 +172,12 @@ class Supervisor:
         self.counts[label] += 1
         if label not in self.firsts:
             cure = f" ({solution.status.value})" if self.fault is Fault.FAILED else ""
-            self.firsts[label] = First(self._asked - 1, raised or wrong or self.fault.value + cure)
+            self.firsts[label] = First(self._asked - 1, text or self.fault.value + cure)
         return solution, self._replace(solution, qp, Z)
 
-    def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, str, str]:
-        """The answer as a private copy, what is wrong with its form, and what was raised; all in ``solve_us``."""
-        shown, given, raised = qp.copy(), None, ""
+    def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
+        """The answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
+        shown, given, fault, text = qp.copy(), None, None, ""
         begin = perf_counter_ns()
         try:
             if v is not None:
@@ -176,13 +185,15 @@ class Supervisor:
             given = session.solve(shown)
         except KeyboardInterrupt:  # a user's Ctrl-C
             raise
+        except Unanswered as error:
+            fault, text = error.fault, error.text
         except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
-            raised = describe(error)
+            fault, text = Fault.RAISED, describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
-        if raised:
-            return no_answer(qp.n, Status.NUMERICAL), "", raised
+        if fault is not None:
+            return no_answer(qp.n, Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL), fault, text
         try:
             solution, wrong = received(given, qp.n)
             if self._stop_late and self._late and not wrong:
@@ -190,8 +201,8 @@ class Supervisor:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - as above
-            return no_answer(qp.n, Status.NUMERICAL), "", describe(error)
-        return solution, wrong, ""
+            return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
+        return solution, Fault.MALFORMED if wrong else None, wrong
 
     def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         status = solution.status
@@ -234,8 +245,11 @@ class Supervisor:
             if self._fallback == "damping":
                 return self._rest
             return self._least_violation(qp)
-        if self.fault is Fault.LATE and self.settings.late != "hold":
-            return np.array(solution.x) if self.settings.late == "iterate" else self._rest
+        late = self.settings.late if self.fault is Fault.LATE else "hold"
+        if late == "zero":
+            return self._rest
+        if late == "iterate" and np.isfinite(solution.x).all():  # of a process that is cut off nothing is there
+            return np.array(solution.x)
         if self._age <= self.settings.hold_ticks:
             return self._good
         return self._retreat(qp, Z) if self.settings.keep_off_limits else self._rest

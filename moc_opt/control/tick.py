@@ -32,6 +32,11 @@ from moc_opt.qp.equalities import offsets
 
 Array = NDArray[np.float64]
 
+SHAFT_PULL = 0.1
+"""Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
+SHAFT_LOST = 0.1
+"""Share of ``shaft_margin`` below which the push fades out again: where the shaft is lost it has no direction."""
+
 
 @njit(cache=True, nogil=True)
 def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, disturbance: Array) -> Array:
@@ -78,11 +83,25 @@ def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, di
 
 
 @njit(cache=True, nogil=True)
+def shaft_push(mu_shaft: float, margin: float) -> float:
+    """Weight of grad mu_shaft beside grad mu [m], zero from the margin on.
+
+    SHAFT_PULL (1 - mu_shaft/margin) mu_shaft/(mu_shaft^2 + lost^2), lost = SHAFT_LOST margin: the slope of a barrier
+    that begins smoothly at the margin. Times grad mu_shaft it has no kink where mu_shaft is zero.
+    """
+    if mu_shaft < margin:
+        lost = SHAFT_LOST * margin
+        return SHAFT_PULL * (1.0 - mu_shaft / margin) * mu_shaft / (mu_shaft * mu_shaft + lost * lost)
+    return 0.0
+
+
+@njit(cache=True, nogil=True)
 def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, row: Array) -> None:
     """Write this tick's NullSpaceQP record (10 n + 10,); arguments as for ``tracking_torque``.
 
     J_T x = v_T = dX_d and J_W x = v_W, where v_W is dN_d for a tip that moves at v_T, with u^T (v_T - v_W) = 0;
-    lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost.
+    lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost. Close to where tip and shaft lose a
+    direction, and the joints would have to turn fast, grad mu has ``shaft_push`` added.
     """
     n = (row.shape[0] - 10) // 10
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
@@ -95,8 +114,9 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     v_W = consistent_wrist_velocity(v_T, dN_d, s.u)
     for i in range(3):
         row[at.b + i], row[at.b + 3 + i] = v_T[i], v_W[i]
+    push = shaft_push(s.scalars[2], c.shaft_margin)
     for i in range(n):
-        row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i], s.q[i]
+        row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i] + push * s.grad_mu_shaft[i], s.q[i]
     for i in range(4):
         row[at.weights + i] = c.weights[i]
     velocity_damper(s.q, c.limits, c.k0, row[at.lower : at.upper], row[at.upper : at.weights])

@@ -28,6 +28,7 @@ def constants(tick: Tick, spec: TickSpec, guard: SafetyFilterSettings) -> dict[s
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
     arrays = {
         "moc_q_min": robot.q_min, "moc_q_max": robot.q_max, "moc_v_max": robot.v_max, "moc_tau_max": robot.tau_max,
+        "moc_held": guard.held(robot.tau_max, robot.data.coulomb_friction),
         "moc_pull": gains.K_N2,
         "moc_damping": gains.D_N2 if moc else per_joint("[control] dcac_damping", control.dcac_damping, robot.n),
     }  # fmt: skip
@@ -95,18 +96,20 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
         "MOC_TIP_ERROR": number(guard.tip_error_m),
         "MOC_TIP_SHARE": number(min(1.0, period / guard.tip_error_s)),
         "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)),
+        "MOC_TIP_FORCE": number(guard.tip_force_N),
         "MOC_TOOL_MASS": number(robot.data.tool_mass),
         "MOC_TOOL_LENGTH": number(robot.data.tool_length),
-        **_motion(guard, period),
+        **_motion(guard, robot.n, period),
         "MOC_STOP_HOLDING": number(guard.stop_holding),
         "MOC_STOP_YIELD": number(guard.stop_yield_N),
+        "MOC_STOP_YIELD_TICKS": str(round(guard.stop_yield_s / period)),
         "MOC_PRESS_SHARE": number(min(1.0, PRESS_PER_S * period)),
         "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad),
         "MOC_STOP_SECONDS": number(guard.stop_s),
     }
 
 
-def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
+def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str]:
     return {
         "MOC_MOTION": str(int(guard.motion)),
         "MOC_MOTION_S": number(guard.motion_s),
@@ -117,7 +120,8 @@ def _motion(guard: SafetyFilterSettings, period: float) -> dict[str, str]:
         "MOC_REPEAT_WHOLE_TORQUE": number(guard.repeat_whole_torque),
         "MOC_REPEAT_WHOLE_M": number(guard.repeat_whole_m),
         "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
-        "MOC_STUCK_TORQUE": number(guard.stuck_torque),
+        "MOC_REPLAYED_TICKS": number(guard.replayed_ticks(n)),
+        "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
         "MOC_RESIDUAL_RATE": number(guard.residual_rate_per_s),

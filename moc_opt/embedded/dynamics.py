@@ -89,9 +89,7 @@ def manipulability(at: Points) -> tuple[SX, SX]:
     """
     J, n = at.J_tip, at.J_tip.shape[1]
     S = J @ J.T
-    rows = [S[:, 1], S[:, 2], S[:, 0]]
-    adjugate = ca.horzcat(*(ca.cross(rows[i], rows[(i + 1) % 3]) for i in range(3)))
-    det = S[:, 0].T @ adjugate[:, 0]
+    det, adjugate = _adjugate(S)
     mean = ca.trace(S) / 3
     regular = det > _SINGULAR * mean**3
     mu = ca.sqrt(ca.fmax(det, 0))
@@ -103,6 +101,38 @@ def manipulability(at: Points) -> tuple[SX, SX]:
     grad = [at.axes[:, k].T @ ahead[n - k] + J[:, k].T @ behind[k] for k in range(n)]
     inverse = ca.if_else(regular, 1 / ca.if_else(regular, mu, 1), 0)
     return mu, ca.vertcat(*grad) * inverse
+
+
+def shaft_manipulability(at: Points) -> tuple[SX, SX]:
+    """Compute mu_shaft and its gradient (n,), the sums of `kinematics_kernels.shaft_manipulability`."""
+    T, W, n = at.J_tip, at.J_wrist, at.J_tip.shape[1]
+    u = (at.tip - at.wrist) / ca.norm_2(at.tip - at.wrist)
+    S = T @ T.T
+    det, adjugate = _adjugate(S)
+    held = det > _SINGULAR * (ca.trace(S) / 3) ** 3
+    K = W @ T.T @ adjugate / ca.if_else(held, det, 1)
+    C = W @ W.T - K @ T @ W.T
+    minors = sum(C[a, a] * C[b, b] - C[a, b] * C[b, a] for a, b in ((0, 1), (1, 2), (2, 0)))
+    regular = ca.logic_and(held, minors > _SINGULAR * ca.trace(C) ** 2)
+    mu = ca.if_else(held, ca.sqrt(ca.fmax(minors, 0)), 0)
+    det, adjugate = _adjugate(C + 0.5 * ca.trace(C) * u @ u.T)
+    Q = adjugate @ (W - K @ T) / ca.if_else(regular, det, 1)
+    grad = ca.SX.zeros(n)
+    for J, P in ((W, Q), (T, -K.T @ Q)):
+        turn, pull = ca.SX.zeros(3), ca.SX.zeros(3)
+        for k in range(n):
+            grad[k] += ca.dot(J[:, k], pull) - ca.dot(at.axes[:, k], turn)
+            pull += ca.cross(P[:, k], at.axes[:, k])
+            turn += ca.cross(J[:, k], P[:, k])
+    return mu, ca.if_else(regular, mu * grad, 0)
+
+
+def _adjugate(S: SX) -> tuple[SX, SX]:
+    """Determinant of a symmetric (3, 3), and its adjugate: the determinant times the inverse."""
+    rows = [S[:, 1], S[:, 2], S[:, 0]]
+    adjugate = ca.horzcat(*(ca.cross(rows[i], rows[(i + 1) % 3]) for i in range(3)))
+    det = S[:, 0].T @ adjugate[:, 0]
+    return det, adjugate
 
 
 def bias_torque(arm: Arm, frames: list[Frame], v: SX) -> SX:

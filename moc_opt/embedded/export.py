@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -77,6 +79,7 @@ def export(
     out: str | os.PathLike[str],
     guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
     safe_recording: SafeRecording | None = None,
+    extra: Mapping[str, str] = MappingProxyType({}),
 ) -> list[Path]:
     """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.
 
@@ -86,6 +89,7 @@ def export(
         out: made if need be.
         guard: the limits that are compiled in.
         safe_recording: ticks that safe_test.c compares the whole controller with; None: that test is left out.
+        extra: further files, text by name; with udp.c among them the Makefile builds moc_udp.
 
     Raises:
         ControlError: the generated code cannot do what a setting asks for, or `out` cannot be written.
@@ -94,6 +98,7 @@ def export(
     texts |= program.read("main.c", "extremes.c") | {"recording.h": source.recording(recording)}
     if safe_recording is not None:
         texts |= program.read("safe_test.c") | {"safe_recording.h": source.safe_recording(safe_recording)}
+    texts |= extra
     texts["Makefile"] = source.makefile(texts, " ".join(FLAGS), safe_recording is not None)
     folder, written = Path(out), []
     try:

@@ -13,6 +13,8 @@ FALLBACK = ("moc_fallback", "moc_subproblem.h")
 """What it needs beside that where it solves."""
 SINGULAR = ("moc_null_space",)
 SOLVING = ("moc_supervisor", "moc_answer", "moc_singular")
+UDP = ("wire_check", "wire_link", "udp.c")
+"""The program that is a controller at the end of a wire; ``wire_packets.h`` is generated."""
 
 
 def read(*names: str) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -95,11 +95,12 @@ def safe_recording(rows: SafeRecording) -> str:
     )
 
 
-def makefile(names: Iterable[str], flags: str, tested: bool) -> str:
+def makefile(names: Collection[str], flags: str, tested: bool) -> str:
     """Write the Makefile for files of these names; `tested`: with the recorded run of the whole controller."""
     parts, headers = (sorted(n for n in names if n.startswith("moc_") and n.endswith(end)) for end in (".c", ".h"))
     tests = ["moc_tick_test", *(["moc_safe_test"] if tested else [])]
-    return render("Makefile", flags=flags, parts=parts, headers=headers, tests=tests)
+    udp = "udp.c" in names
+    return render("Makefile", flags=flags, parts=parts, headers=headers, tests=tests, udp=udp)
 
 
 def number(value: float | None) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
+from moc_opt.control.tick import SHAFT_LOST, SHAFT_PULL
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
@@ -204,8 +205,14 @@ class _Law:
             ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max),
             ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max),
         )
+        gradient = self.grad_mu
+        if settings.shaft_margin_m2 > 0.0:
+            mu_shaft, slope = dynamics.shaft_manipulability(self.at)
+            left, lost = 1 - mu_shaft / settings.shaft_margin_m2, SHAFT_LOST * settings.shaft_margin_m2
+            weight = SHAFT_PULL * ca.fmax(left, 0) * mu_shaft / (mu_shaft**2 + lost**2)  # tick.shaft_push
+            gradient = gradient + weight * slope
         answer = swivel.solve(
-            triangle, z, ca.vertcat(v_wrist, rates), self.grad_mu, box, active,
+            triangle, z, ca.vertcat(v_wrist, rates), gradient, box, active,
             c2=settings.c2, rho=settings.regularization, tolerance=tolerance,
         )  # fmt: skip
         self.status = answer.status
@@ -215,7 +222,7 @@ class _Law:
         self.results |= {
             "x": answer.x,
             "dual": ca.vertcat(on_tip, answer.dual[:3] - on_tip),
-            "subproblem": ca.vertcat(ca.vec(A.T), v_tip, v_wrist, self.grad_mu, *box, *weights, q),
+            "subproblem": ca.vertcat(ca.vec(A.T), v_tip, v_wrist, gradient, *box, *weights, q),
         }  # fmt: skip
 
 

@@ -28,7 +28,7 @@ class LivePage:
     """A run, its clock and its page; a context manager that ends all of it."""
 
     def __init__(
-        self, scenario: Scenario, *, host: str = "127.0.0.1", port: int = PORT, public: bool = False
+        self, scenario: Scenario, *, host: str = "127.0.0.1", port: int = PORT, public: bool = False, title: str = ""
     ) -> None:
         """Build the run, open the page, and let the clock go.
 
@@ -37,6 +37,7 @@ class LivePage:
             host: where to listen; only this machine can reach the default.
             port: the next free one from here on; 0: any.
             public: the user knows that others can reach `host`.
+            title: of the page; the scenario's name if empty.
 
         Raises:
             LiveError: viser is missing, or the host is not this machine alone and `public` is false.
@@ -52,7 +53,7 @@ class LivePage:
         shown = f"[{address}]" if ":" in address else address
         access = Access(own_names(host, address))
         with redirect_stdout(io.StringIO()), guarded_servers(access):
-            self.server = make(host=address, port=port, label=f"moc_opt: {scenario.name}", verbose=False)
+            self.server = make(host=address, port=port, label=f"moc_opt: {title or scenario.name}", verbose=False)
         self.address = f"http://{shown}:{self.server.get_port()}"
         self.url = f"{self.address}/?token={access.token}"
         try:
@@ -148,13 +149,14 @@ def serve(
     port: int = PORT,
     public: bool = False,
     seconds: float | None = None,
+    title: str = "",
 ) -> int:
     """Open the page and keep it until Ctrl-C; return the exit code.
 
     Raises:
         MocOptError: as `LivePage`.
     """
-    with LivePage(scenario, host=host, port=port, public=public) as page:
+    with LivePage(scenario, host=host, port=port, public=public, title=title) as page:
         # No exception from anywhere, which could leave a lock of the page's threads behind; a second Ctrl-C is one.
         def stop(number: int, frame: object) -> None:
             signal.signal(signal.SIGINT, before)

@@ -18,7 +18,7 @@ from moc_opt.live.run import LiveRun
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
-    "µ and the largest on the self-motion [m³]": [
+    "µ and the largest on its self-motion curve [m³]": [
         ("mu", "µ", 1.0, BLUE),
         ("mu_bound", "largest", 1.0, MUTED),
     ],

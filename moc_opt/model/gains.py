@@ -8,7 +8,7 @@ sampled loop is stable (`largest_rate`). The LWR4+ is tuned: other arms get its 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from moc_opt.model.robot_model import RobotModel
+    from moc_opt.model.robot_state import RobotState
 
 Array = NDArray[np.float64]
 Table = dict[str, float | tuple[float, ...]]
@@ -24,20 +25,29 @@ JOINT_RATE = 12.0
 """K_N2 over the joint's inertia [1/s]: the LWR4+'s table has 10 to 22 over its joints, 12.5 on the last one."""
 DAMPING_SHARE = 1.0 / 7.0
 """D_N2 over K_N2: the same table has 0.13 to 0.2."""
+JOINTS: Mapping[str, tuple[float, float, float]] = {
+    "moc": (JOINT_RATE, DAMPING_SHARE, 125.0), "default": (JOINT_RATE, DAMPING_SHARE, 125.0),
+    "tuned": (26.0, 0.087, 125.0), "robust": (17.0, 0.133, 85.0),
+}  # fmt: skip
+"""K_N2 over the joint's inertia [1/s], D_N2 over K_N2, and the most that both may be over the inertia of any motion
+that keeps tip and wrist [1/s]. On the LWR4+ the self-motion's rate under "tuned" and "robust" is 2.16 and 1.41 times
+that of "default" (median over random poses), and the largest are 94, 124 and 85/s."""
 CARTESIAN_RATE = 160.0
 """Most that D_X or D_N may be over the lightest mass behind it [1/s]: a third of what three ticks of delay bear at
 500 Hz. The LWR4+'s D_X has 90 over its lightest direction, its D_N 16."""
 CARTESIAN: Mapping[str, tuple[float, float, float, float]] = {
     "dcac": (2000.0, 20.0, 600.0, 10.0), "moc": (3000.0, 30.0, 800.0, 10.0), "default": (3000.0, 80.0, 800.0, 60.0),
+    "tuned": (3000.0, 80.0, 1670.0, 74.2), "robust": (3000.0, 50.0, 1670.0, 74.2),
 }  # fmt: skip
-"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and ours."""
+"""K_X, D_X, K_N, D_N [N/m, N s/m]: Table I of Su et al. (2019), and those of the LWR4+'s file."""
 _POSES = 16
 
 
 def derived_gains(robot: RobotModel) -> dict[str, Table]:
-    """Derive the tables "dcac", "moc" and "default" from the arm's inertia.
+    """Derive the tables "dcac", "moc", "default", "tuned" and "robust" from the arm's inertia.
 
-    K_N2_i = `JOINT_RATE` M_ii at the home pose, D_N2 = `DAMPING_SHARE` K_N2. K_X and D_X (K_N, D_N) are those of the
+    K_N2_i is a rate times M_ii at the home pose, and D_N2 a share of it (`JOINTS`), the rate smaller where the null
+    space would exceed its largest. K_X and D_X (K_N, D_N) are those of the
     LWR4+, both smaller by the same share where the arm is so light that D_X (D_N) would exceed `CARTESIAN_RATE`.
 
     Args:
@@ -45,29 +55,47 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
     """
     inertia = np.diag(robot.state(robot.data.q_home).M)
     inverse_masses = largest_inverse_masses(robot)
-    joints = tuple(_rounded(JOINT_RATE * float(m)) for m in inertia)
-    damping = tuple(_rounded(DAMPING_SHARE * gain) for gain in joints)
     tables: dict[str, Table] = {}
     for name, cartesian in CARTESIAN.items():
         tables[name] = {}
         for letter, inverse, (K, D) in zip("XN", inverse_masses, (cartesian[:2], cartesian[2:]), strict=True):
             share = min(1.0, CARTESIAN_RATE / (D * inverse))
             tables[name] |= {f"K_{letter}": _rounded(share * K), f"D_{letter}": _rounded(share * D)}
-        if name != "dcac":
-            tables[name] |= {"K_N2": joints, "D_N2": damping}
+        if name in JOINTS:
+            rate, share, most = JOINTS[name]
+            rate *= min(1.0, most / largest_null_rate(robot, (1.0 + share) * rate * inertia))
+            joints = tuple(_rounded(rate * float(m)) for m in inertia)
+            tables[name] |= {"K_N2": joints, "D_N2": tuple(_rounded(share * gain) for gain in joints)}
     return tables
 
 
 def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
     """Largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the home pose and seeded poses of the range."""
-    rng = np.random.default_rng(0)
     found = np.zeros(2)
-    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
-        state = robot.state(q)
+    for state in surveyed(robot):
         yields = np.linalg.solve(state.M, state.A.T)
         tip, wrist = state.J_tip @ yields[:, :3], state.J_wrist @ yields[:, 3:]
         found = np.maximum(found, [np.linalg.eigvalsh(tip)[-1], np.linalg.eigvalsh(wrist)[-1]])
     return float(found[0]), float(found[1])
+
+
+def largest_null_rate(robot: RobotModel, gains: Array) -> float:
+    """Largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, at those poses."""
+    found = 0.0
+    for state in surveyed(robot):
+        _, values, rows = np.linalg.svd(state.A)
+        Z = rows[int(np.sum(values > 1e-6 * values[0])) :]
+        if len(Z):
+            rates = np.linalg.eigvals(np.linalg.solve(Z @ state.M @ Z.T, Z @ (gains[:, None] * Z.T)))
+            found = max(found, float(rates.real.max()))
+    return found
+
+
+def surveyed(robot: RobotModel) -> Iterator[RobotState]:
+    """The states at the home pose and at seeded poses of the range, over which the worst case of a gain is taken."""
+    rng = np.random.default_rng(0)
+    for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
+        yield robot.state(q)
 
 
 def largest_rate(period_s: float, delay_ticks: int) -> float:

@@ -123,6 +123,16 @@ class RobotState:
         return self.record[self._at["grad_mu"]]
 
     @property
+    def mu_shaft(self) -> float:
+        """Manipulability of the shaft once the tip is held [m^2]; see `kinematics_kernels.shaft_manipulability`."""
+        return float(self.record[self._at["scalars"].start + 2])
+
+    @property
+    def grad_mu_shaft(self) -> Array:
+        """dmu_shaft/dq (n,) [m^2/rad]; zero at a singularity, where it has a kink."""
+        return self.record[self._at["grad_mu_shaft"]]
+
+    @property
     def M(self) -> Array:
         """Joint-space inertia (n,n), rotor inertia included [kg m^2]."""
         return self.record[self._at["M"]].reshape(self.n, self.n)

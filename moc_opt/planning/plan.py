@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TaskError
+from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course
@@ -67,6 +68,26 @@ class Plan:
     """Time for both courses by dynamic programming [s]."""
     refine_s: float
     """Time for refining both [s]."""
+
+    def __repr__(self) -> str:
+        return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        return table_html("Plan", self._shown())
+
+    def _shown(self) -> dict[str, str]:
+        """Answer in words what a plan is made for; `moc_opt.report.plan_table` has all of it."""
+        found = {"executable": "yes"}
+        if self.blocked is not None:
+            found = {"executable": "no", "blocked": f"at t = {self.blocked.t_s:.3f} s, {self.blocked.reason}"}
+        for name, course in (("from the start", self.from_start), ("best", self.best), ("local climb", self.climbed)):
+            if course is not None and len(course.mu):
+                part = "" if len(course.mu) == len(self.targets) else f", to t = {course.t_s[-1]:.3f} s only"
+                found[f"mean mu {name}"] = f"{course.mu_mean:.4g} m^3{part}"
+        if np.isfinite(self.best_swivel_rad):
+            found["swivel at the start"] = f"{self.start_swivel_rad:.3f} rad, best {self.best_swivel_rad:.3f} rad"
+        return {**found, "objective": self.objective}
 
     @property
     def executable(self) -> bool:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
 FAR = 1e3  # box widths: how long a proximal step is
 ROUNDS = 200
+STEPS = 20  # uphill, times the number of joints
 ROUNDING = 1e-14  # of numbers of order one
 SETTLED = 1e-11  # proximal steps shorter than this are the rounding of where they come from, FAR away
 FLAT = 1e-9  # a range of the cost below this fraction of slope times box width is rounding
@@ -31,8 +32,8 @@ class Extremes(NamedTuple):
     Attributes:
         w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.
         least: a lower bound on the cost, by weak duality: that of w, where w is the optimum.
-        most: the largest cost; with rho and more than ``MOST_CORNERS`` candidates that of a corner where no
-            linearisation rises, which may be below it.
+        most: the largest cost; with rho and more than ``MOST_CORNERS`` candidates that of a corner from
+            which no edge rises, which may be below it.
         pull: (n,) gradient of the cost at w = 0 with the optimum's multipliers of A x = b.
     """
 
@@ -163,15 +164,45 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
         return cost(w if found is None else found[0])
     if comb(n, r) << r <= MOST_CORNERS:
         return max(cost(w), _largest_corner(Z, low, high, slope, rho))
-    # Frank and Wolfe's steps uphill: each goes to the corner where the linearised cost is largest.
-    most = cost(w)
     axis = np.eye(r)[0]
-    for ascent in (slope, -slope, axis, -axis):
-        for _ in range(ROUNDS):
-            found = optimum(Z, low, high, -ascent, 0.0)
-            if found is None or cost(found[0]) <= most + ROUNDING:
-                break
-            most, ascent = cost(found[0]), slope + rho * found[0]
+    return max(_uphill(Z, low, high, slope, rho, w, way) for way in (slope, -slope, axis, -axis))
+
+
+def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array, way: Array) -> float:
+    """The largest cost met from ``w`` along ``way`` to the border, then uphill to a corner that no edge rises from.
+
+    Rosen's gradient projection (1960): on each face the way is the gradient along it, so each step adds a bound; a
+    bound that holds back the rise is let go. Every point of the walk is one of the set.
+    """
+    n, r = Z.shape
+    active: list[int] = []
+    side, moved = np.zeros(n), Z @ w
+    most = float(slope @ w + 0.5 * rho * w @ w)
+    for _ in range(STEPS * n):
+        if active:
+            way = slope + rho * w
+            basis, corner = np.linalg.qr(Z[active].T)
+            flat = way - basis @ (basis.T @ way)
+            if len(active) == r or np.linalg.norm(flat) <= FLAT * np.linalg.norm(way):
+                pull = side[active] * np.linalg.solve(corner, basis.T @ way)
+                if pull.min() >= -FLAT * np.abs(pull).max():
+                    break
+                del active[int(np.argmin(pull))]
+                continue
+            way = flat
+        rise = Z @ way
+        with np.errstate(divide="ignore", invalid="ignore"):
+            room = np.where(rise > 0.0, (high - moved) / rise, (low - moved) / rise)
+        room[np.abs(rise) <= FLAT * np.linalg.norm(way)] = np.inf
+        room[active] = np.inf
+        j = int(np.argmin(room))
+        if not np.isfinite(room[j]):  # no way at all
+            break
+        w = w + max(float(room[j]), 0.0) * way
+        moved = Z @ w
+        active.append(j)
+        side[j] = np.sign(rise[j])
+        most = max(most, float(slope @ w + 0.5 * rho * w @ w))
     return most
 
 

@@ -35,9 +35,11 @@ class Elbow:
         """
         self._chain = robot.chain
         origins, _ = link_frames(robot.chain, robot.data.q_home[None])
-        shoulder, wrist = origins[0, min(1, robot.n - 1)], robot.state(robot.data.q_home).wrist
+        # Second of the joints that turn: a rail carries the shoulder.
+        self._shoulder = min(int(np.argmin(robot.chain.prismatic)) + 1, robot.n - 1)
+        shoulder, wrist = origins[0, self._shoulder], robot.state(robot.data.q_home).wrist
         away = np.linalg.norm(np.cross(origins[0] - shoulder, unit(wrist - shoulder)), axis=1)
-        self.joint = int(np.argmax(away))
+        self.joint = self._shoulder + int(np.argmax(away[self._shoulder :]))
         # The direction that the shoulder-wrist line stays farthest from: upwards, unless the arm does.
         lines = unit(wrists - shoulder)
         sideways = np.sqrt(1.0 - lines**2).min(axis=0)
@@ -52,7 +54,7 @@ class Elbow:
     def swivel(self, q: Array) -> Array:
         """(k,) [rad] in (-pi, pi], of poses (k, n)."""
         origins, rotations = link_frames(self._chain, q)
-        shoulder, elbow = origins[:, min(1, q.shape[1] - 1)], origins[:, self.joint]
+        shoulder, elbow = origins[:, self._shoulder], origins[:, self.joint]
         wrist = origins[:, -1] + rotations[:, -1] @ self._chain.offsets[1]
         line = unit(wrist - shoulder)
         side = np.cross(line, self._reference)
@@ -63,7 +65,7 @@ class Elbow:
     def direction(self, q: Array) -> Array:
         """(3,) unit vector in which the elbow of the pose q (n,) goes as its swivel grows, tip and wrist at rest."""
         origins, rotations = link_frames(self._chain, q[None])
-        shoulder, elbow = origins[0, min(1, len(q) - 1)], origins[0, self.joint]
+        shoulder, elbow = origins[0, self._shoulder], origins[0, self.joint]
         wrist = origins[0, -1] + rotations[0, -1] @ self._chain.offsets[1]
         return unit(np.cross(wrist - shoulder, elbow - shoulder))
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model.kinematics_kernels import manipulability, point_jacobian
+from moc_opt.model.kinematics_kernels import point_jacobian, yoshikawa
 from moc_opt.model.place_kernels import place_joints, point_in_world
 from moc_opt.numerics.cache import njit
 
@@ -63,7 +63,7 @@ def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
 def evaluate(arm: Constraint, q: Array, error: Array, a: Array) -> float:
     """Fill the error (6,) of tip and wrist and A (6,m) of the active joints; returns mu."""
     n = q.shape[0]
-    axes, points, full, grad = np.empty((n, 6)), np.empty((2, 3)), np.empty((6, n)), np.empty(n)
+    axes, points, full = np.empty((n, 6)), np.empty((2, 3)), np.empty((6, n))
     forward(arm, q, axes, points)
     point_jacobian(axes, points[0], arm.moves[0], full[0:3])
     point_jacobian(axes, points[1], arm.moves[1], full[3:6])
@@ -71,7 +71,7 @@ def evaluate(arm: Constraint, q: Array, error: Array, a: Array) -> float:
         error[row] = arm.target[row // 3, row % 3] - points[row // 3, row % 3]
         for i in range(arm.active.shape[0]):
             a[row, i] = full[row, arm.active[i]]
-    return float(manipulability(axes, full[0:3], grad))
+    return float(yoshikawa(full[0:3]))
 
 
 @njit(cache=True)
@@ -122,13 +122,13 @@ def distance(p: Array, q: Array) -> float:
 
 
 @njit(cache=True)
-def correct(arm: Constraint, q: Array, h: float, tangent: Array, out: Array) -> tuple[bool, float]:
+def correct(arm: Constraint, q: Array, h: float, tangent: Array, out: Array, a: Array) -> tuple[bool, float]:
     """Go h along the tangent (n,) from q, then by Newton's method across it onto the curve, into `out`.
 
-    Returns whether it converged, and mu there.
+    Returns whether it converged, and mu there; A (6,m) of that pose is in `a`.
     """
     m = arm.active.shape[0]
-    error, a, t, dq = np.empty(6), np.empty((6, m)), np.empty(m), np.empty(m)
+    error, t, dq = np.empty(6), np.empty(m), np.empty(m)
     for i in range(q.shape[0]):
         out[i] = q[i] + h * tangent[i]
     for i in range(m):
@@ -147,15 +147,13 @@ def correct(arm: Constraint, q: Array, h: float, tangent: Array, out: Array) -> 
 
 
 @njit(cache=True)
-def turn_tangent(arm: Constraint, q: Array, tangent: Array) -> None:
-    """Replace the unit tangent (n,) by the one at q that points the same way: A t = 0, t_old . t > 0."""
+def turn_tangent(arm: Constraint, a: Array, tangent: Array) -> None:
+    """Replace the unit tangent (n,) by that of A (6,m) which points the same way: A t = 0, t_old . t > 0."""
     m = arm.active.shape[0]
-    error, a, t, new = np.empty(6), np.empty((6, m)), np.empty(m), np.empty(m)
-    evaluate(arm, q, error, a)
+    t, new = np.empty(m), np.empty(m)
     for i in range(m):
         t[i] = tangent[arm.active[i]]
-    error[:] = 0.0
-    bordered(a, t, error, 1.0, new)
+    bordered(a, t, np.zeros(6), 1.0, new)
     length = 0.0
     for i in range(m):
         length += new[i] * new[i]
@@ -180,13 +178,14 @@ def follow(
     """
     n = q_start.shape[0]
     q, tangent, trial = q_start.copy(), tangent_start.copy(), np.empty(n)
-    _, mu = correct(arm, q, 0.0, tangent, trial)
+    a = np.empty((6, arm.active.shape[0]))
+    _, mu = correct(arm, q, 0.0, tangent, trial, a)
     s[0], mus[0] = 0.0, mu
     poses[0, :] = q
     count, h = 1, step
     low, high = 0.0, -1.0  # the bracket of the limit, once one has been crossed
     while count < s.shape[0]:
-        ok, mu = correct(arm, q, h, tangent, trial)
+        ok, mu = correct(arm, q, h, tangent, trial, a)
         if high < 0.0 and (not ok or distance(trial, q) > 2.0 * h):
             h *= 0.5
             if h < 1e-3 * step:
@@ -210,7 +209,7 @@ def follow(
         poses[count, :] = trial
         count += 1
         q[:] = trial
-        turn_tangent(arm, q, tangent)
+        turn_tangent(arm, a, tangent)
         ahead = 0.0
         for i in range(n):
             turns = 0.0 if arm.joints[i, 15] > 0.0 else round((q[i] - q_start[i]) / (2.0 * math.pi))

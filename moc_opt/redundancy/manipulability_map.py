@@ -66,6 +66,9 @@ class SwivelMap:
     best_mu: Array
     """(k,)"""
     trajectories: Mapping[str, Trajectory]
+    held: tuple[str, ...] = ()
+    """Joints that could move while tip and wrist stay, and here stand as in the longest run: the map is a slice of all
+    poses, and its best no bound. Empty where one freedom is all there is."""
 
 
 def manipulability_map(
@@ -94,6 +97,7 @@ def manipulability_map(
     swivel = -np.pi + 2.0 * np.pi * np.arange(swivels) / swivels
     q = np.full((times, swivels, robot.n), np.nan)
     best = np.full((2, times), np.nan)
+    held: set[int] = set()
     for k, tick in enumerate(ticks):
         pose = reach(robot, guide.q_rad[tick], tips[k], wrists[k])
         if pose is None:
@@ -103,6 +107,7 @@ def manipulability_map(
         except RobotError:
             continue  # a singular pose: no single curve leads through it, the column stays empty
         column = SwivelCurve(curve, elbow)
+        held.update(curve.held)
         q[k] = nearest_turns(robot, column.poses(swivel))
         best[:, k] = _best(robot, column, swivel, q[k])
     mu, limit = _judged(robot, q)
@@ -118,8 +123,9 @@ def manipulability_map(
     }
     for array in (swivel, q, mu, limit, best):
         read_only(array)
+    names = tuple(robot.data.joint_names[j] for j in sorted(held) if robot.moves[:, j].any())
     return SwivelMap(
-        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(trajectories)
+        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(trajectories), names
     )  # fmt: skip
 
 

@@ -108,9 +108,10 @@ class SelfMotion:
 def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMotion:
     """Scan the feasible self-motion through q at fixed tip and wrist.
 
-    Joints that move neither tip nor wrist are held. If more than one freedom is left (a tool off the last
-    axis), the joints nearest the tip are held too until one is: the result is then a curve on a larger set of
-    poses, and its largest mu no bound. If none is left, the curve is one pose.
+    Joints that move neither tip nor wrist are held. If more than one freedom is left (a rail, a tool off the last
+    axis), joints that slide at the base and then those nearest the tip are held too until one is: the result is then
+    a curve on a larger set of poses, and its largest mu no bound (`moc_opt.planning.largest` has that). If none is
+    left, the curve is one pose.
 
     Args:
         robot: the arm.
@@ -168,8 +169,8 @@ class _Curve:
 
     def correct(self, q: Array, along: Array) -> Array | None:
         """The pose on the curve across the direction `along` from q; None if none is inside the limits."""
-        pose = np.empty(len(q))
-        ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose)
+        pose, a = np.empty(len(q)), np.empty((6, len(self._arm.active)))
+        ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose, a)
         return pose if ok and not kernels.outside(self._arm, pose) else None
 
     def mu(self, q: Array) -> float:
@@ -191,11 +192,13 @@ def _rank(matrix: Array) -> int:
 
 
 def _active_joints(robot: RobotModel, a: Array) -> list[int]:
-    """Joints that take part: those that move tip or wrist, less the last ones where two freedoms are left."""
+    """Joints that take part: those that move tip or wrist; of several freedoms less a rail, then the last ones."""
     active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
     rng = np.random.default_rng(0)
     draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]
     usual = max(_rank(draw[:, active]) for draw in draws)
+    while len(active) > usual + 1 and robot.chain.prismatic[active[0]] and _rank(a[:, active[1:]]) == usual:
+        active = active[1:]
     active = active[: usual + 1]
     rank = _rank(a[:, active])
     if rank < min(usual, len(active)):

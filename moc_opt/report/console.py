@@ -1,45 +1,72 @@
-"""The terminal: tables in colour, a progress bar for what takes long, no bar where the output is no terminal."""
+"""The terminal: tables in colour, a progress bar for what takes long, lines where the output is no terminal."""
 
 from __future__ import annotations
 
+import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from threading import Timer
 from typing import IO, Any, TypeVar
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from moc_opt.inputs.files import to_json
 from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
+LINE_EVERY_S = 10.0
+PIPED_WIDTH = 80
 T = TypeVar("T")
 
 
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
-    """Make a console that writes plain text, without colour and uncut, where its output is no terminal.
+    """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
 
     Args:
         stderr: write there; results belong on stdout, what accompanies them on stderr.
         file: write to it instead.
     """
     made = Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
-    if not made.is_terminal:
-        made.width = 10_000
+    if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
+        made.width = PIPED_WIDTH  # and not that of the terminal which may lie behind another stream
     return made
 
 
 class Bar:
-    """A progress bar: `advance` it, say what it is `at`."""
+    """A progress bar: `advance` it, say what it is `at`. Where nobody sees it, it writes a line now and then."""
 
     def __init__(self, progress: Progress, task: TaskID) -> None:
         self._progress, self._task = progress, task
+        self._begun = self._told = time.monotonic()
 
     def advance(self, steps: float = 1.0) -> None:
         """Count so many more steps as done."""
         self._progress.update(self._task, advance=steps)
+        if not self._progress.console.is_terminal and time.monotonic() - self._told > LINE_EVERY_S:
+            self._told = time.monotonic()
+            self._progress.console.print(self._line(), markup=False, soft_wrap=True)
+
+    def _line(self) -> str:
+        """How far it is, and at this pace how long it will take."""
+        (task,) = self._progress.tasks
+        said, spent = task.description, self._told - self._begun
+        if task.total and task.completed:
+            share = min(task.completed / task.total, 1.0)
+            left = timedelta(seconds=round(spent * (1.0 / share - 1.0)))
+            said += f": {100.0 * share:.0f} % after {timedelta(seconds=round(spent))}, about {left} left"
+        return f"{said}  {task.fields['now']}".rstrip()
 
     def of(self, total: float) -> None:
         """Say how many steps there are, once that is known."""
@@ -50,38 +77,51 @@ class Bar:
         self._progress.update(self._task, now=printable(text))
 
 
+class _Screen(Progress):
+    """A bar, and below it what is known so far."""
+
+    below: Callable[[], Iterable[RenderableType]] = staticmethod(tuple)
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        yield from self.below()
+
+
 @contextmanager
 def progress(
-    description: str, total: float | None = None, *, on: Console | None = None, patience_s: float = PATIENCE_S
-) -> Iterator[Bar]:
+    description: str, total: float | None = None, *, on: Console | None = None, patience_s: float = PATIENCE_S,
+    below: Callable[[], Iterable[RenderableType]] = tuple,
+) -> Iterator[Bar]:  # fmt: skip
     """Show a bar with the time left on stderr, once `patience_s` is over and until the work is done.
 
-    Silent where the output is not a terminal.
+    Where the output is not a terminal, a line every ten seconds.
 
     Args:
         description: what is being done.
         total: steps in all; None where that is not known.
         on: the console to draw on.
         patience_s: seconds without a bar; work that is done by then never shows one.
+        below: what is drawn below it, asked for at each refresh.
     """
     where = on or console(stderr=True)
-    bar = Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+    done = MofNCompleteColumn() if below is tuple else TaskProgressColumn()  # with a table below, steps are weighted
+    bar = _Screen(
+        TextColumn("{task.description}", markup=False), BarColumn(), done, TimeRemainingColumn(),
         TextColumn("{task.fields[now]}", style="dim", markup=False), console=where, transient=True,
+        refresh_per_second=4.0,
     )  # fmt: skip
+    bar.below = below
     task = bar.add_task(printable(description), total=total, now="")
     # A clock of its own: the first step alone may take longer than the patience.
     late = Timer(patience_s, bar.start)
     late.daemon = True
-    if where.is_terminal:
-        late.start()
+    late.start()
     try:
         yield Bar(bar, task)
     finally:
-        if where.is_terminal:
-            late.cancel()
-            late.join()
-            bar.stop()
+        late.cancel()
+        late.join()
+        bar.stop()
 
 
 def track(items: Sequence[T], description: str, *, on: Console | None = None) -> Iterator[T]:

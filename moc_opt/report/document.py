@@ -54,6 +54,11 @@ def in_words(value: Any) -> str:
     return DASH if value is None or value in ("", {}) else str(value)
 
 
+def anchor(title: str) -> str:
+    """Return the address of a section on its page."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")[:60] or "part"
+
+
 def _shown(value: Any) -> Any:
     """A text without control and direction characters; escaping follows."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
@@ -64,7 +69,7 @@ _TEMPLATES = Environment(
     loader=_LOADER, autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
 )
 _TEMPLATES.globals["asset"] = asset
-_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words)
+_TEMPLATES.filters.update(inline=inline, inert=inert, in_words=in_words, anchor=anchor)
 
 
 def beside(target: str) -> str:
@@ -80,6 +85,19 @@ def beside(target: str) -> str:
     if not all(PIECE.fullmatch(piece) for piece in path.split("/")):
         raise ReportError(f"link to {target!r}: give a file beside the page or below it, such as 'replay.html'")
     return quote(path) + (f"#{quote(place, safe='=')}" if place else "")
+
+
+def check_out(path: str | os.PathLike[str], what: str) -> None:
+    """Check before any work that a file can be written there.
+
+    Raises:
+        ReportError: it cannot.
+    """
+    file = Path(path)
+    check_replaceable(file, what, ReportError)
+    folder = next(folder for folder in file.absolute().parents if folder.exists())
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise ReportError(f"{file}: cannot be written: {str(folder)!r} is no folder that may be written to")
 
 
 def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Callable[[], str]) -> Path:

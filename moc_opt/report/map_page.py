@@ -73,6 +73,8 @@ def add_map(
     kinds, titles = kinds_of(found), lines(found)
     readings = {trajectory: read_trajectory(found, trajectory) for trajectory in found.trajectories}
     figure = map_figure(found, styles, titles=titles)
+    if found.held:
+        page.text(slice_words(found.held))
     page.text(in_words([readings[first] for first in kinds], titles))
     page.figure(figure, caption(found, what), name=name)
     page.table(trajectory_table(readings, kinds, what))
@@ -99,6 +101,16 @@ def caption(found: SwivelMap, what: str = "") -> str:
         "elbow, as colour the manipulability mu; grey where a joint would be beyond its limit or the arm does not "
         "reach. A line is the trajectory of a run, from the marker at its start, and of several colours where runs go "
         "the same way; the dotted one joins the best poses, and may leap where no arm can follow."
+    )
+
+
+def slice_words(held: Sequence[str]) -> str:
+    """Say which poses a map of several freedoms leaves out."""
+    several = len(held) > 1
+    return (
+        f"A slice: tip and trocar leave this arm {len(held) + 1} freedoms, and the map shows one. {', '.join(held)} "
+        f"{'stand' if several else 'stands'} as in the longest run; poses with {'them' if several else 'it'} elsewhere "
+        "may have a larger mu than the best shown here."
     )
 
 

@@ -22,6 +22,23 @@ class Missing:
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A verdict: a symbol and a word, so that it is not the colour alone that tells.
+
+    Attributes:
+        symbol: one character.
+        word: what it says.
+        tone: its colour: "best", "good", "fair", "bad" or "other".
+        rank: what it is sorted by, the best one lowest.
+    """
+
+    symbol: str
+    word: str
+    tone: str
+    rank: int = 0
+
+
+@dataclass(frozen=True)
 class Notation:
     """How the numbers of one column are written.
 

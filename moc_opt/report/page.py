@@ -17,7 +17,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from moc_opt.inputs.files import to_json
-from moc_opt.report.document import beside, macros, render, save_document
+from moc_opt.report.document import anchor, beside, macros, render, save_document
 from moc_opt.report.figures.style import DARK
 from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Table
@@ -35,7 +35,9 @@ class Page:
         self._sections: dict[str, str] = {}
         self._macros = macros("parts.html")
         self._figures: dict[str, go.Figure] = {}
+        self._headlines: list[str] = []
         self._tables = 0
+        self._folding, self._open = False, False
 
     @property
     def figures(self) -> Mapping[str, go.Figure]:
@@ -43,14 +45,28 @@ class Page:
         return MappingProxyType(self._figures)
 
     def headline(self, text: str) -> None:
-        """Append a finding in words, set apart."""
+        """Append a finding in words, set apart; the first one describes the page to an index."""
+        self._headlines.append(text)
         self._parts.append(self._macros.headline(text))
 
     def section(self, title: str) -> None:
-        """Begin a section; the table of contents lists it."""
+        """Begin a section; the table of contents lists it. Behind `fold` it is folded until the reader opens it."""
         name = self._name(title, self._sections)
         self._sections[name] = title
-        self._parts.append(self._macros.section(name, title))
+        self._close()
+        self._open = self._folding
+        self._parts.append((self._macros.folding if self._folding else self._macros.section)(name, title))
+
+    def fold(self) -> None:
+        """Fold every section from here on, under a field that finds rows in all tables of the page."""
+        self._close()
+        self._folding = True
+        self._parts.append(self._macros.finder())
+
+    def _close(self) -> None:
+        if self._open:
+            self._parts.append(Markup("</details>"))
+        self._open = False
 
     def text(self, text: str) -> None:
         """Append paragraphs."""
@@ -104,12 +120,15 @@ class Page:
 
     def html(self) -> str:
         """Return the whole file as text."""
+        closing = [Markup("</details>")] if self._open else []
         data = {f"{name}-data": _plain_json(figure) for name, figure in self._figures.items()}
         if self._figures:
             data |= {"dark-colors": to_json(DARK, indent=None), "plotly-packed": _packed_plotly()}
         return render(
-            "page.html", title=self.title, subtitle=self.subtitle, sections=self._sections, parts=self._parts,
-            data=data, figures=self._figures,
+            "page.html", title=self.title, subtitle=self.subtitle,
+            sections={} if self._folding else self._sections,  # folded, their titles are the contents
+            parts=[*self._parts, *closing], about=self._headlines[0] if self._headlines else "", data=data,
+            figures=self._figures,
         )  # fmt: skip
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -129,7 +148,7 @@ class Page:
     @staticmethod
     def _name(text: str, taken: Iterable[str]) -> str:
         """A name for addresses and files, unlike those that are taken."""
-        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")[:60] or "part"
+        words = anchor(text)
         name, count = words, 1
         while name in taken:
             count += 1

@@ -10,6 +10,8 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
 WHOLE_RUN = ("completed", "share_of_run")
+METHOD = "mu_bound_method"
+"""How the largest mu was found: an entry of a trace's meta."""
 
 
 def part(trace: Trace) -> str:
@@ -88,6 +90,8 @@ def run_table(name: str, trace: Trace, metrics: Mapping[str, float]) -> Table:
     for metric, value in metrics.items():
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
         rows.append({"metric": marked, "value": _written(value)})
+        if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
+            rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})
     columns = [Column("metric", "metric"), Column("value", "value")]
     return Table(f"{name}{of}", columns, rows, caption="\n".join(warnings(trace)))
 
@@ -98,10 +102,12 @@ def _written(value: float) -> str | Missing:
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """``ended`` first, ``part`` of a broken-off run, ``solver_replaced``, the metrics, the guard's ``warnings``."""
+    """``ended`` first, ``part`` of a run broken off, ``solver_replaced``, the metrics, and how they came about."""
     of = part(trace).strip(" ()")
     return {
         "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}),
         **({"solver_replaced": replaced(trace)} if replaced(trace) else {}), **metrics,
-        "warnings": trace.meta.get("warnings", []), "faults": trace.meta.get("faults", {}),
+        **({METHOD: trace.meta[METHOD]} if METHOD in trace.meta else {}),
+        "warnings": trace.meta.get("warnings", []),
+        "faults": trace.meta.get("faults", {}),
     }  # fmt: skip

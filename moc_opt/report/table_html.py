@@ -58,7 +58,8 @@ def _column(column: Column, cells: list[Cell], notes: dict[str, str]) -> list[di
         own = fraction_length(cell.text)
         # An integer in a column of fractions lacks the point as well as the digits after it.
         pad = (POINT_SPACE if fraction and not own else "") + FIGURE_SPACE * (fraction - max(own, 1))
-        mark = " best" if cell.best else " long" if not cell.numeric and len(cell.text) > LONG_TEXT else ""
+        long = not cell.numeric and len(cell.text) > LONG_TEXT
+        mark = " best" if cell.best else f" tone-{cell.tone}" if cell.tone else " long" if long else ""
         drawn.append(
             {
                 "text": cell.text, "sort": cell.sort, "look": align + mark, "numeric": cell.numeric, "best": cell.best,

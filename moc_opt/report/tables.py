@@ -16,10 +16,15 @@ from rich.text import Text
 
 from moc_opt.errors import ReportError
 from moc_opt.report import notation
-from moc_opt.report.notation import Missing, Notation, is_number, printable
+from moc_opt.report.notation import Mark, Missing, Notation, is_number, printable
 
-EDGE, GAP, TEXT = 2, 3, 24
-"""Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken."""
+EDGE, GAP, TEXT, SHORT_TEXT = 2, 3, 24, 14
+"""Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken, and
+from where on it is before a column is left out."""
+
+
+TONES = {"best": "bold green", "good": "green", "fair": "yellow", "bad": "red", "other": "cyan"}
+"""Tone of a `Mark` -> its colour in a terminal."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class Column:
             top first.
         help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
         among: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete.
+        section: title of the section of the same page that explains its values, which link there.
     """
 
     key: str
@@ -47,6 +53,7 @@ class Column:
     better: Literal["low", "high"] | None = None
     help: str = ""
     among: str = ""
+    section: str = ""
 
     def __post_init__(self) -> None:
         if self.digits < 1:
@@ -68,6 +75,7 @@ class Cell:
     numeric: bool = False
     why: Missing | None = None
     best: bool = False
+    tone: str = ""
 
 
 @dataclass(frozen=True)
@@ -77,7 +85,7 @@ class Table:
     Attributes:
         title: a few words; a page numbers it.
         columns: from left to right; the first one names the row.
-        rows: key -> text, flag, number, None, or `Missing(reason)`; absent keys are missing, further ones ignored.
+        rows: key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys are missing, others ignored.
         caption: what the reader must know, in sentences.
     """
 
@@ -116,9 +124,17 @@ class Table:
             return cells
         return [replace(cell, best=best) for cell, best in zip(cells, ahead, strict=True)]
 
-    def to_rich(self, *, stacked: bool = False) -> RichTable:
-        """Draw the table for a terminal; with ``stacked`` each word of a heading has a line of its own."""
-        drawn = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left")
+    def to_rich(self, *, stacked: bool = False, gap: int = GAP) -> RichTable:
+        """Draw the table for a terminal.
+
+        Args:
+            stacked: each word of a heading has a line of its own.
+            gap: characters between columns.
+        """
+        drawn = RichTable(
+            box=box.SIMPLE_HEAD, pad_edge=False, title_justify="left", caption_justify="left",
+            padding=(0, int(gap > 1), 0, int(gap > 2)),
+        )  # fmt: skip
         drawn.title = Text(printable(self.title), style="bold")
         drawn.caption = Text(printable(self.caption)) if self.caption else None
         columns = []
@@ -130,7 +146,9 @@ class Table:
             heading = Text("\n".join(title.split()) if stacked else title)
             if column.unit:
                 heading.append(f"\n{notation.pretty_unit(column.unit)}", style="dim")
-            drawn.add_column(heading, justify=column.align or alignment(cells))
+            # What has to give way are texts, broken where they must be; no number, and nothing ends in dots.
+            numbers = bool(cells) and all(cell.numeric or cell.why for cell in cells)
+            drawn.add_column(heading, justify=column.align or alignment(cells), overflow="fold", no_wrap=numbers)
         for row in zip(*columns, strict=True):
             drawn.add_row(*row)
         return drawn
@@ -140,18 +158,15 @@ class Table:
 
         A column that is wider by itself gets a part of its own. The caption stands below the last part.
         """
-        widths = [self._width(column) for column in self.columns]
-        parts: list[list[Column]] = [[self.columns[0]]]
-        used = EDGE + widths[0]
-        for column, wide in zip(self.columns[1:], widths[1:], strict=True):
-            if len(parts[-1]) > 1 and used + wide > width:
-                parts.append([self.columns[0]])
-                used = EDGE + widths[0]
-            parts[-1].append(column)
-            used += wide
+        parts = self._split(width, GAP)
         if len(parts) == 1:
-            titles = [GAP + cell_len(printable(column.title)) for column in self.columns]
-            return [self.to_rich(stacked=EDGE + sum(map(max, widths, titles)) > width)]
+            widths = [self._width(column) for column in self.columns]
+            titles = [cell_len(printable(column.title)) for column in self.columns]
+            stacked = EDGE + sum(map(max, widths, titles)) + GAP * len(widths) > width
+            return [self.to_rich(stacked=stacked)]
+        for gap, text in ((2, TEXT), (1, TEXT), (1, SHORT_TEXT)):
+            if len(self._split(width, gap, text)) == 1:
+                return [self.to_rich(stacked=True, gap=gap)]
         return [
             replace(
                 self, columns=part, title=self.title if k == 0 else f"{self.title} (continued)",
@@ -160,14 +175,33 @@ class Table:
             for k, part in enumerate(parts)
         ]  # fmt: skip
 
-    def _width(self, column: Column) -> int:
+    def narrowed(self, width: int) -> RichTable:
+        """Draw as many of the first columns as a terminal of this width [characters] can show."""
+        part = self._split(width, 1, SHORT_TEXT)[0]
+        return replace(self, columns=part).fitted(width)[0]
+
+    def _split(self, width: int, gap: int, text: int = TEXT) -> list[list[Column]]:
+        """The columns of each part, the first one in all of them, `gap` characters between two."""
+        first, *others = self.columns
+        parts: list[list[Column]] = [[first]]
+        used = start = EDGE + gap + self._width(first, text)
+        for column in others:
+            wide = gap + self._width(column, text)
+            if len(parts[-1]) > 1 and used + wide > width:
+                parts.append([first])
+                used = start
+            parts[-1].append(column)
+            used += wide
+        return parts
+
+    def _width(self, column: Column, text: int = TEXT) -> int:
         """What a column needs [characters]: its numbers whole, its heading stacked, long texts broken."""
         cells = self.cells(column)
         words = [*map(cell_len, printable(column.title).split())]
-        texts = [min(cell_len(cell.text), TEXT) for cell in cells if not cell.numeric]
+        texts = [min(cell_len(cell.text), text) for cell in cells if not cell.numeric]
         pad = max((notation.fraction_length(cell.text) for cell in cells if cell.numeric), default=0)
         numbers = [cell_len(_rich(cell, pad).plain) for cell in cells if cell.numeric]
-        return GAP + max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
+        return max([*numbers, *texts, *words, cell_len(notation.pretty_unit(column.unit))])
 
     def to_text(self) -> str:
         """Write the table as plain text, as wide as it needs to be."""
@@ -187,6 +221,8 @@ def _cell(value: Any, written: Notation) -> Cell:
     why = notation.missing(value)
     if why is not None:
         return Cell(notation.DASH, None, why=why)
+    if isinstance(value, Mark):
+        return Cell(printable(f"{value.symbol} {value.word}"), float(value.rank), tone=value.tone)
     if is_number(value):
         return Cell(written(value), float(value), numeric=True)
     if type(value).__name__ in ("bool", "bool_"):
@@ -196,4 +232,5 @@ def _cell(value: Any, written: Notation) -> Cell:
 
 def _rich(cell: Cell, pad: int) -> Text:
     spaces = " " * (pad - notation.fraction_length(cell.text)) if cell.numeric and "e" not in cell.text else ""
-    return Text(cell.text + spaces, style="bold" if cell.best else "dim" if cell.why else "")
+    look = "bold" if cell.best else "dim" if cell.why else TONES.get(cell.tone, "")
+    return Text(cell.text + spaces, style=look)

@@ -4,7 +4,7 @@ Read first: ``config`` (``Scenario``: every key of the TOML), then ``setup`` (``
 ``run`` makes a trace). ``parts`` makes solver and safety filter, ``derived`` the columns that follow from a run's;
 ``layout`` lays the task out from a start, ``adapter`` joins controller and loop,
 ``agreement`` compares the two engines, ``rows`` prepares references by the block, ``exported`` writes the
-controller as C. Imported by live, the command line and benchmarks.
+controller as C, ``wired`` puts a wire between plant and controller. Imported by live, the command line and benchmarks.
 """
 
 from moc_opt.errors import MocOptError

@@ -37,6 +37,11 @@ class ControllerAdapter:
         """Of the third level, as ``Controller.faults``."""
         return self.controller.faults
 
+    @property
+    def restarts(self) -> list[dict[str, Any]]:
+        """Of the solver's process, as ``Controller.restarts``."""
+        return self.controller.restarts
+
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Warm the controller up and start it; see ``sim.protocols``."""
         state = self._robot.state(q, v)

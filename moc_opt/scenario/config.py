@@ -10,12 +10,17 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
+from moc_opt.inputs.notebook import table_html
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.realtime.settings import WireSettings
+from moc_opt.scenario import saving
 from moc_opt.sim.faults import FaultSettings
+from moc_opt.sim.sensors import longest_repetition
 from moc_opt.sim.settings import PlantSettings
 
 Vector = tuple[float, float, float]
@@ -28,8 +33,10 @@ class RobotTable(Settings):
 
     KIND: ClassVar[str] = "[robot]"
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
-    tool_length_m: float | None = Field(default=None, gt=0.0, le=10.0)
-    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0)
+    tool_length_m: float | None = Field(
+        default=None, gt=0.0, le=10.0, description="mount to tip; None: that of the robot's file"
+    )
+    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0, description="None: that of the robot's file")
 
     def arm(self) -> RobotModel:
         """Load the robot, and build its model.
@@ -77,9 +84,9 @@ class TrocarTable(Settings):
 
     KIND: ClassVar[str] = "[trocar]"
     depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="of the tip below the trocar at t = 0")
-    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5)
-    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S)
-    breathing_direction: Vector = (0.0, 0.0, 1.0)
+    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5, description="of the trocar's motion; 0: it rests")
+    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S, description="of one breath")
+    breathing_direction: Vector = Field(default=(0.0, 0.0, 1.0), description="of that motion, base axes, any length")
     breathing_known: bool = Field(
         default=True, description="whether the registered trocar follows the breathing"
     )
@@ -89,16 +96,41 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
-    path: Name = "circle"
+    path: Name = Field(
+        default="circle", description="`moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"
+    )
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
         default_factory=dict, description="of the path [m]; see moc_opt.tasks"
     )
-    normal: Vector = (0.0, 0.0, 1.0)
-    heading: Vector = (1.0, 0.0, 0.0)
-    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3)
-    a_max_m_per_s2: float = Field(default=0.2, gt=0.0, le=1e6)
+    waypoints_m: tuple[Vector, ...] | None = Field(
+        default=None,
+        description="where the tip goes, from where it starts: along the heading, to the left, along the normal",
+    )
+    normal: Vector = Field(default=(0.0, 0.0, 1.0), description="of the path's plane, base axes, any length")
+    heading: Vector = Field(
+        default=(1.0, 0.0, 0.0), description="in which the path begins; its part along the normal is taken out"
+    )
+    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3, description="largest speed of the tip")
+    a_max_m_per_s2: float = Field(
+        default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, bends included"
+    )
     wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path")
     hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after it")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _points_are_a_path(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and values.get("waypoints_m") is not None and "path" not in values:
+            return {**values, "path": "waypoints"}
+        return values
+
+    @model_validator(mode="after")
+    def _points_for_waypoints(self) -> Self:
+        if (self.path == "waypoints") != (self.waypoints_m is not None):
+            other = "leave waypoints_m out, or set path = 'waypoints'"
+            cure = "give waypoints_m" if self.waypoints_m is None else other
+            raise ValueError(f"path = {self.path!r}: {cure}")
+        return self
 
     DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
         "line": {"length": 0.04},
@@ -112,20 +144,24 @@ class SolverTable(Settings):
     """Which solver the third level asks."""
 
     KIND: ClassVar[str] = "[solver]"
-    name: Name = "exact"
-    settings: dict[Name, Any] = Field(default_factory=dict)
+    name: Name = Field(default="exact", description="`moc-opt solvers --list` lists them")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
         default=None,
         description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
         "budget, over and over: a run with deadlines can then be repeated exactly",
     )
+    isolation: Literal["none", "process"] = Field(
+        default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
+    )
+    process: ProcessSettings = ProcessSettings()
 
 
 class Scenario(Settings):
     """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
 
     KIND: ClassVar[str] = "scenario:"
-    name: Name = "circle"
+    name: Name = Field(default="circle", description="title of the run")
     seed: int = Field(
         default=0, ge=0, le=LARGEST_INTEGER, description="of starting pose and swivel, mismatch and noise"
     )
@@ -140,9 +176,13 @@ class Scenario(Settings):
     deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
+    wire: WireSettings = WireSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
+    metrics: tuple[Name, ...] = Field(
+        default=(), description="that `moc-opt run` prints, of those that `moc-opt metrics` lists; empty: all"
+    )
     bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is scanned for"
+        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
     )
     best_courses: bool = Field(
         default=False,
@@ -180,6 +220,29 @@ class Scenario(Settings):
             )
         return self
 
+    @property
+    def told_guard(self) -> SafetyFilterSettings:
+        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        if self.guard.repeat_joint_ticks is not None:
+            return self.guard
+        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
+        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
+
+    @model_validator(mode="after")
+    def _isolated_by_what_can(self) -> Self:
+        if self.solver.isolation == "process" and self.control.law == "moc":
+            if self.control.backend == "c":
+                raise ValueError(
+                    "[solver] isolation = 'process': the compiled tick holds its solver; take [control] backend = "
+                    "'python', or isolation = 'none'"
+                )
+            if self.control.supervisor.late == "iterate":
+                raise ValueError(
+                    "[control.supervisor] late = 'iterate': what an isolated solver has when its budget ends is not "
+                    "there; take 'hold' or 'zero', or [solver] isolation = 'none'"
+                )
+        return self
+
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a TOML file; the path of a robot's file in it is relative to the scenario's folder.
@@ -189,12 +252,33 @@ class Scenario(Settings):
             UnknownNameError: a key or preset that does not exist.
         """
         file = Path(path)
+        if file.suffix == ".parquet":
+            raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
         table = _with_paths_from(file.parent, read_toml(file, "scenario", ScenarioError))
         try:
             return cls(**table)
         except MocOptError as error:
             error.args = (f"{file}: {error}",)  # of whichever kind it is
             raise
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the TOML that `load` reads as this scenario: what differs from the defaults.
+
+        A robot's own file is named by its absolute path.
+
+        Raises:
+            ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
+        """
+        saving.save(self, path)
+
+    def __repr__(self) -> str:
+        return f"Scenario({', '.join(f'{name}={value!r}' for name, value in saving.changes(self).items())})"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        return table_html("Scenario, where it differs from the default", saving.changes(self))
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table."""

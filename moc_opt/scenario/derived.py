@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.qp.problem import compute_residuals
+from moc_opt.planning import largest
+from moc_opt.qp.residual_kernels import batch_residuals
 from moc_opt.qp.residuals import Residuals
-from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.sim.log import TaskOffset
 from moc_opt.sim.plant import Plant
 from moc_opt.solvers.base import Status
@@ -49,25 +48,30 @@ def residual_columns(columns: Columns) -> dict[str, NDArray[Any]]:
         return {}
     x = columns["x_rad_per_s"]
     parts = [slice(first, first + AT_ONCE) for first in range(0, len(x), AT_ONCE)]
-    each = [compute_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
+    each = [batch_residuals(columns["subproblem"][part], x[part], columns["dual"][part]) for part in parts]
     found = Residuals(*map(np.concatenate, zip(*each, strict=True)))
     silent = ~np.isfinite(x).all(axis=1) & (columns["status"] != Status.SOLVED.label)
     figures = {name: np.where(silent, np.nan, figure) for name, figure in found._asdict().items()}
     return {"verified": found.verified(), **figures}
 
 
-def largest_mu(poses: Array, robot: RobotModel, samples: int) -> Array:
-    """Compute the largest mu on the feasible self-motion at evenly spaced ticks, (N,); NaN between, and where singular.
+def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, dict[str, str]]:
+    """Compute the largest mu at evenly spaced ticks over every feasible pose with the same tip and wrist.
 
     Args:
         poses: (N, n) [rad].
         robot: the arm.
         samples: ticks at which it is computed.
+
+    Returns:
+        (N,) the largest mu, NaN between those ticks and where the pose is no number; and the entry of a trace's meta
+        that says how it was found (`moc_opt.planning.largest`), none where nothing was.
     """
     bound = np.full(len(poses), np.nan)
-    for k in np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int):
-        try:
-            bound[k] = self_motion(robot, np.clip(poses[k], robot.q_min, robot.q_max)).mu_best
-        except RobotError:
-            continue  # no single curve leads through a singular pose
-    return bound
+    ticks = np.linspace(0, len(poses) - 1, min(samples, len(poses))).astype(int)
+    ticks = ticks[np.isfinite(poses[ticks]).all(axis=1)]
+    if not len(ticks):
+        return bound, {}
+    found = largest.largest_mu(robot, np.asarray(poses[ticks], dtype=np.float64))
+    bound[ticks] = found.mu
+    return bound, {"mu_bound_method": found.method}

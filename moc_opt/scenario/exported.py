@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
-from moc_opt.embedded import TickSpec, check_supported, export, record
+from moc_opt.embedded import TickSpec, check_supported, export, program, record
 from moc_opt.embedded.export import safe_files
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import SafeRecording
 from moc_opt.embedded.support import check_safety_filter
 from moc_opt.errors import ScenarioError
+from moc_opt.realtime.c_header import c_header
 from moc_opt.scenario import Scenario, Setup, make_safety_filter
 from moc_opt.scenario.adapter import ControllerAdapter
+from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
 
@@ -35,8 +37,10 @@ class Exported(NamedTuple):
     """floating-point operations of the longest step, by part and in all"""
 
 
-def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported:
+def export_scenario(scenario: Scenario, out: str | os.PathLike[str], *, udp: bool = False) -> Exported:
     """Write the whole controller of a scenario as C: tick, supervisor, fallback and safety filter.
+
+    With ``udp`` also a program that is this controller at the end of a wire, and the references of its ticks.
 
     Raises:
         MocOptError: a setting that C cannot do, named; the scenario cannot be run; or ``out`` cannot be written.
@@ -45,6 +49,10 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
         raise ScenarioError(
             f"[solver] replay_us = {scenario.solver.replay_us!r:.60}: an exported controller has the clock of its own "
             "machine; leave it out"
+        )
+    if scenario.solver.isolation != "none":
+        raise ScenarioError(
+            f"[solver] isolation = {scenario.solver.isolation!r}: an exported controller holds its solver; leave it out"
         )
     setup = Setup(
         scenario.change(judge=False, bound_samples=0, control={"backend": "python"}, faults={"solver": "none"})
@@ -61,8 +69,21 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str]) -> Exported
     wrench = np.hstack([trace.columns["force_N"], trace.columns["torque_Nm"]])[part]
     recording = record(law, q, v, tip_ref, trocar)
     safe = record_with_faults(setup, q, v, tip_ref, trocar, wrench)
-    files = export(law, recording, out, scenario.guard, safe)
-    return Exported(files, worst_path(safe_files(law, scenario.guard)[0]))
+    extra = {}
+    if udp:
+        header = c_header(setup.robot.n, setup.ticks, fingerprint(scenario), scenario.wire)
+        extra = program.read(*program.UDP) | {"wire_packets.h": header}
+    files = export(law, recording, out, scenario.told_guard, safe, extra)
+    if udp:
+        files.append(Path(out) / "reference.bin")
+        files[-1].write_bytes(reference_bytes(setup))
+    return Exported(files, worst_path(safe_files(law, scenario.told_guard)[0]))
+
+
+def reference_bytes(setup: Setup) -> bytes:
+    """Return tip_ref (3, 3) and registered trocar (2, 3) of every tick, row by row, as little-endian doubles."""
+    rows = [np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered)]
+    return np.hstack([part.reshape(setup.ticks, -1) for part in rows]).astype("<f8").tobytes()
 
 
 def record_with_faults(

@@ -91,7 +91,9 @@ def _task(scenario: Scenario, robot: RobotModel, q: Array) -> Layout:
     registered = Trocar(point, *(breathing(scenario) if trocar.breathing_known else (0.0,)))
     sizes = {**TaskTable.DEFAULT_SIZES.get(task.path, {}), **task.sizes}
     try:
-        path = make_path(task.path, state.tip, normal=task.normal, heading=task.heading, **sizes)
+        path = make_path(
+            task.path, state.tip, normal=task.normal, heading=task.heading, waypoints=task.waypoints_m, **sizes
+        )
     except MocOptError as error:
         error.args = (f"[task] {error}",)  # of whichever kind it is
         raise

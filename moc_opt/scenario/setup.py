@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
+from moc_opt.control.isolated import Isolated
 from moc_opt.errors import ScenarioError, describe
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -44,14 +45,18 @@ Array = NDArray[np.float64]
 class Setup:
     """Objects built from a validated scenario: robot, plant, references; ``trace()`` runs it."""
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, solver: Solver | None = None) -> None:
         """Build and check everything before anything moves.
+
+        Args:
+            scenario: the run.
+            solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
 
         Raises:
             MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
                 start and the path.
         """
-        self.scenario = scenario
+        self.scenario, self._given = scenario, solver
         start_seed, plant_seed, fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
         check_engines(self.robot)
@@ -86,26 +91,39 @@ class Setup:
         """Make the solver that the scenario asks for; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
-        solver = make_solver(self.scenario.solver.name, self.robot, **self.scenario.solver.settings)
+        asked = self.scenario.solver
+        solver = self._given or make_solver(asked.name, self.robot, **asked.settings)
         faults = self.scenario.faults
         if faults.solver == "none" or faults.solver == "hang":
             return solver
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
-    def controller(self) -> Controller:
-        """Make the law and solver that the scenario asks for."""
-        settings, replayed = self.scenario.control, self._replayed_us
-        times: Iterator[float] | None = None if replayed is None else itertools.cycle(replayed)
-        if self.scenario.faults.solver == "hang" and settings.law == "moc":
-            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
-            watch = settings.supervisor
-            budget = watch.budget_us or self.scenario.deadline_us
-            settings = settings.model_copy(
-                update={"supervisor": watch.model_copy(update={"budget_us": budget})}
-            )
-            times = iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
+    def controller(self, realtime: bool = False) -> Controller:
+        """Make the law and solver that the scenario asks for.
+
+        Args:
+            realtime: the loop runs against a wall clock, and does not wait while the process of an isolated solver
+                is replaced.
+        """
+        settings, times, solver = self.scenario.control, self._times(), self.solver()
+        budget = settings.supervisor.budget_us
+        if self.scenario.faults.solver == "hang" and solver is not None:
+            budget = budget or self.scenario.deadline_us
+        if solver is not None and self.scenario.solver.isolation == "process":
+            solver = Isolated(solver, self.scenario.solver.process, budget if times is None else None, not realtime)
+            budget = None if times is None else budget  # kept by one of the two: an older answer is not late
+        watch = settings.supervisor.model_copy(update={"budget_us": budget})
+        settings = settings.model_copy(update={"supervisor": watch})
         guide = None if self._guides is None else self._guides()
-        return Controller(self.robot, settings, self.solver(), self.scenario.plant.period_s, times, guide)
+        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, guide)
+
+    def _times(self) -> Iterator[float] | None:
+        """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
+        if self.scenario.faults.solver == "hang" and self.scenario.control.law == "moc":
+            # Replayed times, not a clock: the same seed is late at the same ticks on any machine.
+            budget = self.scenario.control.supervisor.budget_us or self.scenario.deadline_us
+            return iter(np.where(self.fault_mask(), 10.0 * budget, 0.0))
+        return None if self._replayed_us is None else itertools.cycle(self._replayed_us)
 
     @cached_property
     def _guides(self) -> Callable[[], Guide] | None:
@@ -176,8 +194,8 @@ class Setup:
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)
-        best, told = self._best(trace)
-        return trace.with_columns(mu_bound=self._largest_mu(trace), **best).with_meta(**told)
+        columns, told = self._yardsticks(trace)
+        return trace.with_columns(**columns).with_meta(**told)
 
     def _simulate(
         self, watch: Callable[[int], None] | None, meta: Mapping[str, Any], sink: Sink | None = None, block: int = BLOCK
@@ -220,8 +238,8 @@ class Setup:
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
             run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
-            best, told = self._best(run)
-            writer.finish({**run.meta, **told}, {"mu_bound": self._largest_mu(run), **best})
+            yardsticks, told = self._yardsticks(run)
+            writer.finish({**run.meta, **told}, yardsticks)
         trace = Trace.open(to)
         if broken is not None:
             raise RunAway(str(broken), trace) from broken
@@ -237,19 +255,20 @@ class Setup:
         found["mu"] = self.robot.mu_along(columns["q_rad"])
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
-    def _best(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        return against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
-
-    def _largest_mu(self, trace: Trace) -> Array:
-        return largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
+    def _yardsticks(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """What mu is held against: the largest at single ticks, and the best courses; columns, and entries of meta."""
+        bound, method = largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
+        best, told = against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
+        return {"mu_bound": bound, **best}, {**method, **told}
 
 
 def run(
-    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None
-) -> Trace:
-    """Run one scenario; arguments as `Setup.trace`.
+    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, *,
+    solver: Solver | None = None,
+) -> Trace:  # fmt: skip
+    """Run one scenario; arguments as `Setup` and `Setup.trace`.
 
     Raises:
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
     """
-    return Setup(scenario).trace(watch, to)
+    return Setup(scenario, solver).trace(watch, to)

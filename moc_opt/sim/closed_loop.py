@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.filtered import FilteredController
+from moc_opt.sim.filtered import Filtered, FilteredController
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import SafetyFilter, TorqueController
 
@@ -33,7 +33,7 @@ class ClosedLoop:
 
     Args:
         plant: at the state where the loop begins.
-        controller: computes the torque.
+        controller: computes the torque; one that is ``Filtered`` already has its safety filter with it.
         safety_filter: checks measurements and limits torques; None: neither.
         stop: how the arm is stopped once the safety filter has requested it.
         faults: disturb sensors and arm; None: nothing does.
@@ -46,13 +46,15 @@ class ClosedLoop:
     """
 
     def __init__(
-        self, plant: Plant, controller: TorqueController, safety_filter: SafetyFilter | None,
+        self, plant: Plant, controller: TorqueController | Filtered, safety_filter: SafetyFilter | None,
         stop: Stop = DEFAULT_STOP, faults: Faults | None = None,
     ) -> None:  # fmt: skip
         self._plant, self._faults, self._damping = plant, faults, stop.damping
         self._watched = round(stop.seconds / plant.settings.period_s)
         self.tau, self.tick_us = np.array(plant.applied_torque), float("nan")
-        self._filtered = FilteredController(controller, safety_filter, self.tau)
+        self._filtered: Filtered = (
+            controller if isinstance(controller, Filtered) else FilteredController(controller, safety_filter, self.tau)
+        )
         self.seen, self.ticks, self._stopped_at = plant.measure(), 0, -1
 
     def start(self, tip_ref: Array, trocar: Array) -> None:

@@ -40,15 +40,15 @@ class FaultSettings(PacketSettings):
     jump_rad: float = Field(default=0.2, description="by this much, on every joint")
 
     bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="sideways push on the elbow")
-    bump_at_s: float = Field(default=2.0, ge=0.0)
-    bump_s: float = Field(default=0.3, gt=0.0)
-    bump_link: Name = "link_4"
+    bump_at_s: float = Field(default=2.0, ge=0.0, description="when it begins")
+    bump_s: float = Field(default=0.3, gt=0.0, description="how long it lasts")
+    bump_link: Name = Field(default="link_4", description="the link that is pushed")
     payload_kg: float = Field(
         default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model"
     )
 
     slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
-    slip_at_s: float = Field(default=2.0, ge=0.0)
+    slip_at_s: float = Field(default=2.0, ge=0.0, description="when it does")
 
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
         default="none",

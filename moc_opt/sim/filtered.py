@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,38 @@ from moc_opt.sim.sensors import Measurement
 Array = NDArray[np.float64]
 
 
-class FilteredController:
+class Filtered(ABC):
+    """From a measurement to a torque that may be applied: what stands between sensors and drives of a closed loop."""
+
+    @property
+    @abstractmethod
+    def stop_reason(self) -> str:
+        """Why the arm has to be stopped; empty while it has not."""
+
+    @property
+    @abstractmethod
+    def limited(self) -> int:
+        """Number of joints at which the last torque was changed on its way."""
+
+    @property
+    @abstractmethod
+    def warnings(self) -> list[dict[str, Any]]:
+        """What exceeded a warning level since the start, as JSON values."""
+
+    @abstractmethod
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Prepare for a run that begins at this measurement."""
+
+    @abstractmethod
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
+
+    @abstractmethod
+    def brake_friction(self, seen: Measurement) -> Array | float:
+        """Return the dry friction (n,) [Nm] that the brakes are to have in a stop."""
+
+
+class FilteredController(Filtered):
     """A controller whose measurements and torques pass through a safety filter; without one, the controller alone.
 
     Args:
@@ -35,6 +67,11 @@ class FilteredController:
         self._shows_state, self._shows_tip = hasattr(controller, "state"), hasattr(controller, "tip")
         if self._filter is not None:
             self._filter.start(seen.q, seen.v, seen.stamp)
+
+    def set_applied_torque(self, tau: Array) -> None:
+        """Correct the torque (n,) [Nm] that was applied last, where it was not the one that ``tick`` returned."""
+        self._applied = tau
+        self._controller.set_applied_torque(tau)
 
     @property
     def stop_reason(self) -> str:

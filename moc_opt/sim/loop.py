@@ -99,7 +99,8 @@ def simulate(
         "stopped: ..." with the rows so far, and ``meta["stopped_at_s"]`` says when. ``meta["ticks"]`` of
         ``meta["ticks_planned"]`` (N) are there; ``meta["warnings"]``, where there are any, are the safety
         filter's. ``meta["faults"]``, of a controller that counts them, are its refused answers: label -> count,
-        first_at_s, first (in words).
+        first_at_s, first (in words). ``meta["restarts"]``, where there are any, says when (at_s) the process of an
+        isolated solver was replaced, and why (reason).
 
     Raises:
         RunAway: the plant cannot go on; the error holds the trace so far.
@@ -142,6 +143,8 @@ def simulate(
     columns = log.close()
     found |= {"ticks": loop.ticks, "ticks_planned": ticks}
     found |= {"faults": controller.faults} if hasattr(controller, "faults") else {}
+    if restarts := getattr(controller, "restarts", None):
+        found["restarts"] = restarts
     if loop.warnings:
         found["warnings"] = [{**w, "first_s": begin_s + w["first_s"]} for w in loop.warnings]
     trace = Trace(columns, {**found, **(meta or {})})

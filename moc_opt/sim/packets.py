@@ -44,9 +44,12 @@ class PacketSettings(Settings):
         default=None, ge=0.0, description="old packets come once more from then on, in their order, over and over"
     )
     replay_ticks: int = Field(default=100, ge=1, le=5000, description="so many, the last ones before that")
-    drift_at_s: float = Field(default=0.0, ge=0.0)
+    drift_at_s: float = Field(default=0.0, ge=0.0, description="when it begins")
     drift_rad_per_s: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="encoders drift from drift_at_s on, velocity included, seeded signs"
+        default=0.0, ge=-1.0, le=1.0, description="encoders drift from drift_at_s on, seeded signs"
+    )
+    drift_velocity: Literal["included", "apart"] = Field(
+        default="included", description="whether the velocity drifts as well, or is measured apart"
     )
     forged_stamps: bool = Field(
         default=False, description="frozen, replayed and lagging packets carry the number of the present period"
@@ -87,7 +90,8 @@ class Packets:
         s = self.settings
         since = tick * self._period - s.drift_at_s
         if s.drift_rad_per_s != 0.0 and since > 0.0:
-            taken = taken._replace(q=taken.q + since * self._drift, v=taken.v + self._drift)
+            v = taken.v + self._drift if s.drift_velocity == "included" else taken.v
+            taken = taken._replace(q=taken.q + since * self._drift, v=v)
         self._past.append(taken)
         late = s.late_ticks + int(s.lag_growth * self._after(s.lag_at_s, tick) + 1e-9)
         arrived = self._past[max(0, len(self._past) - 1 - late)]

@@ -159,6 +159,26 @@ class WrenchSensor:
         return read_only(self._noise.row() - held)
 
 
+_CHANCE = 1e-10
+"""Of a longer repetition, at each reading, where the joint stands in the middle of a step."""
+_MOST_TICKS = 500
+
+
+def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
+    """Return for how many readings in a row noise lets an encoder at rest repeat itself to the last bit.
+
+    In the middle of a step of width s a reading with noise sigma is the same with probability p = erf(s / (sqrt(8)
+    sigma)), anywhere else with less; p^k falls below one in 10^10. None where there is no noise, or so little that
+    more than 500 are needed.
+    """
+    if noise_rad == 0.0:
+        return None
+    same = math.erf(resolution_rad / (math.sqrt(8.0) * noise_rad))
+    if same >= _CHANCE ** (1.0 / _MOST_TICKS):
+        return None
+    return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
+
+
 @dataclass(frozen=True, eq=False)
 class ToolLoad:
     """What the mount sensor shows when nothing touches the tool: its weight, its inertia force, and a bias.

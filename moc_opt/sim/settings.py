@@ -70,7 +70,7 @@ class PlantSettings(Settings):
     torque_noise_Nm: float = Field(0.002, ge=0, description="standard deviation, per axis")
     delay_ticks: int = Field(1, ge=0, le=100, description="control periods from command to torque")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6, description="abdominal wall: 500 to 3000")
-    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4)
+    trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="of the abdominal wall")
     trocar_registration_error_m: float = Field(
         0.0005, ge=0, le=0.1, description="trocar is this far from its map"
     )

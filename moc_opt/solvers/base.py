@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.inputs.notebook import table_html
 from moc_opt.qp.problem import NullSpaceQP
 
 Array = NDArray[np.float64]
@@ -45,6 +46,21 @@ class Solution(NamedTuple):
     y: Array | None
     status: Status
     iterations: int = 0
+
+    def __repr__(self) -> str:
+        return f"Solution({', '.join(f'{name}={value}' for name, value in self._shown().items())})"
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        return table_html("Solution", self._shown())
+
+    def _shown(self) -> dict[str, str]:
+        lines = {"status": self.status.label, "x": _row(self.x), "y": "none" if self.y is None else _row(self.y)}
+        return {**lines, "iterations": str(self.iterations)}
+
+
+def _row(values: Array) -> str:
+    return str(np.array2string(np.asarray(values), precision=4, separator=", ", max_line_width=1000))
 
 
 class Session(Protocol):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import inspect
-import sys
-from collections.abc import Callable, Iterable, Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from moc_opt.errors import SolverError, describe
 from moc_opt.inputs import names
+from moc_opt.inputs import plugins as inputs
+from moc_opt.inputs.plugins import in_words as in_words  # registry's, too
 from moc_opt.solvers.base import Solver
 
 GROUP = "moc_opt.solvers"
@@ -19,23 +19,8 @@ _GUIDE = "docs/extending.md shows a whole solver"
 
 
 def plugins() -> dict[str, list[EntryPoint]]:
-    """Map each name to the different entry points that claim it; one that is announced twice counts once."""
-    return _scan(tuple(sys.path), entry_points)
-
-
-@lru_cache(maxsize=8)
-def _scan(path: tuple[str, ...], look: Callable[..., Iterable[EntryPoint]]) -> dict[str, list[EntryPoint]]:
-    # 10 ms for a hundred packages, and a sweep makes thousands of solvers
-    found: dict[str, dict[str, EntryPoint]] = {}
-    for point in look(group=GROUP):
-        found.setdefault(point.name, {}).setdefault(point.value, point)
-    return {name: list(points.values()) for name, points in found.items()}
-
-
-def in_words(point: EntryPoint) -> str:
-    """Name the entry point and the package that announces it, for messages."""
-    package = getattr(point.dist, "name", None)
-    return f"entry point {point.value!r}" + (f" of package {package!r}" if package else "")
+    """Map each name to the different entry points that claim it."""
+    return inputs.plugins(GROUP, entry_points)
 
 
 def factory_of(name: str, points: list[EntryPoint]) -> Callable[..., Solver]:
@@ -46,16 +31,8 @@ def factory_of(name: str, points: list[EntryPoint]) -> Callable[..., Solver]:
     """
     if not names.is_name(name):
         raise SolverError(f"solver {name!r:.80}: {in_words(points[0])}: rename it; {names.RULE}")
-    if len(points) > 1:
-        claims = " and ".join(map(in_words, points))
-        raise SolverError(f"solver {name!r}: {claims} claim this name: rename one, or uninstall its package")
-    (point,) = points
-    try:
-        found = point.load()
-    except (Exception, SystemExit) as error:
-        raise SolverError(
-            f"solver {name!r}: {in_words(point)} does not load: {describe(error)}; mend or uninstall its package"
-        ) from error
+    found = inputs.load("solver", name, points, SolverError)
+    point = points[0]
     if not callable(found):
         raise SolverError(
             f"solver {name!r}: {in_words(point)} is a {type(found).__name__}: give a class or a function; {_GUIDE}"

@@ -27,19 +27,25 @@ class ArcLength:
     probed inside every panel by quadrature, is below 1e-10 of the length and below 1e-10 m.
     """
 
-    def __init__(self, speed: Speed, end: float, panels: int) -> None:
+    def __init__(self, speed: Speed, end: float, panels: int, breaks: Floats | None = None) -> None:
         """Tabulate.
 
         Args:
             speed: w (k,) -> (ds/dw (k,) [m], d2s/dw2 (k,) [m]), smooth, ds/dw above zero.
             end: largest w, above zero.
             panels: panels to start from; enough to see every bend of the curve.
+            breaks: (b,) from 0 to ``end``, between which the speed is smooth; each stretch gets so many panels.
 
         Raises:
             TaskError: the accuracy is not reached with 2^18 panels.
         """
         while panels <= _MOST_PANELS:
-            w = np.linspace(0.0, end, panels + 1)
+            if breaks is None:
+                w = np.linspace(0.0, end, panels + 1)
+            else:
+                stretches = len(breaks) - 1
+                place = np.linspace(0.0, stretches, panels * stretches + 1)
+                w = np.interp(place, np.arange(stretches + 1), breaks)
             lengths = _quadrature(speed, w[:-1], w[1:])
             s = np.concatenate(([0.0], np.cumsum(lengths)))
             coefficients = _hermite(w, lengths, *speed(w))

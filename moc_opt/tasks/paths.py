@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.errors import TaskError
 from moc_opt.tasks.checks import TimeLike, Vector, direction3, sampled, vector3
-from moc_opt.tasks.curves import CURVES, Circle, Line, PlanarCurve, Sinusoid, Spiral
+from moc_opt.tasks.curves import Circle, Line, PlanarCurve, Sinusoid, Spiral
 
 
 class Path:
@@ -28,7 +27,12 @@ class Path:
         Raises:
             TaskError: a vector is not usable, or heading and normal are parallel.
         """
+        self._place(start, normal, heading)
         self.curve = curve
+        self.length = float(curve.length)
+
+    def _place(self, start: ArrayLike, normal: ArrayLike, heading: ArrayLike) -> None:
+        """Find the start and the axes of the path."""
         self.start = vector3("start", start)
         self.normal = direction3("normal", normal)
         along = direction3("heading", heading)
@@ -37,10 +41,18 @@ class Path:
             raise TaskError(f"heading = {heading!r} is parallel to the normal {normal!r}: choose another")
         self.heading = direction3("heading", inside)
         self.left = direction3("left", np.cross(self.normal, self.heading))
-        self.length = float(curve.length)
         self._axes: tuple[tuple[float, float, float], ...] = tuple(
             zip(self.start.tolist(), self.heading.tolist(), self.left.tolist(), strict=True)
         )
+
+    @property
+    def knots(self) -> Vector:
+        """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
+        return self.curve.knots
+
+    def curvature(self, s: float) -> float:
+        """Return the curvature [1/m] at s [m] in [0, length]; of a planar path with its sign, left being positive."""
+        return self.curve.at(s)[4]
 
     def at(self, s: TimeLike) -> tuple[Vector, Vector, Vector]:
         """Return point, unit tangent and curvature vector at an arc length.
@@ -129,32 +141,3 @@ def spiral(start: ArrayLike, heading: ArrayLike, *, turns: float, radius: float,
     Arguments as in `Spiral` and `Path`; errors as in `circle`.
     """
     return Path(Spiral(turns, radius), start, normal=normal, heading=heading)
-
-
-def make_path(kind: str, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike, **sizes: float) -> Path:
-    """Build a path by name: what a scenario file asks for.
-
-    Args:
-        kind: a key of `CURVES`: "line", "circle", "sinusoid" or "spiral".
-        start: the tip at the beginning, (3,) [m].
-        normal: of the path's plane, (3,).
-        heading: (3,), the part along the normal is taken out: first tangent of line, circle and spiral,
-            axis of the sinusoid.
-        sizes: line: length; circle: radius; sinusoid: amplitude, wavelength, periods; spiral: turns, radius.
-            Lengths in m.
-
-    Raises:
-        UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
-        TaskError: a size is missing or not positive and finite, or a vector is not usable.
-    """
-    if kind not in CURVES:
-        raise UnknownNameError("path", str(kind), CURVES)
-    names = [size.name for size in dataclasses.fields(CURVES[kind]) if size.init]
-    for name in sizes:
-        if name not in names:
-            raise UnknownNameError(f"size of a {kind}", name, names)
-    missing = [name for name in names if name not in sizes]
-    if missing:
-        raise TaskError(f"a {kind} needs its {', '.join(missing)}: give positive numbers, lengths in m")
-    curve: PlanarCurve = CURVES[kind](**sizes)
-    return Path(curve, start, normal=normal, heading=heading)

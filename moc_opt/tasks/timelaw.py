@@ -41,7 +41,7 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
     """
     v_max, a_max = positive("v_max", v_max), positive("a_max", a_max)
     at_speed = 15.0 * path.length / (8.0 * v_max)
-    bends = any(path.curve.at(s)[4] != 0.0 for s in path.curve.knots.tolist())
+    bends = any(path.curvature(s) != 0.0 for s in path.knots.tolist())
     if not bends:
         return max(at_speed, math.sqrt(10.0 * path.length / (math.sqrt(3.0) * a_max)))
     return max(at_speed, math.sqrt(path.length * _largest_acceleration(path) / a_max))
@@ -49,16 +49,16 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
 
 def _largest_acceleration(path: Path) -> float:
     """The largest g(u) of `duration`, to about 1e-10 of itself."""
-    curve, length = path.curve, path.length
+    length = path.length
 
     def g(u: float) -> float:
         s, ds, dds = quintic(u)
-        return math.hypot(dds, length * curve.at(min(s * length, length))[4] * ds * ds)
+        return math.hypot(dds, length * path.curvature(min(s * length, length)) * ds * ds)
 
     # Even steps see the time law's own peaks; the curve's knots, taken back to u, see every bend of the path.
     even = np.linspace(0.0, 1.0, 513)
     progress = [quintic(u)[0] for u in even.tolist()]
-    u = np.unique(np.concatenate((even, np.interp(curve.knots / length, progress, even))))
+    u = np.unique(np.concatenate((even, np.interp(path.knots / length, progress, even))))
     values = np.array([g(entry) for entry in u.tolist()])
     inner = values[1:-1]
     peaks = 1 + np.flatnonzero((inner >= values[:-2]) & (inner >= values[2:]) & (inner > 0.8 * values.max()))

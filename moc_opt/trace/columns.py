@@ -60,7 +60,7 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
         "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
         "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
-        "mu_bound": Column("m^3", "(N,)", "largest mu on the feasible self-motion; NaN: not scanned"),
+        "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN: unknown"),
         "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
         "mu_best": Column("m^3", "(N,)", "mu along the best course over all swivels and branches at the start"),
         "q_best_from_start_rad": Column("rad", "(N, n)", "the best course from the start of the run"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TraceError
 from moc_opt.trace import parquet as trace_file
+from moc_opt.trace import views
 from moc_opt.trace import writer as trace_writer
 from moc_opt.trace.columns import COLUMNS, Column, check_column, column
 
@@ -83,7 +84,17 @@ class Trace:
         return Trace, (dict(self.columns), dict(self.meta))
 
     def __repr__(self) -> str:
-        return f"Trace({len(self)} ticks: {', '.join(self.columns)})"
+        known = views.about(self)
+        about = [f"{known.pop('ticks')} ticks", *known.values()]
+        return f"Trace({', '.join(about)}: {', '.join(self.columns)})"
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        return views.html(self)
+
+    def __dir__(self) -> Iterable[str]:
+        """List methods and columns: a notebook completes both."""
+        return [*super().__dir__(), *self.columns]
 
     def with_columns(self, **arrays: ArrayLike) -> Trace:
         """Return a new trace with columns added or replaced.
@@ -107,6 +118,55 @@ class Trace:
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
         columns = {"tick": np.arange(len(self)), **self.columns}
         return Trace({name: array[mask] for name, array in columns.items()}, self.meta)
+
+    def between(self, start_s: float, stop_s: float) -> Trace:
+        """Return the trace of the ticks with start_s <= t_s < stop_s; its column `tick` keeps their numbers.
+
+        Pieces that meet share no tick: ``between(0, 2)`` and ``between(2, 4)`` make ``between(0, 4)``.
+
+        Raises:
+            TraceError: there is no such tick.
+            MissingDataError: the trace has no `t_s`.
+        """
+        time = np.asarray(self.t_s)
+        inside = (time >= start_s) & (time < stop_s)
+        if not inside.any():
+            there = f"from {time[0]:g} to {time[-1]:g} s" if len(time) else "nowhere: it is empty"
+            raise TraceError(f"between({start_s!r}, {stop_s!r}): no tick lies there; the trace has its ticks {there}")
+        return self.select(inside)
+
+    def plot(self, columns: Sequence[str] | None = None, *, name: str = "run", beside: Trace | None = None) -> Any:
+        """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
+
+        Args:
+            columns: one panel each, from top to bottom; None: mu, tip error, RCM error and force.
+            name: of this run in the legend.
+            beside: a second run, drawn as "baseline".
+
+        Raises:
+            ReportError: the trace has none of the columns.
+            MissingDataError: it has no `t_s`.
+        """
+        runs = {name: self} if beside is None else {"baseline": beside, name: self}
+        return views.figure(runs, columns)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
+
+        A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
+
+        Raises:
+            TraceError: pandas is not installed.
+        """
+        return views.frame(self)
+
+    def to_xarray(self) -> Any:
+        """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
+
+        Raises:
+            TraceError: xarray is not installed.
+        """
+        return views.dataset(self)
 
     def head(self, ticks: int) -> Trace:
         """Return the trace of the first ticks."""
@@ -196,3 +256,8 @@ def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
             ) from error
     plain: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
     return plain
+
+
+def load_trace(path: str | os.PathLike[str]) -> Trace:
+    """Read a saved trace whole; see `Trace.load`, and `Trace.open` for one that is larger than the memory."""
+    return Trace.load(path)

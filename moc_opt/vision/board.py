@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.tasks import Path, make_path
 from moc_opt.tasks.checks import Vector, direction3, number, positive, vector3
-from moc_opt.tasks.paths import Path, make_path
 from moc_opt.vision.pose import Pose
 
 Array = NDArray[np.float64]

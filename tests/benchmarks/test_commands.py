@@ -12,7 +12,9 @@ import benchmarks
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "benchmarks"
-USERS = ("solvers", "paper", "speed", "faults", "fuzz", "plan", "plant", "sweep", "testsets", "export", "robots")
+USERS = (
+    "solvers", "paper", "speed", "faults", "fuzz", "plan", "plant", "sweep", "testsets", "export", "robots", "realtime",
+)  # fmt: skip
 MAINTAINERS = ("readme", "pictures", "errata", "tune", "mutation", "sweep_speed", "sweep_memory")
 
 

@@ -26,8 +26,8 @@ from benchmarks.paper_experiment.trials import (
     variant,
 )
 from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, claim_verdict
-from benchmarks.statistics import Interval
 from moc_opt import scenario
+from moc_opt.comparison.statistics import Interval
 from moc_opt.errors import BrowserError, PlantError, ScenarioError, UnknownNameError
 from moc_opt.procedure.hands_on import HandsOnSettings
 from moc_opt.report.export import browser

@@ -56,7 +56,7 @@ def test_the_default_configuration_has_every_arm() -> None:
     assert len(config.jobs()) == 6 * 3 * 5
     quick = config.quick()
     assert len(quick.jobs()) == 6 * 2
-    starts = {(job.robot, job.trial.seed) for job in config.jobs()}
+    starts = {(job.trial.robot.name, job.trial.seed) for job in config.jobs()}
     assert len({seed for _, seed in starts}) == 15  # the same seeds on every arm
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import solvers
 from benchmarks.output import default_config
-from benchmarks.solver_study import closed_loop
+from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study import tables as study_tables
 from benchmarks.solver_study.answers import ask
 from benchmarks.solver_study.cells import Cell, costs_of, load, totals
@@ -19,6 +19,7 @@ from benchmarks.solver_study.store import Part
 from benchmarks.solver_study.study import Study
 from benchmarks.solver_study.tables import tables
 from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.scenario import Scenario
 from tests import broken_solvers
 
 SMALL = """
@@ -55,8 +56,9 @@ NAMES = ["exact", "osqp", "rnn", "quadprog"]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A whole small study."""
-    root = tmp_path_factory.mktemp("study")
+    """A whole small study, in a folder of results."""
+    root = tmp_path_factory.mktemp("study") / "results"
+    root.mkdir()
     (root / "small.toml").write_text(SMALL)
     assert run(root) == 0
     return root
@@ -169,7 +171,7 @@ def test_all_files_are_written(folder, summary):
     rows = pq.read_table(out / "rows.parquet").to_pylist()
     assert {"open_loop_warm", "open_loop_cold", "testset", "closed_loop"} <= {row["part"] for row in rows}
     mine = [r for r in rows if r["part"] == "testset" and r["set"] == "circle" and r["solver"] == "osqp"]
-    assert len(mine) == 3 * 8
+    assert len(mine) == 8 + 2 + 2, "every problem as we recommend it, every fourth as the library comes and tight"
     environment = json.loads((out / "environment.json").read_text())
     assert environment["config"]["testsets"]["every"] == 16
     page = (out / "report.html").read_text()
@@ -186,6 +188,8 @@ def test_all_files_are_written(folder, summary):
         assert words in page
     assert (out / "replay.html").stat().st_size > 10_000
     assert np.load(out / "solve_us_osqp.npy").shape == (100,)
+    assert 'href="out/report.html"' in (folder / "index.html").read_text()
+    assert page.index('id="accuracy-against-time"') < page.index('class="section"'), "pictures before what is folded"
 
 
 def test_a_second_run_takes_all_parts_from_the_first(folder, summary, capsys):
@@ -194,7 +198,11 @@ def test_a_second_run_takes_all_parts_from_the_first(folder, summary, capsys):
     again = json.loads((folder / "out" / "summary.json").read_text())
     for part in set(summary) - {"clock"}:
         assert again[part] == summary[part], part
-    assert "parts are those of an earlier run" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "parts are those of an earlier run" in said
+    assert max(len(line) for line in said.splitlines() if not line.startswith("written")) <= 80
+    assert "…" not in said
+    assert said.index("osqp") < said.index("written:")
 
 
 def test_parts_and_sets_can_be_chosen(folder, tmp_path, capsys):
@@ -229,6 +237,11 @@ def test_the_shipped_configuration_is_that_of_the_program():
     assert full.growth.joints == list(range(7, 15))
     assert full.closed_loop.twice
     assert len(config.closed_loop.tasks) * config.closed_loop.seeds >= 15
+    long = Config.load(default_config("solvers-long"))
+    assert long.closed_loop.short == []
+    assert long.testsets.every_other == 1
+    assert long.sweeps.duration_s == long.closed_loop.duration_s
+    assert long.sweeps.seeds * len(long.sweeps.tasks) >= 15
 
 
 def test_a_library_is_in_the_loop_once(tmp_path):
@@ -240,6 +253,25 @@ def test_a_library_is_in_the_loop_once(tmp_path):
 
     assert controllers() == ["exact", "daqp", "qpsolvers:scs"]
     assert controllers(twice=True) == names
+
+
+def test_slow_solvers_run_the_beginning_and_are_compared_with_the_same_ticks():
+    trial = Scenario(duration_s=0.2, bound_samples=2, seed=4)
+    settings = {"exact": {}, "clarabel": {}}
+    shown = []
+    runs = closed_loop.run_all(
+        {"a": trial.change(name="a")}, settings, print, short=["clarabel"], short_s=0.1, show=shown.append
+    )
+    assert {run.controller: run.short for run in runs} == {"dcac": False, "exact": False, "clarabel": True}
+    assert {run.controller: run.metrics["ticks"] for run in runs} == {"dcac": 100, "exact": 100, "clarabel": 50}
+    assert shown == [runs]
+    whole, beginning = combine.summary(runs), combine.summary([run.beginning for run in runs])
+    for metric in ("mu_mean", "mu_gain_percent", "tip_change_percent", "rcm_error_model_mean_mm"):
+        assert beginning["exact"][metric] == pytest.approx(beginning["clarabel"][metric], rel=1e-3)
+        assert whole["clarabel"][metric] == beginning["clarabel"][metric]
+    assert whole["exact"]["mu_gain_percent"] != pytest.approx(whole["clarabel"]["mu_gain_percent"], rel=0.05)
+    assert beginning["dcac"]["mu_gain_percent"] == whole["dcac"]["mu_gain_percent"] == 0.0
+    assert (whole["clarabel"]["short_runs"], whole["exact"]["short_runs"]) == (1, 0)
 
 
 def test_the_nonlinear_solvers_carry_their_footnote(summary):

@@ -22,7 +22,7 @@ from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
 from benchmarks.latency.goals import GOALS, goal_verdicts
-from benchmarks.latency.report import headline, report, tables
+from benchmarks.latency.report import answer, headline, report, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
@@ -330,9 +330,12 @@ def test_report_and_headline_are_made_of_the_numbers(tmp_path):
     rival = next(row for row in tables(summary)["peers"].rows if row["name"] == "rival")
     assert rival["times_ours"] == pytest.approx(5.0)
     assert rival["times_c"] == pytest.approx(100.0 / 3.0)
-    page = report(summary, {"exact": np.array([1.0, 2.0])}, {"seed": 0}).html()
+    first = answer(summary, {"exact": np.array([1.0, 2.0])})
+    page = report(summary, first, {"seed": 0}).html()
     assert "rival" in page
     assert "12.0" in page
+    assert page.index("Not reached") < page.index('class="section"')
+    assert {row["reached"].word for row in first.table.rows} == {"yes", "no", "open"}
 
 
 def test_times_of_new_processes_are_those_they_tell(monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 
 from moc_opt.commissioning.limits import CHOSEN, TRAVEL_M, choose_efforts, choose_limits
 from moc_opt.commissioning.vendor import VendorArm, chain_joints, read_vendor
+from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import load_robot
 from moc_opt.robots import urdf
 from tests.commissioning.arms import changed, text_of
@@ -49,6 +50,18 @@ def test_what_no_arm_has_is_replaced(
     assert len(arm.notes) == 1
     assert "joint_1" in arm.notes[0]
     assert told in arm.notes[0]
+
+
+@pytest.mark.parametrize(("name", "old", "new", "unit"), [
+    ("panda", 'lower="-2.8973" upper="2.8973"', 'lower="2.8973" upper="-2.8973"', "rad"),
+    ("lwr4_rail", 'lower="-0.5" upper="0.5"', 'lower="0.5" upper="-0.5"', "m"),
+])  # fmt: skip
+def test_exchanged_limits_are_refused_by_name(name: str, old: str, new: str, unit: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match=rf"'joint_1': lower = .* above upper = .* exchanged.* in {unit}, "):
+        chosen(tmp_path, changed(text_of(name), (old, new)))
+    endless = 'name="joint_1" type="continuous"'  # its limits mean nothing
+    text = changed(text_of("panda"), ('lower="-2.8973" upper="2.8973"', 'lower="2" upper="-2"'))
+    chosen(tmp_path, changed(text, ('name="joint_1" type="revolute"', endless)))
 
 
 def test_an_endless_joint_gets_a_turn(tmp_path: Path) -> None:

@@ -42,10 +42,13 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
     wrench = np.concatenate([pose[:3] @ total, pose[:3] @ moment])
     expected = np.linalg.norm(pose[:2] @ np.array(force))
     point = pose[3] - depth * pose[2]
-    assert trocar_force(pose, point, wrench, mass, length) == pytest.approx(expected, abs=1e-6)
+    assert trocar_force(pose, point, wrench, mass, length, np.inf) == pytest.approx(expected, abs=1e-6)
     close = pose[3] - 0.5 * SHORTEST_DEPTH_M * pose[2]  # not to be told apart: all that acts across the shaft
     across = np.linalg.norm(pose[:2] @ (np.array(force) + np.array(touch)))
-    assert trocar_force(pose, close, wrench, mass, length) == pytest.approx(across, abs=1e-6)
+    assert trocar_force(pose, close, wrench, mass, length, np.inf) == pytest.approx(across, abs=1e-6)
+    for allowed in (0.0, 10.0):  # of what the tip touches, no more than that is believed
+        found = trocar_force(pose, point, wrench, mass, length, allowed)
+        assert found == pytest.approx(max(expected, across - allowed), abs=1e-6)
 
 
 def guard_of(robot, **changes):
@@ -213,7 +216,7 @@ def test_near_the_tip_the_whole_force_is_the_trocars(robot):
     moment = np.cross(0.5 * length * pose[2], load) + np.cross(length * pose[2], touch)
     wrench = np.concatenate([pose[:3] @ (load + touch), pose[:3] @ moment])
     for depth, expected in ((1.001 * SHORTEST_DEPTH_M, 0.0), (0.999 * SHORTEST_DEPTH_M, 4.0), (-0.1, 4.0)):
-        found = trocar_force(pose, pose[3] - depth * pose[2], wrench, mass, length)
+        found = trocar_force(pose, pose[3] - depth * pose[2], wrench, mass, length, 10.0)
         assert found == pytest.approx(expected, abs=1e-9)
     assert SHORTEST_DEPTH_M == 0.05
 

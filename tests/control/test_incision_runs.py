@@ -28,7 +28,7 @@ def test_the_force_agrees_with_the_plant(robot, seed):
     trace = run(Scenario(seed=seed, control={"preset": "tuned"}, faults={"slip_m": 0.01}, duration_s=3.0, **QUICK))
     wrenches = np.hstack([trace.force_N, trace.torque_Nm])
     felt = np.array([
-        trocar_force(robot.tool_pose(q), p, w, robot.data.tool_mass, robot.data.tool_length)
+        trocar_force(robot.tool_pose(q), p, w, robot.data.tool_mass, robot.data.tool_length, np.inf)
         for q, p, w in zip(trace.q_rad, trace.trocar_registered_m, wrenches, strict=True)
     ])  # fmt: skip
     true = np.linalg.norm(trace.trocar_force_N, axis=1)

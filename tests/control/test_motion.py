@@ -141,6 +141,22 @@ def test_a_packet_repeated_whole_at_rest_is_noticed_where_its_sensor_has_noise(n
     )
 
 
+@pytest.mark.parametrize("longest", [None, 40])
+def test_one_encoder_may_repeat_itself_for_as_long_as_its_noise_lets_it(longest):
+    """The others live; without a limit nothing is said of a joint that rests."""
+    q = np.random.default_rng(3).normal(scale=1e-5, size=(600, N))
+    q[100:, 4] = q[99, 4]
+    wrong, k = looked(q, 0.0 * q, repeat_joint_ticks=longest)
+    told = "one encoder repeats its reading, as its noise does not let it"
+    assert (wrong, k) == ((told, 140) if longest else ("", 600))
+
+
+def test_what_static_friction_holds_is_told_by_the_robots_file_where_it_says_so():
+    level = MotionSettings(stuck_torque=0.06, stuck_friction=6.0)
+    held = level.held(np.array([100.0, 100.0, 10.0]), np.array([0.5, 0.0, 0.5]))
+    np.testing.assert_allclose(held, [3.0, 6.0, 0.6])  # of the file; none in it; less than that by the drive
+
+
 @pytest.mark.parametrize(("whole", "needed"), [(False, 6.0), (True, 0.05)])
 def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
     """By what static friction cannot hold; by next to nothing where the wrench sensor repeats itself too."""

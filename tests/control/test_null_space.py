@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import subspace_angles
 from scipy.optimize import lsq_linear
 
-from moc_opt.control import ControlSettings
+from moc_opt.control import ControlSettings, tick
 from moc_opt.control import null_space as level3
 from moc_opt.control.law import law_of, law_views
 from moc_opt.errors import ControlError, ScenarioError
@@ -177,6 +177,42 @@ def test_subproblem_of_a_tick(form, robot, regular_poses):
         np.testing.assert_allclose(found.row, wanted.row, rtol=0.0, atol=1e-12)
         slack = np.linalg.lstsq(found.A, found.b, rcond=None)[0]
         np.testing.assert_allclose(found.A @ slack, found.b, atol=1e-12)  # six rows of rank five, and it fits
+
+
+@BOTH
+def test_near_the_loss_of_the_shaft_the_climb_leads_away(form, robot):
+    margin = 0.025
+    for bend in (0.05, 0.2, 0.4, 0.8):  # joint 6 straightens the wrist: there the shaft loses a direction
+        s = robot.state(np.array([0.4, 0.9, 0.3, 1.2, 0.6, bend, 0.0]))
+        tip_ref, trocar = np.zeros((3, 3)), np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+        gradients = [
+            NullSpaceQP.from_row(subproblem(s, tip_ref, trocar, form, shaft_margin=m)).grad_mu for m in (0.0, margin)
+        ]
+        np.testing.assert_array_equal(gradients[0], s.grad_mu)  # the paper's
+        weight = 0.1 * max(0.0, 1.0 - s.mu_shaft / margin) * s.mu_shaft / (s.mu_shaft**2 + 0.0025**2)
+        assert (weight > 0.0) == (s.mu_shaft < margin)
+        np.testing.assert_allclose(gradients[1], s.grad_mu + weight * s.grad_mu_shaft, rtol=1e-12)
+    assert s.mu_shaft > margin
+
+
+def test_the_push_off_the_loss_of_the_shaft_begins_at_the_margin_and_fades_where_it_has_no_direction():
+    pushes = [tick.shaft_push(0.02 * share, 0.02) for share in (1.5, 1.0, 1.0 - 1e-9, 0.5, 0.2, 0.1)]
+    assert pushes[:2] == [0.0, 0.0]
+    assert 0.0 < pushes[2] < 1e-7
+    assert pushes[2:] == sorted(pushes[2:])
+    assert pushes[-1] > 10.0
+    assert tick.shaft_push(0.0, 0.02) == 0.0
+    assert tick.shaft_push(1e-9, 0.02) < 1e-3
+
+
+def test_a_climb_towards_the_loss_of_the_shaft_oscillates_and_is_kept_from_it():
+    """From this pose mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
+    trial = Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
+    lost, kept = run(trial.change(control={"shaft_margin_m2": 0.0})), run(trial)
+    assert lost.meta["ended"].startswith("oscillated: joint_5")
+    assert kept.meta["ended"] == "completed"
+    assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()
+    assert kept.mu.mean() > 0.98 * lost.mu.mean()
 
 
 # --- the null space ---

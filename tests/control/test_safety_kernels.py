@@ -208,9 +208,12 @@ def test_defaults_are_those_of_the_documentation():
         "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0, "jump_rad": 0.05, "speed_factor": 5.0,
         "patience_ticks": 3, "tip_error_m": 0.01, "tip_error_s": 0.1, "rcm_error_m": 0.012, "rcm_warning_m": 0.006,
         "trocar_force_N": 15.0, "trocar_force_warning_N": 8.0, "incision_s": 0.1,
-        "stop_damping_Nm_s_per_rad": 20.0, "stop_holding": 0.25, "stop_yield_N": 8.0, "stop_s": 0.5,
+        "tip_force_N": 10.0,
+        "stop_damping_Nm_s_per_rad": 20.0, "stop_holding": 0.25, "stop_yield_N": 8.0, "stop_yield_s": 0.4,
+        "stop_s": 0.5,
         "motion": True, "motion_s": 0.1, "motion_rad": 0.001, "motion_lag_s": 0.012, "repeat_m": 0.003,
         "repeat_whole_m": 0.0005, "repeat_whole_ticks": 25,
         "repeat_torque": 0.06, "repeat_whole_torque": 0.0005, "stuck_torque": 0.06, "stuck_rad_per_s": 0.2,
+        "stuck_friction": 6.0, "repeat_joint_ticks": None,
         "residual_torque": 0.2, "residual_rate_per_s": 40.0, "residual_s": 0.25,
     }  # fmt: skip

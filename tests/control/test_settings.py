@@ -133,7 +133,7 @@ def test_paper_preset():
 def test_presets_by_name():
     assert ControlSettings.preset("paper", law="dcac") == ControlSettings.paper(law="dcac")
     assert ControlSettings.preset("tuned") == ControlSettings.tuned()
-    assert ControlSettings.preset("robust") == ControlSettings.tuned(D_X=50.0, K_N2=15.0, observer_gain_per_s=22.0)
+    assert ControlSettings.preset("robust") == ControlSettings.tuned(gains="robust", observer_gain_per_s=22.0)
     assert ControlSettings.tuned(K_N=900.0).K_N == 900.0
     assert ControlSettings.tuned().law == "moc"
     with pytest.raises(UnknownNameError, match=r"control preset 'papr': did you mean 'paper'"):

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.null_space import null_space
 from moc_opt.control.solution_check import MOST_ITERATIONS, answer_residuals, received
-from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings
+from moc_opt.control.supervisor import Fault, Supervisor, SupervisorSettings, Unanswered
 from moc_opt.errors import ControlError
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals, fields
 from moc_opt.scenario import Scenario, Setup, run
@@ -96,6 +96,7 @@ def wrong_answers(qp):
         Fault.OUTSIDE: Solution(x + 0.5, None, Status.SOLVED),
         Fault.FALSE_OPTIMUM: opposite(qp),
         Fault.INFEASIBLE: no_answer(7, Status.INFEASIBLE),
+        Fault.LOST: Unanswered(Fault.LOST, "its process ended"),
     }
 
 
@@ -108,6 +109,16 @@ def test_each_fault_has_its_name_and_is_counted(fault, qp, Z):
     assert mine.counts == {fault.label: 1}
     # the last good answer is held, but an infeasible subproblem is answered by the fallback
     np.testing.assert_array_equal(x, np.zeros(7) if fault is Fault.INFEASIBLE else solved(qp).x)
+
+
+@pytest.mark.parametrize("late", ["hold", "zero", "iterate"])
+def test_an_answer_that_is_not_there_in_time_is_never_followed(late, qp, Z):
+    mine = supervisor(late=late)
+    mine.solve(Scripted(solved(qp)), qp, Z)
+    solution, x = mine.solve(Scripted(Unanswered(Fault.LATE, "nothing after 700 us")), qp, Z)
+    assert (mine.fault, solution.status) == (Fault.LATE, Status.TIME_LIMIT)
+    assert mine.firsts["late"].text == "nothing after 700 us"
+    np.testing.assert_array_equal(x, np.zeros(7) if late == "zero" else solved(qp).x)
 
 
 @pytest.mark.parametrize("hold", [0, 1, 4])

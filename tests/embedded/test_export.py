@@ -110,6 +110,7 @@ def test_dynamics_are_those_of_the_model(arm: str, request: pytest.FixtureReques
         "tip": at.tip, "wrist": at.wrist, "J_tip": at.J_tip, "J_wrist": at.J_wrist,
         "h": dynamics.bias_torque(numbers, frames, v), "drift_tip": dynamics.drift(at, at.J_tip, v),
         **dict(zip(("mu", "grad_mu"), dynamics.manipulability(at), strict=True)),
+        **dict(zip(("mu_shaft", "grad_mu_shaft"), dynamics.shaft_manipulability(at), strict=True)),
         **dict(zip(("M", "gravity"), dynamics.inertia_and_gravity(numbers, frames), strict=True)),
         **dict(zip(("momentum", "energy_slope"), dynamics.momentum(numbers, frames, v), strict=True)),
     }  # fmt: skip

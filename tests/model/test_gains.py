@@ -47,17 +47,46 @@ def test_a_table_that_is_given_is_kept(robot: RobotModel, tmp_path: Path) -> Non
     path.write_text(path.read_text(encoding="utf-8") + "\n[gains.moc]\nK_X = 1.0\n", encoding="utf-8")
     gains = load_robot(path).data.gains
     assert dict(gains["moc"]) == {"K_X": 1.0}
-    assert set(gains) == {"dcac", "moc", "default"}
-    assert set(robot.data.gains) == {"dcac", "moc", "default"}
+    assert set(gains) == set(robot.data.gains) == {"dcac", "moc", "default", "tuned", "robust"}
+
+
+def self_motion_rate(robot: RobotModel, table: str) -> float:
+    """K_N2 over the inertia of the self-motion, median over random poses [1/s]; idle joints left out."""
+    moving, rates = robot.moves.any(axis=0), []
+    gain = np.diag(np.broadcast_to(np.asarray(robot.data.gains[table]["K_N2"]), robot.n)[moving])
+    for q in np.random.default_rng(5).uniform(robot.q_min, robot.q_max, (400, robot.n)):
+        state = robot.state(q)
+        z = np.linalg.svd(state.A[:, moving])[2][-1]
+        rates.append(z @ gain @ z / (z @ state.M[np.ix_(moving, moving)] @ z))
+    return float(np.median(rates))
 
 
 def test_the_lwr4_gets_what_it_was_tuned_to(robot: RobotModel) -> None:
+    for table in ("default", "tuned", "robust"):
+        for gain in ("K_X", "D_X", "K_N", "D_N"):
+            assert derived_gains(robot)[table][gain] == robot.data.gains[table][gain]
     derived, tuned = derived_gains(robot)["default"], robot.data.gains["default"]
-    for gain in ("K_X", "D_X", "K_N", "D_N"):
-        assert derived[gain] == tuned[gain]
     ratio = np.divide(derived["K_N2"], tuned["K_N2"])
     assert ratio.min() > 0.5
     assert ratio.max() < 1.3
+
+
+@pytest.mark.parametrize("table", ["tuned", "robust"])
+def test_presets_stand_to_the_default_as_on_the_lwr4(robot: RobotModel, table: str) -> None:
+    wanted = self_motion_rate(robot, table) / self_motion_rate(robot, "default")
+    for name in ("panda", "gen3", "xarm7"):  # the others meet the largest rate allowed
+        other = load_robot(name)
+        assert self_motion_rate(other, table) / self_motion_rate(other, "default") == pytest.approx(wanted, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"])
+def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
+    robot = load_robot(name)
+    derived = derived_gains(robot)
+    assert set(robot.data.gains) == set(derived)
+    for key, table in derived.items():
+        for gain, value in table.items():
+            np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
 
 
 def test_a_light_arm_gets_smaller_gains_at_the_tip(tmp_path: Path) -> None:

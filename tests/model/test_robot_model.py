@@ -140,11 +140,22 @@ def test_gradient_of_mu_is_mu_trace_dJ_pinv(arm: RobotModel) -> None:
             assert s.grad_mu[k] == pytest.approx(s.mu * np.trace(np.array(dJ).T @ pinv), abs=1e-13)
 
 
+def test_mu_of_the_shaft_and_its_gradient_against_finite_differences(arm: RobotModel) -> None:
+    for q, _, s in samples(arm, count=20):
+        held = np.eye(arm.n) - np.linalg.pinv(s.J_tip) @ s.J_tip
+        sizes = np.linalg.svd(s.J_wrist @ held)[1]
+        assert s.mu_shaft == pytest.approx(sizes[0] * sizes[1], rel=1e-9)
+        rows = np.vstack([s.J_tip, np.linalg.svd(s.tool_direction[None])[2][1:] @ s.J_wrist])
+        assert s.mu * s.mu_shaft == pytest.approx(np.sqrt(np.linalg.det(rows @ rows.T)), rel=1e-8)
+        np.testing.assert_allclose(s.grad_mu_shaft, differences(lambda x: arm.state(x).mu_shaft, q), atol=2e-8)
+
+
 @pytest.mark.parametrize("bend", [0.0, 1e-12, 1e-9])
 def test_a_singular_arm_gives_no_nan(robot: RobotModel, bend: float) -> None:
     s = robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0]))
     assert s.mu < 1e-6
     np.testing.assert_array_equal(s.grad_mu, np.zeros(7))
+    np.testing.assert_array_equal(s.grad_mu_shaft, np.zeros(7))
     assert np.isfinite(s.record).all()
 
 

@@ -31,6 +31,7 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert plan.from_start.mu_mean <= plan.bound_from_start < 1.005 * plan.from_start.mu_mean
     assert plan.best.mu_mean <= plan.bound < 1.005 * plan.best.mu_mean
     assert plan.swivel_rad.shape == (60,)
+    assert repr(plan).startswith(f"Plan(executable: yes, mean mu from the start: {plan.from_start.mu_mean:.4g} m^3, ")
     assert plan.swivel_rad[0] == pytest.approx(plan.start_swivel_rad)
     again = make_plan(robot, plan.best.q_rad[0], targets, swivels=360)
     assert again.from_start is not None
@@ -48,6 +49,8 @@ def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: 
     assert plan.best is None
     assert plan.blocked is not None
     assert plan.blocked.t_s > 0.0
+    assert f"blocked: at t = {plan.blocked.t_s:.3f} s, {plan.blocked.reason}" in repr(plan)
+    assert "<th" in plan._repr_html_()
     assert not plan.climbed_whole
     k = int(np.argmin(np.abs(targets.t_s - plan.blocked.t_s)))
     assert plan.blocked.arc_length_m == pytest.approx(0.01 * k)

@@ -104,6 +104,31 @@ def test_beyond_the_corners_that_can_be_tried_the_worst_is_not_overstated(shape,
     assert np.mean(exact) >= 0.5
 
 
+@pytest.mark.parametrize("shape", [(12, 7), (16, 10), (24, 18)])
+def test_with_almost_no_damping_the_walks_uphill_end_at_the_worst_of_the_linear_cost(shape):
+    """Boxes a thousand times wider on some joints than on others, as near joint limits."""
+    for seed in range(10):
+        Z, low, high, slope = cut_box(seed, shape)
+        narrow = 10.0 ** np.random.default_rng(seed).uniform(-3.0, 0.0, shape[0])
+        inside = nearest(Z, low, high, np.zeros(shape[1]))[0]
+        low, high = (Z @ inside + narrow * (bound - Z @ inside) for bound in (low, high))
+        least, most = program(Z, low, high, slope), -program(Z, low, high, -slope)
+        found = extremes(Z, low, high, slope, 1e-12 * float(np.linalg.norm(slope)))
+        assert found.most == pytest.approx(most, abs=1e-6 * (most - least))
+
+
+def test_the_worst_of_many_freedoms_is_found_in_few_steps(monkeypatch):
+    """What a problem costs must not grow with its count of corners, here 8 million."""
+    calls, whole = [], np.linalg.qr
+    monkeypatch.setattr(module.np.linalg, "qr", lambda *given: (calls.append(1), whole(*given))[1])
+    monkeypatch.setattr(module, "nearest", lambda *given: (calls.append(1), nearest(*given))[1])
+    for seed in range(10):
+        Z, low, high, slope = cut_box(seed, (16, 10))
+        calls.clear()
+        assert extremes(Z, low, high, slope, 0.1 * float(np.linalg.norm(slope))) is not None
+        assert len(calls) < 300
+
+
 def test_an_optimum_that_is_not_unique_is_the_nearest_one():
     Z, low, high = np.eye(3), -np.ones(3), np.ones(3)
     found = extremes(Z, low, high, np.array([1.0, 0.0, 0.0]), 0.0)

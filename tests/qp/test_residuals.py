@@ -477,3 +477,6 @@ def test_arms_of_many_freedoms_are_judged_too(n, regularization):
     assert wrong.loss > 0.5
     assert wrong.relative > 1e-2
     assert not wrong.verified()
+    middle = qp.residuals(0.5 * (x + opposite))
+    assert middle.loss > 0.05
+    assert not middle.verified()

@@ -7,12 +7,15 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.planning.largest import largest_mu
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.report.figures.style import BAD
 from moc_opt.report.map_figure import map_figure
+from moc_opt.report.map_page import add_map
+from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
 
@@ -180,3 +183,24 @@ def test_the_figure_shows_it_all(found: SwivelMap) -> None:
             found.t_s, found.swivel_rad, found.mu, found.q_rad, np.ones_like(found.limit), found.best_swivel_rad,
             found.best_mu, found.trajectories,
         ))  # fmt: skip
+
+
+def test_a_map_of_two_freedoms_is_a_slice_that_says_so() -> None:
+    """On a rail the map holds the rail where the run has it; its best is the slice's."""
+    arm = load_robot("lwr4_rail")
+    run_of_it = mo.run(Scenario(robot={"name": "lwr4_rail"}, duration_s=1.0, judge=False, bound_samples=0))
+    made = manipulability_map(arm, {"MOC": run_of_it}, times=2, swivels=72)
+    assert made.held == ("joint_1",)
+    ticks = [0, len(run_of_it) - 1]
+    for k, tick in enumerate(ticks):
+        known = np.isfinite(made.q_rad[k, :, 0])
+        np.testing.assert_allclose(made.q_rad[k, known, 0], run_of_it.q_rad[tick, 0], atol=1e-2)
+    # At the start the rail stands badly; the run then moves it.
+    assert made.best_mu[0] < 0.9 * largest_mu(arm, run_of_it.q_rad[:1]).mu[0]
+    page = Page("slice")
+    add_map(page, made)
+    assert "leave this arm 2 freedoms, and the map shows one. joint_1 stands as in the longest run" in page.html()
+
+
+def test_a_map_of_one_freedom_is_no_slice(found: SwivelMap) -> None:
+    assert found.held == ()

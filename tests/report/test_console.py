@@ -21,11 +21,19 @@ def terminal() -> tuple[Console, io.StringIO]:
     return Console(file=file, force_terminal=True, width=100), file
 
 
-def test_a_file_gets_plain_and_uncut_text() -> None:
+@pytest.mark.parametrize(("columns", "width"), [(None, 80), ("132", 132), ("wide", 80)])
+def test_a_file_gets_plain_text_as_wide_as_a_terminal(
+    columns: str | None, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if columns is not None:
+        monkeypatch.setenv("COLUMNS", columns)
     file = io.StringIO()
     long = "x" * 300
     console(file=file).print(Table("t", [Column("a", "a")], [{"a": long}]).to_rich())
-    assert long in file.getvalue()
+    lines = file.getvalue().splitlines()
+    assert "".join(line.strip() for line in lines).count("x") == 300, "nothing is cut off"
+    assert width - 4 <= max(map(len, lines)) <= width
     assert "\x1b" not in file.getvalue()
 
 
@@ -36,6 +44,30 @@ def test_progress_is_silent_without_a_terminal(capsys: pytest.CaptureFixture[str
             time.sleep(0.02)
     assert list(track([1, 2, 3], "again")) == [1, 2, 3]
     assert capsys.readouterr() == ("", "")
+
+
+def test_a_file_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(range(0, 1000, 4))
+    monkeypatch.setattr("moc_opt.report.console.time.monotonic", lambda: float(next(clock)))
+    file = io.StringIO()
+    with progress("trials", 8, on=console(file=file)) as bar:
+        for k in range(8):
+            bar.at(f"step {k}")
+            bar.advance()
+    lines = file.getvalue().splitlines()
+    assert 1 <= len(lines) < 8, "not one a step"
+    assert all(line.startswith("trials: ") and " left  step " in line for line in lines)
+    assert "\x1b" not in file.getvalue()
+
+
+def test_what_is_known_stands_below_the_bar() -> None:
+    where, file = terminal()
+    with progress("working", 3.0, on=where, patience_s=0.0, below=lambda: ["the answer so far"]) as bar:
+        bar.advance(1.5)
+        deadline = time.monotonic() + 5.0
+        while "the answer so far" not in file.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert "the answer so far" in file.getvalue()
 
 
 def test_short_work_shows_no_bar() -> None:

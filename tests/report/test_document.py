@@ -100,7 +100,7 @@ def test_a_value_is_escaped_unless_it_is_markup() -> None:
     definitions = document.macros("parts.html").definitions
     assert "<dd>&lt;i&gt;</dd>" in definitions({"a": "<i>"})
     assert "<main>\n<i>" in document.render(
-        "page.html", title="", subtitle="", sections={}, parts=[Markup("<i>")], data={}, figures={}
+        "page.html", title="", subtitle="", sections={}, parts=[Markup("<i>")], about="", data={}, figures={}
     )
 
 

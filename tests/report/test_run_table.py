@@ -38,6 +38,15 @@ def test_the_ending_is_the_first_row_and_a_parts_figures_say_so():
     assert warnings(trace()) == []
 
 
+def test_the_share_of_the_largest_mu_comes_with_how_that_was_found():
+    figures = {"mu_fraction_of_bound": 0.9, "tip_error_mean_mm": 0.3}
+    found = trace(mu_bound_method="best found of 96 starts")
+    rows = run_table("rail", found, figures).rows
+    assert [row["metric"] for row in rows[1:3]] == ["mu_fraction_of_bound", "mu_bound_method"]
+    assert rows[2]["value"] == run_json(found, figures)["mu_bound_method"] == "best found of 96 starts"
+    assert "mu_bound_method" not in run_json(trace(), figures)
+
+
 END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3, "best_swivel_deg": -103.0, "mu": 0.2}
 
 

@@ -17,7 +17,7 @@ from moc_opt.model.gains import largest_rate
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.redundancy.freedoms import freedoms
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.robots import available_robots, loader
+from moc_opt.robots import available_robots, loader, urdf
 from moc_opt.scenario.agreement import check_engines
 
 Array = NDArray[np.float64]
@@ -110,6 +110,14 @@ def test_the_tip_is_where_the_makers_table_puts_it(name: str) -> None:
             np.testing.assert_allclose(robot.state(q).tip, (flange @ [0, 0, 0.3, 1])[:3], atol=5e-4)
         else:
             np.testing.assert_allclose(robot.state(q).tip, (flange @ [0, 0, 0.3, 1])[:3], rtol=0, atol=1e-9)
+
+
+def test_the_iiwa14_weighs_what_its_data_sheet_says() -> None:
+    """29.9 kg; the public link masses are rounded."""
+    robot = load_robot("iiwa14")
+    links = urdf.parse(robot.data.urdf).findall("link")
+    masses = [float(mass.get("value", "")) for link in links for mass in link.iterfind("inertial/mass")]
+    assert sum(masses) - robot.data.tool_mass == pytest.approx(29.9, rel=0.03)
 
 
 def test_the_rail_carries_the_lwr4() -> None:

@@ -26,6 +26,17 @@ def test_every_arm_does_the_default_task(name: str) -> None:
     assert baseline["rcm_error_max_mm"] < 2.0
 
 
+@pytest.mark.parametrize("preset", ["tuned", "robust"])
+@pytest.mark.parametrize("name", available_robots())
+def test_every_preset_is_for_every_arm(name: str, preset: str) -> None:
+    """Also where the loop has another tick of delay and no friction that would hide a joint that swings."""
+    asked = Scenario(robot={"name": name}, control={"preset": preset}, bound_samples=0, judge=False, duration_s=3.0)
+    asked = asked.change(plant={"friction": 0.0, "delay_ticks": asked.plant.delay_ticks + 1})
+    trace = run(asked)
+    assert trace.meta["ended"] == "completed"
+    assert summarize(trace)["tip_error_max_mm"] < 1.5
+
+
 @pytest.mark.parametrize("name", available_robots())
 def test_idle_joints_come_to_rest_without_friction(name: str) -> None:
     """What moves neither tip nor wrist is damped: nothing keeps it swinging."""

@@ -264,6 +264,13 @@ def test_a_wrong_value_names_file_and_field(tmp_path):
 # --- change ---
 
 
+def test_the_safety_filter_is_told_of_the_encoders():
+    assert Scenario().guard.repeat_joint_ticks is None
+    assert Scenario().told_guard.repeat_joint_ticks == 89
+    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_joint_ticks is None
+    assert Scenario(guard={"repeat_joint_ticks": 40}).told_guard.repeat_joint_ticks == 40
+
+
 def test_change_makes_a_copy():
     base = Scenario(control={"c2": 0.002, "K_X": 2000.0})
     changed = base.change(seed=3, control={"c2": 0.01})
@@ -462,15 +469,20 @@ def test_mu_of_a_run_is_the_model_s(robot):
         assert trace.mu[k] == robot.state(trace.q_rad[k]).mu
 
 
-def test_a_singular_pose_has_no_bound():
-    """Straight elbow: the self-motion has no single curve there. A run that passes it has a trace all the same."""
+def test_a_singular_pose_has_a_bound_and_a_lost_one_has_none():
+    """Straight elbow: no single curve leads through it, yet tip and wrist have poses."""
     made = Setup(Scenario(duration_s=0.01, **{**BARE, "bound_samples": 5}))
     trace = made.trace()
     poses = trace.q_rad.copy()
     poses[0] = [0.3, 0.6, -0.2, 0.0, 0.4, -0.9, 0.0]
-    bound = largest_mu(poses, made.robot, 5)
-    assert np.isnan(bound[0])
-    assert np.isfinite(bound[1:]).all()
+    poses[2] = np.nan
+    bound, how = largest_mu(poses, made.robot, 5)
+    np.testing.assert_array_equal(np.isnan(bound), [False, False, True, False, False])
+    known = [0, 1, 3, 4]
+    assert (bound[known] >= made.robot.mu_along(poses[known])).all()
+    assert how == {"mu_bound_method": "scanned, all branches"}
+    assert trace.meta["mu_bound_method"] == "scanned, all branches"
+    assert "mu_bound_method" not in Setup(Scenario(duration_s=0.01, **BARE)).trace().meta
 
 
 # --- repetition ---

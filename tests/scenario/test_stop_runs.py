@@ -90,8 +90,9 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
     assert after(held)[2] > 1.5 * last  # brakes that stay closed keep the force up
 
 
-def test_brakes_are_open_only_while_the_trocar_presses(robot):
-    """And never where the drives cannot carry the weight, or the sensor says nothing."""
+@pytest.fixture
+def pressed(robot):
+    """A safety filter at rest in its incision, and the sensor's reading with a force of the trocar across the shaft."""
     guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
@@ -100,27 +101,63 @@ def test_brakes_are_open_only_while_the_trocar_presses(robot):
     mass, length = robot.data.tool_mass, robot.data.tool_length
     weight = -9.81 * mass * pose[:3, 2]
     free = np.concatenate([weight, [-0.5 * length * weight[1], 0.5 * length * weight[0], 0.0]])
-
-    def pressed(force):
-        """The sensor's reading with that force of the trocar across the shaft."""
-        return free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
-
     guard.check_incision(q, trocar, free)
+    return guard, lambda force: free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
+
+
+def test_brakes_are_open_only_while_the_trocar_presses(robot, pressed):
+    """And never where the drives cannot carry the weight, or the sensor says nothing."""
+    guard, reading = pressed
     for force, closed in ((0.0, True), (7.0, True), (20.0, False), (6.0, False), (3.0, True), (np.nan, True)):
         for _ in range(100):
-            friction = guard.brake_friction(pressed(force))
+            friction = guard.brake_friction(reading(force))
         assert friction.any() == closed, force
         if closed:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
     data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
     weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
+    q = np.array(robot.data.q_home)
     weak.start(q, np.zeros(7))
-    weak.check_incision(q, trocar, free)
+    pose = robot.tool_pose(q)
+    weak.check_incision(q, np.array([pose[3] - 0.15 * pose[2], np.zeros(3)]), reading(0.0))
     for _ in range(100):
-        friction = weak.brake_friction(pressed(20.0))
+        friction = weak.brake_friction(reading(20.0))
     missing = np.abs(robot.gravity(q)) - data.tau_max
     assert missing.max() > 0.0
     np.testing.assert_allclose(friction, 0.25 * data.tau_max + 1.5 * np.maximum(missing, 0.0))
+
+
+def test_brakes_that_have_been_open_for_long_enough_close_until_the_force_rises_again(pressed):
+    """A load that does not go away is held after stop_yield_s; tissue that moves on finds the brakes open once more."""
+    guard, reading = pressed
+    most = round(SafetyFilterSettings().stop_yield_s / 0.002)
+
+    def is_open(force, ticks):
+        return [not guard.brake_friction(reading(force)).any() for _ in range(ticks)]
+
+    first = is_open(20.0, 1000)
+    assert sum(first) == most
+    assert not any(first[-500:])
+    assert not any(is_open(26.0, 1000))  # 6 N more: held as well
+    assert sum(is_open(40.0, 1000)) == most
+    assert not any(is_open(0.0, 1000))
+    assert sum(is_open(20.0, 1000)) == most  # what it was once closed on is forgotten where it has fallen
+
+
+@pytest.mark.parametrize("seed", range(60, 64))
+def test_a_load_keeps_no_arm_moving_after_a_stop(seed):
+    rng = np.random.default_rng(seed)
+    at = float(rng.uniform(0.3, 1.5))
+    faults = {
+        "slip_m": float(rng.uniform(0.04, 0.1)), "slip_at_s": at, "payload_kg": float(rng.uniform(0.5, 1.0)),
+        "late_ticks": 2, "bump_N": 20.0, "bump_at_s": at,
+    }  # fmt: skip
+    trace = run(Scenario(
+        seed=seed, start={"swivel": "random"}, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
+    ))  # fmt: skip
+    assert trace.meta["ended"].startswith("stopped: ")
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
+    assert after(trace)[2] < 20.0
 
 
 def test_brakes_hold_what_they_are_told_to(robot):

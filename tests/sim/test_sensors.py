@@ -9,7 +9,7 @@ from moc_opt.errors import PlantError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.robots import load_data
 from moc_opt.sim import Plant, PlantSettings, ToolLoad
-from moc_opt.sim.sensors import Encoders, WrenchSensor
+from moc_opt.sim.sensors import Encoders, WrenchSensor, longest_repetition
 
 DATA = load_data("lwr4")
 MODEL = RobotModel(DATA)
@@ -223,3 +223,26 @@ def test_readings_of_the_wrong_sign_are_refused():
     turns = [rotation(rng) for _ in range(5)]
     with pytest.raises(PlantError, match="exerts on the mount"):
         ToolLoad.identify([-ROD.expected(turn) for turn in turns], turns)
+
+
+@given(st.floats(2e-6, 1e-4), st.floats(0.0, 3.0), st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_it(noise, steps, phase, seed):
+    """Wherever it stands within a step of its reading."""
+    step = steps * noise
+    longest = longest_repetition(noise, step)
+    assert longest is not None
+    assert longest >= 10
+    sensor = Encoders(N := 50, PERIOD, np.random.default_rng(seed), noise_rad=noise, resolution_rad=step)
+    q = np.full(N, (1000.0 + phase) * max(step, noise))
+    sensor.start(q, 0.0 * q)
+    read = np.array([sensor.read(q, 0.0 * q)[0] for _ in range(1500)])
+    changes = np.flatnonzero(np.vstack([np.ones((1, N), bool), np.diff(read, axis=0) != 0.0]).T)
+    assert np.diff(changes).max() <= longest
+
+
+def test_an_encoder_with_next_to_no_noise_may_rest():
+    assert longest_repetition(0.0, 2.4e-5) is None
+    assert longest_repetition(3e-6, 2.4e-5) is None
+    assert longest_repetition(1e-5, 2.4e-5) == 89
+    assert longest_repetition(1e-5, 0.0) == 10

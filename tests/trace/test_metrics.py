@@ -303,3 +303,34 @@ def test_the_unit_of_a_metric_is_that_of_its_name() -> None:
             assert function.unit == units[-1], name
     bare = {name: of.unit for name, of in METRICS.items() if not any(name.endswith(f"_{e}") for e in named)}
     assert {name for name, unit in bare.items() if unit != "1"} == {"mu_mean", "mu_final", "primal_max", "natural_max"}
+
+
+def test_metrics_of_other_packages_are_in_the_summary_and_a_broken_one_hides_none(monkeypatch):
+    import sys
+    import types
+    from importlib.metadata import EntryPoint
+
+    from moc_opt.trace.metrics import METRICS, registry
+
+    own = types.ModuleType("own_metrics")
+
+    def ticks_of_a_run(trace):
+        """Count the ticks."""
+        return len(trace)
+
+    own.ticks_of_a_run, own.number = ticks_of_a_run, 3
+    monkeypatch.setitem(sys.modules, "own_metrics", own)
+    values = {"ticks_of_a_run": "own_metrics:ticks_of_a_run", "number": "own_metrics:number", "gone": "no_such:f"}
+    found = [EntryPoint(name, value, registry.GROUP) for name, value in values.items()]
+    monkeypatch.setattr(registry, "entry_points", lambda group: found)
+    monkeypatch.setattr(registry, "_LOADED", {})
+    trace = Trace({"t_s": [0.0, 0.1], "mu": [0.1, 0.2]})
+    try:
+        with pytest.warns(UserWarning, match="metric 'gone': .* does not load") as said:
+            summary = summarize(trace)
+        assert any("is no function" in str(one.message) for one in said)
+        assert summary["ticks_of_a_run"] == 2.0
+        assert summary["mu_mean"] == pytest.approx(0.15)
+        assert set(registry.load_plugins()) == {"number", "gone"}
+    finally:
+        METRICS.pop("ticks_of_a_run", None)

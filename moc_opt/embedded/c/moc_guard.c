@@ -13,8 +13,8 @@ void moc_guard_start(const double *q, const double *v, int64_t stamp, moc_guard_
         state->q[i] = q[i];
         state->v[i] = v[i];
     }
-    state->tip_square = state->press = 0.0;
-    state->bad = state->yields = 0;
+    state->tip_square = state->press = state->borne = 0.0;
+    state->bad = state->yields = state->open = 0;
     moc_motion_start(q, v, stamp, &state->motion);
 }
 
@@ -127,7 +127,14 @@ void moc_guard_hold(double force, moc_guard_state *state, double *friction)
     if (MOC_STOP_YIELD < HUGE_VAL && carried) {
         /* A mean: in the first moments the tool's inertia force stands beside the trocar's. */
         state->press = moc_all_finite(1, &force) ? state->press + MOC_PRESS_SHARE * (force - state->press) : 0.0;
-        state->yields = state->press > (state->yields ? 0.5 * MOC_STOP_YIELD : MOC_STOP_YIELD);
+        state->yields = state->press - state->borne > (state->yields ? 0.5 * MOC_STOP_YIELD : MOC_STOP_YIELD);
+        state->open = state->yields ? state->open + 1 : 0;
+        if (state->open > MOC_STOP_YIELD_TICKS) {
+            state->yields = 0;
+            state->borne = state->press;
+        } else if (!state->yields) {
+            state->borne = fmin(state->borne, state->press);
+        }
     }
     for (int i = 0; i < MOC_N; i++) {
         double beyond = fmax(weight[i] - moc_tau_max[i], 0.0); /* what the drive cannot carry */

@@ -9,7 +9,9 @@ typedef struct {
     double q[MOC_N], v[MOC_N]; /* the last measurement that was believed, moved on since [rad], [rad/s] */
     double tip_square;         /* mean square of the tip's error over a time constant [m^2] */
     double press;              /* mean of the trocar's force in a stop [N] */
+    double borne;              /* of it, what the brakes were closed on when they had been open for long enough [N] */
     int yields;                /* whether the brakes are open because of it */
+    int open;                  /* for how many ticks they have been */
     int bad;                   /* measurements in a row that were not believed */
     moc_motion_state motion;   /* age of the measurements, and whether they show the arm */
 } moc_guard_state;

@@ -43,13 +43,16 @@ static double trocar_force(const double *pose, const double *point, const double
         depth += pose[6 + i] * (pose[9 + i] - point[i]);
     double weight_x = -MOC_TOOL_MASS * GRAVITY * pose[2], weight_y = -MOC_TOOL_MASS * GRAVITY * pose[5];
     double force_x = wrench[0] - weight_x, force_y = wrench[1] - weight_y;
+    double whole = sqrt(force_x * force_x + force_y * force_y);
     if (depth >= SHORTEST_DEPTH) {
         double moment_x = wrench[4] - 0.5 * MOC_TOOL_LENGTH * weight_x;
         double moment_y = -wrench[3] - 0.5 * MOC_TOOL_LENGTH * weight_y;
         force_x = (MOC_TOOL_LENGTH * force_x - moment_x) / depth;
         force_y = (MOC_TOOL_LENGTH * force_y - moment_y) / depth;
+        double force = sqrt(force_x * force_x + force_y * force_y);
+        return whole - MOC_TIP_FORCE > force ? whole - MOC_TIP_FORCE : force;
     }
-    return sqrt(force_x * force_x + force_y * force_y);
+    return whole;
 }
 
 double moc_incision_force(const double *q, const double *wrench, const moc_incision_state *state)

@@ -105,7 +105,7 @@ static int has_noise(const moc_motion_state *state)
 static int compare_readings(const double *q, const double *v, const double *tau, const double *wrench,
                             moc_motion_state *state)
 {
-    double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18;
+    double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18, most = 0.0;
     int ran_away = 0;
 
     state->ticks = 0;
@@ -113,17 +113,19 @@ static int compare_readings(const double *q, const double *v, const double *tau,
     for (int i = 0; i < MOC_N; i++) {
         ran_away |= compare_joint(i, q[i], v[i], elapsed, state);
         fewest = fmin(fewest, state->repeats[i]);
+        most = fmax(most, state->repeats[i]);
     }
+    int single = ran_away ? MOC_STOP_RAN_AWAY : most > MOC_REPEAT_JOINT_TICKS ? MOC_STOP_ONE_REPEATED : 0;
     if (fewest <= MOC_PATIENCE_TICKS) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < MOC_N; i++)
             state->torque[i] = tau[i];
         for (int i = 0; i < 3; i++)
             state->still[i] = state->told[i];
-        return ran_away ? MOC_STOP_RAN_AWAY : 0;
+        return single;
     }
     if ((has_noise(state) && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS) || moved(tau, state))
         return MOC_STOP_REPEATED;
-    return ran_away ? MOC_STOP_RAN_AWAY : 0;
+    return single;
 }
 
 int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state)
@@ -131,7 +133,8 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
     if (!MOC_MOTION)
         return 0;
     int found = compare_readings(q, v, tau, wrench, state);
-    if (moc_replay_count(q, v, wrench, &state->replay) > MOC_REPEAT_WHOLE_TICKS && has_noise(state))
+    double most = has_noise(state) ? MOC_REPEAT_WHOLE_TICKS : MOC_REPLAYED_TICKS;
+    if (moc_replay_count(q, v, wrench, &state->replay) > most)
         return MOC_STOP_REPLAYED;
     return found;
 }
@@ -161,14 +164,14 @@ int moc_motion_weigh(const moc_tick_report *seen, const double *v, const double 
     }
     observe(seen, v, tau, state);
     for (int i = 0; i < MOC_N; i++) {
-        double r = state->residual[i], held = MOC_STUCK_TORQUE * moc_tau_max[i];
+        double r = state->residual[i];
         if (state->weighed <= MOC_SETTLING_TICKS) {
             state->mean[i] = state->at_repeat[i] = r;
             state->unseen[i] = 0.0;
         }
         state->mean[i] += MOC_RESIDUAL_SHARE * (r - state->mean[i]);
-        double beyond = r - state->at_repeat[i]; /* what static friction does not hold */
-        beyond -= fmin(fmax(beyond, -held), held);
+        double beyond = r - state->at_repeat[i];
+        beyond -= moc_clip(beyond, -moc_held[i], moc_held[i]);
         state->unseen[i] += MOC_PERIOD * beyond / seen->M[i * MOC_N + i];
         stuck |= state->repeats[i] > MOC_PATIENCE_TICKS && fabs(state->unseen[i]) > MOC_STUCK_SPEED;
         if (fabs(r - state->mean[i]) > MOC_RESIDUAL_TORQUE * moc_tau_max[i])

@@ -40,6 +40,7 @@ static int intact(const moc_safe_state *s)
     int fine = s->seal == MOC_SEAL && s->reason >= MOC_RUNNING && s->reason < MOC_REASONS;
     fine &= s->guard.bad >= 0 && s->incision.unread >= 0 && s->incision.ticks >= -1;
     fine &= moc_all_finite(MOC_N, s->guard.q) && moc_all_finite(MOC_N, s->guard.v);
+    fine &= s->guard.open >= 0 && s->guard.open <= MOC_STOP_YIELD_TICKS + 1 && moc_all_finite(1, &s->guard.borne);
     fine &= moc_all_finite(1, &s->guard.press) && (s->guard.yields == 0 || s->guard.yields == 1);
     for (int i = 0; i < MOC_N; i++)
         fine &= s->sent[i] >= -moc_tau_max[i] && s->sent[i] <= moc_tau_max[i];
@@ -184,6 +185,7 @@ const char *moc_safe_reason(int reason)
         "an encoder repeats one reading while torque acts on its joint",
         "the torque went into a motion that the encoders do not show",
         "the measurements are a recording: they came before, to the last bit",
+        "one encoder repeats its reading, as its noise does not let it",
     };
     return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }

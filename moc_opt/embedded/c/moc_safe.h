@@ -35,6 +35,7 @@ enum {
     MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
     MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
     MOC_STOP_REPLAYED,    /* the measurements are a recording: they came before, to the last bit */
+    MOC_STOP_ONE_REPEATED, /* one encoder repeats its reading, as its noise does not let it */
     MOC_REASONS
 };
 

@@ -71,13 +71,15 @@
     chart.dataset.size = size;
     return Plotly.react(chart, figure.data, figure.layout, options(chart));
   };
-  const all = () => Promise.all(charts.map(draw));
+  // A figure in a folded section has no width; it is drawn when it gets one.
+  const seen = (chart) => chart.clientWidth > 0;
+  const all = () => Promise.all(charts.filter(seen).map(draw));
 
   const start = async () => {
     if (!charts.length) return;
     try {
       await unpack();
-      for (const chart of charts) await draw(chart);
+      for (const chart of charts.filter(seen)) await draw(chart);
     } catch (error) {
       for (const chart of charts) chart.textContent = "This figure needs a browser of 2023 or later: " + error;
       throw error;
@@ -88,7 +90,7 @@
     const watch = new ResizeObserver(() => {
       clearTimeout(resting);
       resting = setTimeout(() => {
-        if (!printing) charts.filter((chart) => chart.layout.width !== chart.clientWidth).forEach(draw);
+        if (!printing) charts.filter((chart) => seen(chart) && (chart.layout || {}).width !== chart.clientWidth).forEach(draw);
       }, 60);
     });
     charts.forEach((chart) => watch.observe(chart));

@@ -30,7 +30,7 @@ def time_series(
 ) -> go.Figure:  # fmt: skip
     """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
-    Beside mu the largest mu that the self-motion allowed is dotted in, where it was scanned.
+    Beside mu the largest mu of all feasible poses is dotted in, with how it was found in its name.
     Long runs are thinned to the smallest and largest value of each stretch of time: peaks stay as high as they
     are.
 
@@ -66,8 +66,10 @@ def time_series(
                 ~np.isnan(trace.mu_bound) if column == "mu" and "mu_bound" in trace.columns else np.zeros(1, bool)
             )
             if scanned.any():
+                how = trace.meta.get("mu_bound_method", "scanned")
                 drawn.add_scatter(
-                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines", name=f"{label(name)}, largest",
+                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines",
+                    name=f"{label(name)}, largest: {how}",
                     legendgroup=name, showlegend=False, row=row, col=1, opacity=0.8,
                     line={"color": styles[name].color, "dash": "dot", "width": 1.3},
                     hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",

@@ -90,6 +90,9 @@ class Replay:
         robot = self.robot.data
         return render(
             "replay.html", title=self.title, subtitle=f"{robot.name}, tool of {robot.tool_length:.2f} m",
+            bound=", ".join(dict.fromkeys(
+                str(trace.meta["mu_bound_method"]) for trace in self.traces.values() if "mu_bound_method" in trace.meta
+            )),
             value=json.dumps(value, allow_nan=False, separators=(",", ":")), numbers=packed,
         )  # fmt: skip
 

@@ -1,9 +1,10 @@
 """One control period as a nonlinear program, by CasADi: manipulability itself instead of its gradient.
 
-    max_x  c2 mu(q + x T)/T - regularization/2 |x|^2
+    max_x  c2 (mu(q + x T)/T + d^T x) - regularization/2 |x|^2,   d = g - grad mu(q)
     s.t.   tip(q + x T) = tip(q) + v_T T,   E (wrist(q + x T) - wrist(q)) = E v_W T,   lower <= x <= upper
 
-E (2, 3) spans the plane across the tool: the wrist's third row repeats the tip's, and with six rows
+g is the gradient that the subproblem has: it may stand for more than mu, or for a course to follow. Where it is that of
+mu, d is zero. E (2, 3) spans the plane across the tool: the wrist's third row repeats the tip's, and with six rows
 nothing converges.
 
 This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and joint speeds near 1 rad/s the
@@ -48,12 +49,13 @@ class Kinematics(Protocol):
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """The NLP solver, and the function q -> (tip, wrist, mu) that gives its parameters.
+    """The NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
 
-    The parameters of the solver are q (n,), tip, wrist and mu at q, the columns of E, c2 and regularization.
+    The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
     """
     kinematics, n, period = settings.kinematics, settings.kinematics.n, settings.period
     x, q, base, E = ca.SX.sym("x", n), ca.SX.sym("q", n), ca.SX.sym("base", 7), ca.SX.sym("E", 2, 3)
+    beside = ca.SX.sym("beside", n)
     c2, regularization = ca.SX.sym("c2"), ca.SX.sym("regularization")
 
     def places(q: Any) -> Any:
@@ -62,12 +64,13 @@ def program(settings: NLP) -> tuple[Any, Any]:
     moved = (places(q + period * x) - base) / period
     nlp = {
         "x": x,
-        "p": ca.vertcat(q, base, ca.vec(E), c2, regularization),
-        "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * moved[6]),
+        "p": ca.vertcat(q, base, beside, ca.vec(E), c2, regularization),
+        "f": settings.cost_scale * (0.5 * regularization * ca.dot(x, x) - c2 * (moved[6] + ca.dot(beside, x))),
         "g": ca.vertcat(moved[:3], ca.mtimes(E, moved[3:6])),
     }
     solver = ca.nlpsol("solver", settings.plugin, nlp, settings.options())
-    return solver, ca.Function("places", [q], [places(q)])
+    slope = ca.gradient(kinematics.mu(q), q)
+    return solver, ca.Function("places", [q], [ca.vertcat(places(q), slope)])
 
 
 @dataclass(frozen=True)

@@ -47,11 +47,11 @@ class NLPSession:
     def __init__(self, settings: Any, solver: Any, places: Any) -> None:
         n = settings.kinematics.n
         self._settings, self._n = settings, n
-        self._p = np.zeros(n + 7 + 6 + 2)
+        self._p = np.zeros(n + 7 + n + 6 + 2)
         self._x0, self._lower, self._upper, self._target = (np.zeros(k) for k in (n, n, n, 5))
         self._multipliers0, self._bound_multipliers0 = np.zeros(5), np.zeros(n)
         self._x, self._multipliers, self._bound_multipliers = np.zeros(n), np.zeros(5), np.zeros(n)
-        self._q, self._base = np.zeros(n), np.zeros(7)
+        self._q, self._base = np.zeros(n), np.zeros(7 + n)
         self._places = _Call(places, {places.name_in(0): self._q}, {places.name_out(0): self._base})
         self._solver = _Call(
             solver,
@@ -76,9 +76,10 @@ class NLPSession:
         self._q[:] = part.q
         self._places.run()
         self._p[:n] = part.q
-        self._p[n : n + 7] = self._base
-        self._p[n + 7 : n + 13] = lift[3:, 3:].ravel(order="F")
-        self._p[n + 13 :] = part.weights[2:]
+        self._p[n : n + 7] = self._base[:7]
+        np.subtract(part.grad_mu, self._base[7:], out=self._p[n + 7 : 2 * n + 7])
+        self._p[2 * n + 7 : 2 * n + 13] = lift[3:, 3:].ravel(order="F")
+        self._p[2 * n + 13 :] = part.weights[2:]
         self._lower[:], self._upper[:] = part.lower, part.upper
         np.dot(lift, part.b, out=self._target)
         if not self._settings.warm:

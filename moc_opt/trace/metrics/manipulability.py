@@ -33,7 +33,7 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 
 @metric
 def mu_fraction_of_bound(trace: Trace) -> float:
-    """Mean manipulability over that of the largest on the feasible self-motion, where scanned."""
+    """Mean manipulability over that of the largest of all feasible poses, at the ticks where it was looked for."""
     bound = float(known(trace, "mu_bound").mean())
     return float(floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
 

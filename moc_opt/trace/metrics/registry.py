@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import inspect
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.inputs import plugins
 from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
@@ -52,6 +55,8 @@ class Metric:
         return float(self.function(trace, baseline) if compares else self.function(trace))
 
 
+GROUP = "moc_opt.metrics"
+_LOADED: dict[EntryPoint, str] = {}
 METRICS: dict[str, Metric] = {}
 """Name -> metric, in the order of a summary."""
 
@@ -86,6 +91,28 @@ def _registered(unit: str, function: Callable[..., float]) -> Metric:
     return METRICS[name]
 
 
+def load_plugins() -> dict[str, str]:
+    """Register the metrics of other packages: functions as `metric` takes them, or made by it.
+
+    Returns:
+        Name -> reason for those that cannot be had; each is warned of once, and hides no other.
+    """
+    for name, points in plugins.plugins(GROUP, entry_points).items():
+        if points[0] in _LOADED:
+            continue
+        _LOADED[points[0]] = ""
+        try:
+            found = plugins.load("metric", name, points, TraceError)
+            if not isinstance(found, Metric):
+                if not callable(found):
+                    raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
+                _registered("1", found)
+        except TraceError as error:
+            _LOADED[points[0]] = str(error)
+            warnings.warn(str(error), UserWarning, stacklevel=3)
+    return {point.name: reason for point, reason in _LOADED.items() if reason}
+
+
 def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None = None) -> dict[str, float]:
     """Compute every metric that the trace has the data for.
 
@@ -104,6 +131,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
             `travelling`, or the baseline has not the same number of ticks.
         UnknownNameError: no such phase.
     """
+    load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
         if run is not None and len(run) == 0:
             raise TraceError(f"the {role} is empty: run the scenario for at least one tick")

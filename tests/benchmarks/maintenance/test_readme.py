@@ -13,22 +13,21 @@ from benchmarks.markdown import fill_section
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"
 MACHINE = {"cores": 2, "processor": "a processor", "python": "3.11", "load_1min": 0.4}
-OPEN = {
-    "verified_solved": 9, "solves": 10, "silently_wrong": 1, "primal_max": 2e-9, "loss_max": 0.3, "solve_p50_us": 1.74,
-    "solve_p99_us": 3.1,
-}  # fmt: skip
+OPEN = {"solve_p50_us": 1.74, "solve_p99_us": 3.1, "solves": 10, "right": 10}
 CLOSED = {
     "mu_mean": 0.31, "tip_error_model_mean_mm": 0.3, "rcm_error_model_mean_mm": 1.5, "runs": 15,
-    "torque_rate_rms_Nm_per_s": 7.2,
+    "torque_rate_rms_Nm_per_s": 7.2, "mu_fraction_of_bound": 0.9474,
 }  # fmt: skip
+RIGHT = {"silently_wrong": 0, "solves": 50, "right": 50, "claimed_solved": 50}
 SOLVERS = {
     "open_loop_warm": {"exact": OPEN, "nlp-sqp": OPEN, "qpsolvers:daqp": OPEN},
     "closed_loop": {"dcac": CLOSED, "exact": {
         **CLOSED, "mu_gain_percent": 65.5, "mu_gain_percent_low": 50.0, "mu_gain_percent_high": 80.0,
     }},
     "testsets": {
-        "osqp@default": {"silently_wrong": 3, "solves": 50}, "daqp@default": {"silently_wrong": 30, "solves": 50},
-        "piqp@default": {"silently_wrong": 0, "solves": 50}, "exact@recommended": {"silently_wrong": 0, "solves": 50},
+        "osqp@default": {**RIGHT, "silently_wrong": 3}, "daqp@default": {**RIGHT, "silently_wrong": 30},
+        "piqp@default": RIGHT, "exact@recommended": RIGHT, "daqp@recommended": {**RIGHT, "right": 45},
+        "nlp-sqp@recommended": {**RIGHT, "right": 0, "silently_wrong": 50},
     },
 }  # fmt: skip
 GOALS = [
@@ -94,14 +93,17 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     assert text.endswith("<!-- speed -->\nold\n<!-- /speed -->\nafter\n")
     assert text.count("\nold\n") == 1
     assert "between" in text
-    assert "| `exact` | 9/10 | 1 | 2e-09 | 3e-01 | 1.7 | 3.1 | 0.3100 | 65.5 | 0.300 | 1.500 |  | 15 | 7 |" in text
-    assert "means over 15 trials from random poses" in text
-    assert "`exact`: 65.5 [50, 80] %" in text
-    assert "Steady are the ticks of a trial at which" in text
-    assert "`nlp-sqp`*" in text
+    (head,) = [line for line in text.splitlines() if line.startswith("| solver |")]
+    assert head.count("|") == 9, "eight columns, those of the report"
+    assert "| exact | ★ take | 100.0 | 0 | 1.7 | 3.1 | 94.7 | none |" in text
+    assert "| daqp | ◐ gaps | 90.0 | 0 |" in text
+    assert "| nlp-sqp | ≠ other | – | – | 1.7 | 3.1 |" in text
+    assert text.index("| exact |") < text.index("| daqp |") < text.index("| nlp-sqp |")
+    assert "15 trials from random poses" in text
+    assert "raise mean mu by 66 [50, 80] %" in text
     assert "qpsolvers" not in text
-    assert "50 problems" in text
-    assert "daqp 30, osqp 3." in text
+    assert "50 of 50 certified problems" in text
+    assert "(daqp 30, osqp 3)." in text
     assert "piqp" not in text
     assert "| mean gain in mu [%] | at least 15 | 24.3 [16.5, 33.7] |" in text
     assert "| mean of rcm_error_mean_mm | at most 0.5 | 0.6 (not reached) |" in text

@@ -15,6 +15,7 @@ from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, se
 from moc_opt.control import ControlSettings
 from moc_opt.control.settings import TUNED
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.robots import load_data
 
 GOOD = {
     "gain": 20.0, "worst_gain": 1.0, "tip_error_model_mean_mm": 0.06, "rcm_error_model_mean_mm": 0.12,
@@ -167,8 +168,9 @@ def test_search_and_experiment_share_no_trial():
 
 def test_the_preset_is_a_point_of_the_space(config):
     """The shipped preset names its command; it must be what that command can draw."""
+    gains = load_data("lwr4").gains["tuned"]
     for name, span in config.space.items():
-        value = TUNED["regularization"] / 1e-3 if name == "rho_over_c2" else TUNED[name]
+        value = TUNED["regularization"] / 1e-3 if name == "rho_over_c2" else {**gains, **TUNED}[name]
         assert value in span.choices if span.choices else span.low * 0.99 <= value <= span.high * 1.01
     assert ControlSettings.tuned() == ControlSettings(**TUNED)
 

@@ -176,6 +176,19 @@ def test_the_real_arm(name, robot, regular_poses):
         np.testing.assert_allclose(found.x, best.x, atol=0.05)
 
 
+def test_what_the_gradient_has_beside_mu_is_answered_too(robot, regular_poses):
+    """A gradient of something else, such as a course to follow, in the place of that of mu."""
+    rng = np.random.default_rng(11)
+    chosen = create("nlp-sqp", kinematics=robot.kinematics())
+    for q in regular_poses(4):
+        state, ends = robot.state(q), 0.5 * np.ones(robot.n)
+        for gradient in (state.grad_mu, -state.grad_mu, rng.normal(size=robot.n) * np.abs(state.grad_mu).max()):
+            zero = np.zeros(3)
+            qp = NullSpaceQP(state.J_tip, state.J_wrist, zero, zero, gradient, -ends, ends, regularization=1e-3, q=q)
+            best = create("exact").start(qp).solve(qp)
+            np.testing.assert_allclose(solve(chosen, qp).x, best.x, atol=0.05)
+
+
 def test_a_problem_built_from_parts_has_the_same_answer():
     """q travels with the problem: the same numbers built twice give the same answer."""
     rng = np.random.default_rng(10)

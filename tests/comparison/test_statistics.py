@@ -6,7 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from benchmarks.statistics import Interval, StatisticsError, difference_of_changes, mean, relative_change
+from moc_opt.comparison.statistics import (
+    Interval,
+    StatisticsError,
+    difference_of_changes,
+    mean,
+    relative_change,
+)
 
 SAMPLES = st.lists(st.floats(0.1, 10.0), min_size=3, max_size=12)
 

@@ -1,0 +1,160 @@
+"""Runs against the clock: plant and controller as processes of their own, the machine quiet or loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.embedded import CompilerError
+from moc_opt.errors import MocOptError
+from moc_opt.scenario import Scenario
+from moc_opt.scenario.exported import export_scenario
+from moc_opt.trace.trace import Trace
+
+Array = NDArray[np.float64]
+
+SPARE_S = 300.0
+"""Beyond the run itself: starting both processes, judging and saving the trace."""
+SAFE_RCM_M, AT_REST_RAD_PER_S = 2e-3, 1e-2
+"""A stop is clean where the RCM error stayed below the one and the arm stands at its end."""
+_BURN = "while True:\n    sum(i * i for i in range(100000))"
+
+
+class RealtimeError(MocOptError, RuntimeError):
+    """A process of a run ended otherwise than it should."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured: which controller, at which rate, on which machine."""
+
+    controller: str
+    rate_Hz: int
+    load: str
+
+    def __str__(self) -> str:
+        return f"{self.controller}, {self.rate_Hz} Hz, {self.load}"
+
+
+class Found(NamedTuple):
+    """One run: times of every cycle [us], and how it went."""
+
+    wake_us: Array
+    round_us: Array
+    control_us: Array
+    missed: int
+    overruns: int
+    ended: str
+    clean: bool
+    rcm_max_mm: float
+    system: dict[str, Any]
+
+
+@contextmanager
+def load(kind: str) -> Iterator[None]:
+    """Keep every core busy meanwhile, or none."""
+    count = 0 if kind == "quiet" else os.cpu_count() or 1
+    busy = [subprocess.Popen([sys.executable, "-c", _BURN]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+
+
+def scenario_text(scenario: Scenario, rate_Hz: int, cycles: int, seed: int) -> str:
+    """Return the TOML of a run of so many cycles."""
+    period = 1.0 / rate_Hz
+    spiral = ", ".join(f"{name} = {float(size)!r}" for name, size in scenario.task.sizes.items())
+    return (
+        f"name = 'realtime'\nseed = {seed}\nduration_s = {cycles * period!r}\njudge = false\nbound_samples = 0\n"
+        f"[plant]\nperiod_s = {period!r}\nsubsteps = {max(1, round(1000 * period))}\n"
+        f"[task]\npath = {scenario.task.path!r}\nsizes = {{ {spiral} }}\n"
+    )
+
+
+def build(file: Path, folder: Path) -> Path:
+    """Export and compile the controller of a scenario's file as a program.
+
+    Raises:
+        CompilerError: make or the compiler failed.
+    """
+    export_scenario(Scenario.load(file), folder, udp=True)
+    done = subprocess.run(["make", "-C", str(folder), "moc_udp"], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise CompilerError(f"make moc_udp failed:\n{done.stderr[-2000:]}")
+    return folder / "moc_udp"
+
+
+def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Found:
+    """Run a scenario's file; ``program`` is the C controller, None: Python's.
+
+    Raises:
+        RealtimeError: one of the two processes failed, or took longer than ``limit_s``.
+    """
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, load(case.load):
+        trace = Path(folder, "run.parquet")
+        plant = _start("plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace), "--json")
+        control: subprocess.Popen[str] | None = None
+        try:
+            assert plant.stderr is not None
+            first = plant.stderr.readline()
+            if not first.startswith("listening on "):
+                raise RealtimeError(f"the plant did not start: {first}{plant.stderr.read()}"[:1000])
+            host, port = first.split()[-1].split(":")
+            if program is None:
+                control = _start("control", str(file), "--connect", f"{host}:{port}")
+            else:
+                control = _popen(str(program), host, port, str(program.parent / "reference.bin"))
+            said, errors = control.communicate(timeout=limit_s)
+            _, wrong = plant.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired as error:
+            raise RealtimeError(f"{case}: not done after {limit_s:.0f} s") from error
+        finally:
+            for process in (plant, control):
+                if process is not None and process.poll() is None:
+                    process.kill()
+        if plant.returncode not in (0, 3) or control.returncode not in (0, 3):
+            raise RealtimeError(f"{case}: plant: {wrong[-500:]} controller: {errors[-500:]}")
+        return _read(Trace.load(trace), json.loads(said))
+
+
+def _start(*words: str) -> subprocess.Popen[str]:
+    return _popen(sys.executable, "-m", "moc_opt", *words)
+
+
+def _popen(*command: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _read(trace: Trace, said: dict[str, Any]) -> Found:
+    """What a trace and the controller's last words say of a run."""
+    columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
+    rcm = float(np.max(trace.rcm_error_registered_m))
+    rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)
+    clean = ended == "completed" or (ended.startswith("stopped:") and rest and rcm < SAFE_RCM_M)
+    system = {"plant": wire["system"], "controller": said["system"]}
+    return Found(
+        columns["wake_us"], trace.tick_us, columns["control_us"], int(wire["missed"]), int(wire["overruns"]), ended,
+        clean, 1e3 * rcm, system,
+    )  # fmt: skip
+
+
+def measure(case: Case, file: Path, program: Path | None, cycles: int, most_runs: int, limit_s: float) -> list[Found]:
+    """Run again until so many cycles are there, or so many runs were."""
+    found: list[Found] = []
+    while sum(len(run.round_us) for run in found) < cycles and len(found) < most_runs:
+        found.append(run_once(case, file, program, limit_s))
+    return found

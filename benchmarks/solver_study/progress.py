@@ -1,0 +1,63 @@
+"""What is shown while the study runs: how far it is, and the answer as far as it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from rich.console import Console, RenderableType
+
+from benchmarks.answer import Answer
+from benchmarks.solver_study.first_screen import answer
+from moc_opt.report.console import Bar
+
+SETTLED = ("testsets", "closed_loop")
+"""Parts without which no sentence is said about a solver."""
+
+
+class Progress:
+    """Collects what parts of the study find, and shows it.
+
+    Args:
+        weights: part -> what one of its steps weighs.
+        screen: where a headline that changed is printed, when it is no terminal; a terminal shows `below`.
+        deadline_us: of a tick.
+    """
+
+    def __init__(self, weights: Mapping[str, float], screen: Console, deadline_us: float) -> None:
+        self._weights, self._screen, self._deadline_us = weights, screen, deadline_us
+        self._weight, self._summary, self._said = 0.0, dict[str, Any](), ""
+        self._answer: Answer | None = None
+        self.bar: Bar | None = None
+
+    def enter(self, part: str) -> None:
+        """Note that a part begins."""
+        self._weight = self._weights.get(part, 0.0)
+
+    def advance(self, text: str) -> None:
+        """Count one step of the part, and say which."""
+        if self.bar is not None:
+            self.bar.at(text)
+            self.bar.advance(self._weight)
+
+    def show(self, parts: Mapping[str, Any]) -> None:
+        """Take in parts of the summary, as far as they have come."""
+        self._summary = {**self._summary, **parts}
+        self._answer = answer(self._summary, self._deadline_us, drawn=False)
+        said = self._answer.sentences[0]
+        if not self._screen.is_terminal and said != self._said and all(part in self._summary for part in SETTLED):
+            self._said = said
+            self._screen.print(f"so far: {said}", markup=False)
+
+    def below(self) -> Iterable[RenderableType]:
+        """Yield the answer so far, for a terminal."""
+        if self._answer is not None:
+            yield self._answer.sentences[0]
+            yield self._answer.table.narrowed(self._screen.width)
+
+    def interrupted(self, screen: Console) -> None:
+        """Print what is known when the study is stopped."""
+        if self._answer is not None:
+            screen.print("As far as the study has come:")
+            for part in self._answer.screens(screen.width):
+                screen.print(part, markup=False)

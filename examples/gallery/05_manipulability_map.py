@@ -1,0 +1,22 @@
+"""
+Where there is manipulability to gain
+=====================================
+
+The map shows every pose that keeps tip and trocar, over time: the swivel of the elbow upwards, mu as colour, grey
+where a joint limit forbids it. The lines are the trajectories of runs.
+"""
+
+import moc_opt as mo
+from moc_opt.redundancy.manipulability_map import manipulability_map
+from moc_opt.redundancy.map_analysis import read_trajectory
+from moc_opt.report.map_figure import map_figure
+
+trial = mo.Scenario(seed=5, start={"pose": "random", "swivel": "random"}, duration_s=5.0, bound_samples=0)
+runs = {"exact": mo.run(trial), "dcac": mo.run(trial.change(control={"law": "dcac"}))}
+found = manipulability_map(mo.load_robot("lwr4"), runs)
+for name in runs:
+    reading = read_trajectory(found, name)
+    print(f"{name}: {reading.end}; mean mu is {100 * reading.mu_share:.0f} % of the best")
+
+# %%
+map_figure(found)

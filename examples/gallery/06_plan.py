@@ -1,0 +1,17 @@
+"""
+Plan a path before anything moves
+=================================
+
+Ask whether the whole path can be executed from a start, which course of the elbow is best, and how far from the global
+optimum that can be.
+"""
+
+import moc_opt as mo
+
+scenario = mo.Scenario(seed=7, start={"pose": "random"}, task={"path": "sinusoid"})
+plan = mo.plan(scenario)
+print("executable:", plan.executable)
+print(f"mean mu of the best course from this start {plan.from_start.mu.mean():.4f} m^3")
+print(f"no course from this start is better than   {plan.bound_from_start:.4f} m^3")
+print(f"a local climb reaches                      {plan.climbed.mu.mean():.4f} m^3")
+print(f"the best course over all starts            {plan.best.mu.mean():.4f} m^3")

@@ -1,0 +1,17 @@
+"""
+The controller as C
+===================
+
+Write the whole controller of a scenario, guard included, as C without dependencies: no heap, no unbounded loop.
+"""
+
+import tempfile
+from pathlib import Path
+
+import moc_opt as mo
+from moc_opt.scenario.exported import export_scenario
+
+with tempfile.TemporaryDirectory() as folder:
+    export_scenario(mo.Scenario(), folder)
+    for path in sorted(Path(folder).iterdir()):
+        print(f"{path.name:24s} {len(path.read_text().splitlines()):6d} lines")

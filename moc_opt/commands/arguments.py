@@ -1,0 +1,71 @@
+"""The arguments of these commands, and which function each one calls; what they need is imported when they run."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+LISTS = {
+    "robots": "the arms of the package",
+    "tasks": "the paths that [task] path may name, and their sizes",
+    "metrics": "what `run` prints of a run, with units",
+}
+NAMES = (*LISTS, "solvers", "keys", "compare", "report")
+
+
+def add_commands(commands: Any) -> None:
+    """Add the commands to argparse's subparsers."""
+    one = commands.add_parser("compare", help="solvers, and DCAC with the same gains, on the same random trials")
+    one.add_argument("solvers", nargs="+", metavar="SOLVER", help="of `moc-opt solvers --list`")
+    one.add_argument("--scenario", type=Path, metavar="FILE.toml", help="without it the default scenario")
+    one.add_argument("--trials", type=int, default=15, help="from poses and swivels that the seed draws; default 15")
+    one.add_argument("--seed", type=int, default=0, help="of the first trial")
+    one.add_argument("--out", type=Path, metavar="FILE.csv", help="one row a run goes here")
+    one.add_argument("--json", action="store_true", help="print JSON")
+    made = commands.add_parser("report", help="saved traces as one HTML file: metrics, curves, manipulability map")
+    made.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes; a baseline first")
+    made.add_argument("--out", type=Path, default=Path("report.html"))
+    study = commands.add_parser(
+        "solvers", add_help=False,
+        help="--list: which solvers there are; else the whole study of them, with the options of benchmarks.solvers",
+    )  # fmt: skip
+    study.add_argument("--list", action="store_true")
+    study.add_argument("--json", action="store_true")
+    for name, about in LISTS.items():
+        commands.add_parser(name, help=about).add_argument("--json", action="store_true", help="print JSON")
+    keys = commands.add_parser("keys", help="every key of a scenario: type, unit, default, meaning")
+    keys.add_argument("table", nargs="?", help="of one table: task, control, control.supervisor, plant, ...")
+    keys.add_argument("--markdown", action="store_true", help="print docs/scenario.md")
+
+
+def run_command(given: argparse.Namespace, rest: Sequence[str] = ()) -> int:
+    """Run one of `NAMES`; returns the exit status.
+
+    Args:
+        given: parsed.
+        rest: arguments that are the study's own.
+
+    Raises:
+        MocOptError: the input is wrong.
+    """
+    if given.command == "solvers" and not given.list:
+        from moc_opt.commands.studies import run_study
+
+        return run_study("solvers", [*rest, *(["--json"] if given.json else [])])
+    if given.command == "compare":
+        from moc_opt.commands.studies import compare_solvers
+
+        return compare_solvers(given)
+    if given.command == "report":
+        from moc_opt.commands.reports import report_runs
+
+        return report_runs(given)
+    if given.command == "keys":
+        from moc_opt.commands.reference import print_keys
+
+        return print_keys(given)
+    from moc_opt.commands.listing import print_list
+
+    return print_list(given)

@@ -1,0 +1,80 @@
+"""moc-opt robots | tasks | metrics, and solvers --list: what a scenario may name."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from collections.abc import Callable
+
+from moc_opt.report.console import console, print_json
+from moc_opt.report.tables import Column, Table
+
+
+def print_list(given: argparse.Namespace) -> int:
+    """Print the list that the command names; returns 0."""
+    lists: dict[str, Callable[[], Table]] = {
+        "robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers,
+    }  # fmt: skip
+    table = lists[given.command]()
+    if given.json:
+        first, *others = [column.key for column in table.columns]
+        print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
+        return 0
+    screen = console()
+    for piece in table.fitted(screen.width):
+        screen.print(piece)
+    return 0
+
+
+def solvers() -> Table:
+    """Every registered solver, whether it can run here, and its settings."""
+    from moc_opt.solvers.registry import available, defaults
+
+    rows = []
+    for name, reason in available().items():
+        settings = {} if reason is not None else defaults(name)
+        written = ", ".join(f"{key} = {value!r}" for key, value in settings.items() if key != "kinematics")
+        rows.append({"solver": name, "here": reason or "yes", "settings": written or None})
+    columns = [Column("solver", "solver"), Column("here", "runs here"), Column("settings", "settings")]
+    return Table("Solvers: [solver] name, [solver.settings]", columns, rows)
+
+
+def robots() -> Table:
+    """Every arm of the package."""
+    from moc_opt.robots import available_robots, load_data
+
+    rows = []
+    for name in available_robots():
+        data = load_data(name)
+        rows.append({"robot": name, "joints": len(data.joint_names), "tool": data.tool_length})
+    columns = [Column("robot", "robot"), Column("joints", "joints"), Column("tool", "tool", "m")]
+    return Table("Robots: [robot] name", columns, rows, "A path to a robot file of your own stands in their place.")
+
+
+def tasks() -> Table:
+    """Every path, its sizes with their defaults, and what it is."""
+    from moc_opt.errors import MocOptError
+    from moc_opt.scenario.config import TaskTable
+    from moc_opt.tasks.kinds import kinds, sizes
+
+    rows = []
+    for name, about in kinds().items():
+        try:
+            known = {**sizes(name), **TaskTable.DEFAULT_SIZES.get(name, {})}
+        except MocOptError:
+            known = {}  # it does not load: `about` has the reason
+        words = [key if value is inspect.Parameter.empty else f"{key} = {value:g}" for key, value in known.items()]
+        rows.append({"path": name, "sizes": ", ".join(words) or None, "about": about})
+    columns = [Column("path", "path"), Column("sizes", "sizes"), Column("about", "what it is")]
+    return Table("Tasks: [task] path, [task.sizes]", columns, rows, "Lengths in m.")
+
+
+def metrics() -> Table:
+    """Every metric with its unit."""
+    from moc_opt.trace.metrics import METRICS
+    from moc_opt.trace.metrics.registry import load_plugins
+
+    load_plugins()
+    rows = [{"metric": name, "unit": one.unit, "about": one.about} for name, one in METRICS.items()]
+    columns = [Column("metric", "metric"), Column("unit", "unit"), Column("about", "what it is")]
+    return Table("Metrics: metrics = [...] of a scenario, run --metric", columns, rows)

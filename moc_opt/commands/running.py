@@ -1,0 +1,123 @@
+"""The command `run`: one scenario, its metrics beside DCAC's with the same gains, its report."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from moc_opt.scenario import Scenario
+    from moc_opt.trace.trace import Trace
+
+
+def run_scenario(given: argparse.Namespace) -> int:
+    """Run, summarise against DCAC with the same gains, print, save."""
+    from moc_opt.report.console import progress
+    from moc_opt.report.document import check_out
+    from moc_opt.scenario import RunAway, Setup
+
+    scenario, title = read_scenario(given.scenario)
+    scenario = changed(scenario, given)
+    if "best_courses" not in scenario.model_fields_set:
+        scenario = scenario.change(best_courses=True)
+    if given.report is not None:
+        check_out(given.report, "report")
+    setup = Setup(scenario)
+    ticks = len(setup.times())
+    with progress(title, ticks) as bar:
+        try:
+            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, given.trace)
+        except RunAway as error:
+            trace = error.trace
+    return show(scenario, title, trace, given)
+
+
+def read_scenario(path: Path | None) -> tuple[Scenario, str]:
+    """Return the scenario of a file, or the default one, and what to call it."""
+    from moc_opt.scenario import Scenario
+
+    scenario = Scenario() if path is None else Scenario.load(path)
+    return scenario, scenario.name if path is None or "name" in scenario.model_fields_set else path.stem
+
+
+def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace) -> int:
+    """Print how a run ended, and its metrics; return the exit status."""
+    from moc_opt.report.console import console, print_json
+    from moc_opt.report.machine import busy
+    from moc_opt.report.run_page import run_page
+    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
+    from moc_opt.trace.metrics import summarize
+
+    ended = str(trace.meta["ended"])
+    if "earlier_run" in trace.meta:
+        print(f"{title}: earlier run: {trace.meta['earlier_run']}", file=sys.stderr)
+    for line in ([] if ended == "completed" else [f"{ended}{part(trace)}"]) + refusals(trace) + warnings(trace):
+        print(f"{title}: {line}", file=sys.stderr)
+    if below_best(trace):
+        print(f"{title}: {below_best(trace)}", file=sys.stderr)
+    with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder:
+        beside = None if given.trace is None else Path(folder, "dcac.parquet")
+        baseline = _matched_dcac(scenario, title, len(trace), beside) if scenario.control.law == "moc" else None
+        metrics = summarize(trace, baseline)
+        if getattr(given, "report", None) is not None:  # `plant` has none
+            runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
+            print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
+    wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
+    if given.json:
+        print_json(run_json(trace, wanted))
+    else:
+        console().print(run_table(title, trace, wanted).to_rich())
+        if busy():
+            console().print(busy(), soft_wrap=True)
+    return 0 if ended == "completed" else 3
+
+
+def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
+    """Return the scenario with what the options of ``run`` replace in it.
+
+    Raises:
+        MocOptError: there is no such path, metric or file of waypoints.
+    """
+    from moc_opt.errors import ScenarioError, UnknownNameError
+    from moc_opt.inputs.files import read_text
+    from moc_opt.trace.metrics import METRICS
+    from moc_opt.trace.metrics.registry import load_plugins
+
+    if given.seed is not None:
+        scenario = scenario.change(seed=given.seed)
+    if given.robot is not None:
+        scenario = scenario.change(robot={"name": given.robot})
+    if given.solver is not None:
+        scenario = scenario.change(solver={"name": given.solver, "settings": {}})
+    if given.task is not None:
+        task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
+        if Path(given.task).suffix.lower() in (".csv", ".txt"):
+            lines = read_text(given.task, "waypoints", ScenarioError).splitlines()
+            points = [tuple(line.replace(",", " ").split()) for line in lines if line.strip() and line[0] != "#"]
+            task |= {"path": "waypoints", "waypoints_m": points}
+        scenario = scenario.change(task=task)
+    if given.metric:
+        scenario = scenario.change(metrics=tuple(given.metric))
+    load_plugins()
+    for name in scenario.metrics:
+        if name not in METRICS:
+            raise UnknownNameError("metric", name, METRICS)
+    return scenario
+
+
+def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
+    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
+    from moc_opt.scenario import RunAway, run
+
+    try:
+        matched = scenario.control.matched_dcac()
+        trace = run(scenario.change(control=matched, bound_samples=0, best_courses=False), to=to)
+    except RunAway as error:
+        trace = error.trace
+    if len(trace) < ticks or "mu" not in trace.columns:
+        print(f"{title}: not compared with DCAC, which {trace.meta['ended']}", file=sys.stderr)
+        return None
+    return trace.head(ticks)

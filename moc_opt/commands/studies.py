@@ -1,0 +1,71 @@
+"""moc-opt compare, and moc-opt solvers: solvers on the same trials, and the whole study of the package `benchmarks`.
+
+The study is another package of the same distribution: it is imported by its name, when it is asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Sequence
+from typing import Any
+
+from moc_opt.errors import SolverError
+
+STUDIES = "benchmarks"
+
+
+def compare_solvers(given: argparse.Namespace) -> int:
+    """Compare, print, and write the rows; returns 0.
+
+    Raises:
+        MocOptError: see `moc_opt.comparison.compare.compare`; or the rows cannot be written.
+    """
+    from moc_opt.comparison.compare import compare
+    from moc_opt.report.console import console, print_json, progress
+    from moc_opt.report.document import check_out
+    from moc_opt.scenario import Scenario
+
+    if given.out is not None:
+        check_out(given.out, "table of runs")
+    scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
+    with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
+
+        def watch(words: str) -> None:
+            bar.at(words)
+            bar.advance()
+
+        found = compare(given.solvers, scenario, given.trials, seed=given.seed, watch=watch)
+    if given.json:
+        print_json({name: {key: _plain(value) for key, value in of.items()} for name, of in found.summary().items()})
+    else:
+        screen = console()
+        for piece in found.table.fitted(screen.width):
+            screen.print(piece)
+    if given.out is not None:
+        found.save_rows(given.out)
+    return 0
+
+
+def run_study(name: str, arguments: Sequence[str]) -> int:
+    """Run a command of the package `benchmarks`, with its own arguments; returns its exit status.
+
+    Raises:
+        SolverError: the package is not there, or is another one of that name.
+    """
+    try:
+        package = importlib.import_module(STUDIES)
+    except ImportError as error:
+        raise SolverError(f"the package {STUDIES!r} is not installed ({error}): reinstall moc-opt") from error
+    if getattr(package, "PART_OF", "") != "moc_opt":
+        where = getattr(package, "__file__", None) or next(iter(getattr(package, "__path__", [])), "?")
+        raise SolverError(
+            f"another package is called {STUDIES!r} here ({where}): start moc-opt from another folder, or take that "
+            "place off PYTHONPATH"
+        )
+    status: int = importlib.import_module(f"{STUDIES}.{name}").main(list(arguments))
+    return status
+
+
+def _plain(value: Any) -> Any:
+    return value._asdict() if hasattr(value, "_asdict") else value

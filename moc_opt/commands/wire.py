@@ -1,0 +1,43 @@
+"""The commands `plant` and `control`: a run whose two ends are processes of their own."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+
+from moc_opt.commands.running import read_scenario, show
+
+
+def run_plant(given: argparse.Namespace) -> int:
+    """Wait for a controller, run against the clock, print as `run` does."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.key import read_key
+    from moc_opt.scenario import RunAway
+    from moc_opt.scenario.wired import PlantServer
+
+    scenario, title = read_scenario(given.scenario)
+    server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
+    print("listening on {}:{}".format(*server.address), file=sys.stderr, flush=True)
+    server.system = {} if given.lock_step else ask_for_realtime()
+    try:
+        trace = server.trace(to=given.trace)
+    except RunAway as error:
+        trace = error.trace
+    for name, value in trace.meta["wire"].items():
+        print(f"{title}: {name}: {value}", file=sys.stderr)
+    return show(scenario, title, trace, given)
+
+
+def run_control(given: argparse.Namespace) -> int:
+    """Answer a plant until its run ends; print how."""
+    from moc_opt.realtime.clock import ask_for_realtime
+    from moc_opt.realtime.key import read_key
+    from moc_opt.report.console import print_json
+    from moc_opt.scenario.wired import answer
+
+    (scenario, _), granted = read_scenario(given.scenario), dict[str, str]()
+    key = read_key(given.key_file)
+    found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
+    print_json(asdict(found) | {"system": granted})
+    return 0 if found.ended == "completed" else 3

@@ -1,0 +1,250 @@
+"""Compare solvers in closed loop: the same trials under DCAC and under MOC with each of them."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relative_change
+from moc_opt.comparison.trials import BASELINE, placed, variant
+from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
+from moc_opt.inputs.notebook import grid_html
+from moc_opt.report.machine import busy
+from moc_opt.report.tables import Column, Table
+from moc_opt.scenario import RunAway, Scenario, make_solver, run
+from moc_opt.solvers.base import Solver
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import METRICS, summarize
+from moc_opt.trace.trace import Trace
+
+Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
+
+CHANGES = {"mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "rcm_error_model_mean_mm": "rcm_change"}
+"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` found; a notebook shows its table.
+
+    Attributes:
+        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric.
+        solvers: their names in the table, the baseline first.
+        scenario: from which the trials were made.
+        note: that the machine was busy when the times were taken; empty where it was not.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    solvers: Sequence[str]
+    scenario: Scenario
+    note: str = ""
+
+    def values(self, solver: str, metric: str) -> dict[int, float]:
+        """Return seed -> value of a metric over those trials that the solver drove to their end.
+
+        Raises:
+            UnknownNameError: no such solver, or no run has such a metric.
+        """
+        if solver not in self.solvers:
+            raise UnknownNameError("solver of this comparison", solver, self.solvers)
+        if metric not in METRICS and not any(metric in row for row in self.rows):
+            raise UnknownNameError("metric", metric, METRICS)
+        mine = [row for row in self.rows if row["solver"] == solver and Ending.of(row["ended"]).whole]
+        return {row["seed"]: float(row[metric]) for row in mine if metric in row}
+
+    def mean(self, solver: str, metric: str) -> Interval | None:
+        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any."""
+        values = list(self.values(solver, metric).values())
+        return mean(values) if values and np.isfinite(values).all() else None
+
+    def change(self, solver: str, metric: str) -> Interval | None:
+        """Return the change of a mean against DCAC [percent], on the trials that both drove to their end."""
+        mine, theirs = self.values(solver, metric), self.values(BASELINE, metric)
+        both = [seed for seed in mine if seed in theirs]
+        try:
+            return relative_change([mine[seed] for seed in both], [theirs[seed] for seed in both])
+        except StatisticsError:
+            return None  # no trial that both finished
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Return solver -> counts, shares, medians of times, and means and changes as `Interval`."""
+        return {name: self._of(name) for name in self.solvers}
+
+    def _of(self, name: str) -> dict[str, Any]:
+        rows = [row for row in self.rows if row["solver"] == name]
+        asked = sum(row["asked"] for row in rows)
+        found: dict[str, Any] = {
+            "trials": sum(Ending.of(row["ended"]).whole for row in rows), "of": len(rows),
+            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
+        }  # fmt: skip
+        if asked and all("verified_solved" in row for row in rows):
+            found["verified"] = 100.0 * sum(row["verified_solved"] for row in rows) / asked
+            found["silently_wrong"] = sum(row["silently_wrong"] for row in rows)
+        if asked:
+            found |= {key: float(np.median([row[key] for row in rows])) for key in ("solve_p50_us", "solve_p99_us")}
+        for metric, change in CHANGES.items():
+            found[metric] = self.mean(name, metric)
+            if name != BASELINE:
+                found[change] = self.change(name, metric)
+        return found
+
+    @property
+    def table(self) -> Table:
+        """One row a solver: trials, what its claims are worth, its times, and what its answers do to the arm."""
+        columns = [
+            Column("solver", "solver"), Column("trials", "trials"), Column("verified", "verified", "%", digits=4),
+            Column("silently_wrong", "silently wrong"), Column("solve_p50_us", "p50", "us"),
+            Column("solve_p99_us", "p99", "us"), Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%"),
+            Column("tip_error_model_mean_mm", "tip", "mm"), Column("rcm_error_model_mean_mm", "RCM", "mm"),
+            Column("oscillated", "oscillated"),
+        ]  # fmt: skip
+        rows = []
+        for name, found in self.summary().items():
+            whole, of = found["trials"], found.pop("of")
+            shown = {key: _words(value) if isinstance(value, Interval) else value for key, value in found.items()}
+            rows.append({**shown, "solver": name, "trials": str(whole) if whole == of else f"{whole} of {of}"})
+        used = [c for c in columns if c.key != "oscillated" or any(row["oscillated"] for row in rows)]
+        caption = (
+            "Means over the trials that came to their end, with 95 % intervals; gain: of the mean mu over that of DCAC "
+            "with the same gains on the same trials; times: of the middle trial; tip and RCM by the robot's own "
+            "kinematics."
+        )
+        return Table(f"{self.scenario.name}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
+
+    def plot(self, metric: str = "mu_mean") -> Any:
+        """Draw a metric over the trials as one box a solver: a plotly figure.
+
+        Raises:
+            UnknownNameError: no run has such a metric.
+        """
+        from moc_opt.report.figures import box_plots
+
+        samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
+        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
+
+    def to_pandas(self) -> Any:
+        """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise ScenarioError("pandas is not installed: pip install 'moc-opt[dataframes]'") from error
+        return pandas.DataFrame([dict(row) for row in self.rows])
+
+    def save_rows(self, path: str | os.PathLike[str]) -> None:
+        """Write one row a run as CSV: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: the file cannot be written.
+        """
+        keys = dict.fromkeys(key for row in self.rows for key in row)
+        try:
+            with open(path, "w", newline="", encoding="utf-8") as file:
+                writer = csv.DictWriter(file, list(keys))
+                writer.writeheader()
+                writer.writerows(self.rows)
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+
+    def __repr__(self) -> str:
+        return self.table.to_text()
+
+    def _repr_html_(self) -> str:
+        """Show the table in a notebook."""
+        table = self.table
+        cells = [[cell.text for cell in table.cells(column)] for column in table.columns]
+        headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in table.columns]
+        return grid_html(table.title, zip(*cells, strict=True), headings, table.caption)
+
+
+def compare(
+    solvers: Solvers, scenario: Scenario | None = None, trials: int = 15, *, seed: int = 0, random_start: bool = True,
+    watch: Callable[[str], None] | None = None,
+) -> Comparison:  # fmt: skip
+    """Run every solver, and DCAC with the same gains, on the same trials.
+
+    Args:
+        solvers: names, or solvers made by `solvers.create` or of one's own; a mapping gives them names of their own.
+        scenario: of every trial; None: the default one.
+        trials: how many; trial k has the seed ``seed + k``, which draws start, mismatch and noise.
+        seed: of the first trial.
+        random_start: whether pose and swivel are drawn too; False keeps those of the scenario.
+        watch: called with a few words before each run.
+
+    Raises:
+        UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
+        ScenarioError: no trial is asked for, or the scenario has no third level.
+    """
+    base = scenario or Scenario()
+    if not isinstance(trials, int) or trials < 1:
+        raise ScenarioError(f"trials = {trials!r}: give one trial or more")
+    if base.control.law != "moc":
+        raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
+    chosen, note, rows = _named(solvers, base), busy(), []
+    start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
+    for k in range(seed, seed + trials):
+        trial = placed(base.change(seed=k, start=start))
+        for name, solver in chosen.items():
+            if watch is not None:
+                watch(f"trial {k - seed + 1} of {trials}, {name}")
+            named = solver if isinstance(solver, str) else None
+            case = trial if named is None else variant(trial, named, _settings(base, named))
+            rows.append({"solver": name, "seed": k, **_measured(case, None if named is not None else solver)})
+    return Comparison(rows, list(chosen), base, note)
+
+
+def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
+    """Settings of the scenario's own solver, where that one is meant."""
+    return base.solver.settings if name == base.solver.name else {}
+
+
+def _measured(case: Scenario, solver: Any) -> dict[str, Any]:
+    try:
+        trace = run(case, solver=solver)
+    except RunAway as error:
+        trace = error.trace
+    return {"ended": str(trace.meta["ended"]), "asked": _asked(trace), **summarize(trace)}
+
+
+def _asked(trace: Trace) -> int:
+    """Count the ticks at which there was a subproblem."""
+    return int(np.count_nonzero(trace.status != "none")) if "status" in trace.columns else 0
+
+
+def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
+    """Name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
+    if isinstance(solvers, str):
+        raise SolverError(f"solvers = {solvers!r} is one text: give a list, [{solvers!r}]")
+    pairs = solvers.items() if isinstance(solvers, Mapping) else [(_name(one), one) for one in solvers]
+    robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
+    for name, solver in pairs:
+        if name == solver == BASELINE:
+            continue  # it is compared anyhow
+        if name in chosen:
+            raise SolverError(f"two solvers are called {name!r}: give a mapping, {{'one name': ..., 'another': ...}}")
+        if isinstance(solver, str):
+            make_solver(solver, robot, **_settings(base, solver))
+        elif not isinstance(solver, Solver):
+            raise SolverError(f"{name}: {solver!r:.80} is no solver: it needs a name, supports(qp) and start(qp)")
+        chosen[name] = solver
+    if len(chosen) == 1:
+        raise SolverError("no solver to compare: give one name or more, such as ['exact', 'osqp']")
+    return chosen
+
+
+def _name(solver: str | Solver) -> str:
+    return solver if isinstance(solver, str) else str(getattr(solver, "name", type(solver).__name__))
+
+
+def _words(found: Interval) -> str:
+    if found.samples < 2:
+        return f"{found.value:.3g}"
+    return f"{found.value:.3g} [{found.low:.3g}, {found.high:.3g}]"

@@ -1,0 +1,54 @@
+"""What other packages add by entry points: found once, loaded when it is asked for, named when it is broken."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from moc_opt.errors import MocOptError, describe
+
+
+def plugins(group: str, look: Callable[..., Iterable[EntryPoint]] = entry_points) -> dict[str, list[EntryPoint]]:
+    """Map each name of a group to the different entry points that claim it; one that is announced twice counts once."""
+    return _scan(group, tuple(sys.path), look)
+
+
+@lru_cache(maxsize=24)
+def _scan(
+    group: str, path: tuple[str, ...], look: Callable[..., Iterable[EntryPoint]]
+) -> dict[str, list[EntryPoint]]:
+    # 10 ms for a hundred packages, and a sweep makes thousands of solvers
+    found: dict[str, dict[str, EntryPoint]] = {}
+    for point in look(group=group):
+        found.setdefault(point.name, {}).setdefault(point.value, point)
+    return {name: list(points.values()) for name, points in found.items()}
+
+
+def in_words(point: EntryPoint) -> str:
+    """Name the entry point and the package that announces it, for messages."""
+    package = getattr(point.dist, "name", None)
+    return f"entry point {point.value!r}" + (f" of package {package!r}" if package else "")
+
+
+def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError]) -> Any:
+    """Import what an entry point names.
+
+    Args:
+        kind: what it is, for messages: "solver".
+        name: of the entry point.
+        points: all that claim this name.
+        error: raised where it cannot be had.
+    """
+    if len(points) > 1:
+        claims = " and ".join(map(in_words, points))
+        raise error(f"{kind} {name!r}: {claims} claim this name: rename one, or uninstall its package")
+    (point,) = points
+    try:
+        return point.load()
+    except (Exception, SystemExit) as reason:
+        raise error(
+            f"{kind} {name!r}: {in_words(point)} does not load: {describe(reason)}; mend or uninstall its package"
+        ) from reason

@@ -1,0 +1,197 @@
+"""The controller's end of the wire: each measurement is answered by the torque of the simulator's own control side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic, perf_counter_ns
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.realtime.key import WireError
+from moc_opt.realtime.link import Link, Quality, Sequence
+from moc_opt.realtime.packets import (
+    COUNTERS,
+    ENDED,
+    REASON_BYTES,
+    REPORTED,
+    RUNNING,
+    STOP,
+    WAITING,
+    Kind,
+    Packet,
+)  # fmt: skip
+from moc_opt.realtime.settings import WireSettings
+from moc_opt.sim.filtered import FilteredController
+from moc_opt.sim.loop import no_collector
+from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+
+_REPEAT_S = 0.1
+"""HELLO and START are sent again after this time."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a run looked from the controller's end.
+
+    Attributes:
+        ended: "completed", "stopped: ..." where the safety filter asked for it, or "the plant has been silent ...".
+        ticks: measurements that were answered.
+        quality: what came from the plant.
+        plant: the plant's own counts, as its last measurement has them.
+        warnings: of the safety filter.
+        faults: of the third level.
+    """
+
+    ended: str
+    ticks: int
+    quality: Quality
+    plant: dict[str, int]
+    warnings: list[dict[str, Any]]
+    faults: dict[str, Any]
+
+
+class Answering:
+    """Answers measurements until the plant ends the run.
+
+    Args:
+        link: knows the plant's address.
+        settings: time-outs.
+        make: makes controller and safety filter, as in the simulator's loop; called twice: one pair rehearses a tick.
+        tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
+        registered: (N, 2, 3) where the controller believes the trocar to be.
+        scenario: fingerprint of what both ends must agree on.
+        ready: called once when the plant has been found.
+    """
+
+    def __init__(
+        self, link: Link, settings: WireSettings, make: Callable[[], tuple[LoggedController, SafetyFilter]],
+        tip_refs: Array, registered: Array, scenario: int, ready: Callable[[], None] = lambda: None,
+    ) -> None:  # fmt: skip
+        self._link, self._settings, self._make = link, settings, make
+        self._tip_refs, self._registered, self._scenario, self._ready = tip_refs, registered, scenario, ready
+        self._sequence, self._answered = Sequence(), 0
+
+    def run(self) -> Ending:
+        """Find the plant, start at its first measurement, and answer.
+
+        Raises:
+            WireError: no plant answers, or it runs another scenario.
+        """
+        link = self._link
+        first = self._ask(Kind.HELLO, lambda m: m["flags"] == WAITING)
+        link.session = session = int(first["session"])
+        if int(first["scenario"]) != self._scenario:
+            raise WireError(
+                f"the plant at {link.peer} runs another scenario: give both ends the same robot, start, trocar, task, "
+                "seed, period and duration"
+            )
+        applied = np.array(first["commanded"])
+        self._command = Packet(Kind.COMMAND, link.n, session, self._scenario)
+        self._report = Packet(Kind.REPORT, link.n, session, self._scenario)
+        self._answer(self._started(first), first, applied, rehearsal=True)
+        filtered = self._started(first)
+        self._ready()
+        with no_collector():
+            found = self._ask(Kind.START, lambda m: m["flags"] != WAITING)
+            ended = self._answer_all(filtered, found, applied)
+        if filtered.stop_reason:
+            ended = f"stopped: {filtered.stop_reason}"
+        plant = dict(zip(COUNTERS, self._counters, strict=True))
+        faults = getattr(self._controller, "faults", {})
+        return Ending(ended, self._answered, link.quality, plant, filtered.warnings, faults)
+
+    def _started(self, first: Packet) -> FilteredController:
+        self._controller, safety_filter = self._make()
+        self._blank, self._row = self._controller.columns(1), self._controller.columns(1)
+        filtered = FilteredController(self._controller, safety_filter, np.array(first["commanded"]))
+        filtered.start(_measurement(first), self._tip_refs[0], self._registered[0])
+        return filtered
+
+    def _ask(self, kind: Kind, wanted: Callable[[Packet], Any]) -> Packet:
+        """Send a packet over and over until a measurement of the wanted kind comes."""
+        link, request = self._link, Packet(kind, self._link.n, self._link.session, self._scenario)
+        until = monotonic() + self._settings.wait_s
+        while monotonic() < until:
+            link.send(request)
+            again = min(until, monotonic() + _REPEAT_S)
+            found = link.receive(again)
+            while found is not None and not wanted(found):
+                found = link.receive(again)
+            if found is not None:
+                return found
+        raise WireError(
+            f"no plant answers at {link.peer} within {self._settings.wait_s:g} s ({link.quality}): start `python -m "
+            "moc_opt plant` there, with the same robot and the same key"
+        )
+
+    def _answer_all(self, filtered: FilteredController, found: Packet | None, applied: Array) -> str:
+        """Answer until the plant says that the run is over, or nothing more."""
+        link, quality, sequence = self._link, self._link.quality, self._sequence
+        while found is not None:
+            self._counters = found["counters"].tolist()
+            if found["flags"] == ENDED:
+                link.send(Packet(Kind.BYE, link.n, link.session, self._scenario))
+                return "completed"
+            number, last = int(found["sequence"]), sequence.newest
+            said = sequence.judge(number) if found["flags"] == RUNNING and number < len(self._tip_refs) else "foreign"
+            quality.count("received" if said == "new" else "late" if said == "old" else said)
+            if said == "new":
+                quality.missed += number - last - 1
+                sequence.take(number)
+                applied = self._answer(filtered, found, applied)
+            elif said == "doubled" and number == last:  # the plant has not heard the answer
+                self._send()
+            elif said == "reordered":
+                sequence.take(number)
+            found = link.receive(monotonic() + self._settings.silence_s)
+        return f"the plant has been silent for {self._settings.silence_s:g} s"
+
+    def _answer(
+        self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False
+    ) -> Array:
+        """Do one tick of the control side and send its torque; ``applied`` (n,) [Nm] is what was sent last.
+
+        A rehearsal sends nothing: the first tick of a process takes milliseconds.
+        """
+        begin, number = perf_counter_ns(), int(found["sequence"])
+        seen, echo = _measurement(found), found["commanded"]
+        if not np.array_equal(echo, applied):  # the plant did not hear, and held another torque
+            filtered.set_applied_torque(np.array(echo))
+        tau = filtered.tick(seen, self._tip_refs[number], self._registered[number])
+        command = self._command
+        command["sequence"], command["tau"], command["limited"] = number, tau, filtered.limited
+        flags = REPORTED
+        if filtered.stop_reason:
+            flags |= STOP
+            command["reason"] = filtered.stop_reason.encode()[:REASON_BYTES]
+            command["friction"] = filtered.brake_friction(seen)
+        command["flags"], command["control_us"] = flags, (perf_counter_ns() - begin) * 1e-3
+        if not rehearsal:
+            self._link.send(command)
+            self._answered += 1
+        for name, column in self._row.items():
+            column[:] = self._blank[name]  # a note leaves out what there is not
+        self._controller.note(0, self._row)
+        for name, column in self._row.items():
+            self._report[name] = column[0]
+        self._report["sequence"] = number
+        if not rehearsal:
+            self._link.send(self._report)
+        return tau
+
+    def _send(self) -> None:
+        self._link.send(self._command)
+        self._link.send(self._report)
+
+
+def _measurement(packet: Packet) -> Measurement:
+    """The measurement of a packet, as arrays of its own."""
+    return Measurement(
+        np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"])
+    )

@@ -1,0 +1,69 @@
+"""The time of the wall, and what a process asks of the system to keep it."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from time import monotonic, sleep
+
+_LOCK_ALL = 1 | 2  # MCL_CURRENT | MCL_FUTURE
+_SET_TIMER_SLACK = 29  # PR_SET_TIMERSLACK
+PRIORITY = 50
+"""Of SCHED_FIFO: above ordinary processes, below the threads of a kernel that serves interrupts in threads."""
+
+
+class WallClock:
+    """Periods that begin at fixed times; a tick that begins more than a period late moves all that follow.
+
+    Attributes:
+        late_us: how late the last tick began [us].
+        overruns: how often the times were moved: this process was not run for more than a period.
+        spare_until: until then there is time in the present tick for what is not urgent (of ``time.monotonic``) [s].
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period, self._begin = period_s, 0.0
+        self.late_us, self.overruns, self.spare_until = 0.0, 0, 0.0
+
+    def start(self) -> None:
+        """Let tick 0 begin one period from now."""
+        self._begin = monotonic() + self._period
+
+    def wait_for(self, tick: int) -> float:
+        """Sleep until a tick begins; return the time at which its command must be there (of ``time.monotonic``) [s]."""
+        due = self._begin + tick * self._period
+        left = due - monotonic()
+        if left > 0.0:
+            sleep(left)
+        now = monotonic()
+        self.late_us = 1e6 * (now - due)
+        if now - due > self._period:
+            self._begin += now - due
+            self.overruns += 1
+        self.spare_until = now + 0.75 * self._period
+        return now + self._period  # whoever is late, the controller has a whole period
+
+
+def ask_for_realtime() -> dict[str, str]:
+    """Ask for a real-time priority, for memory that is never paged out, and for exact timers.
+
+    Returns:
+        what was granted, by name, in words; what is not permitted is left as it is, and said so.
+    """
+    found = {"scheduling": "as other processes (no such system call)", "memory": "not locked", "timers": "as they are"}
+    if not sys.platform.startswith("linux"):
+        return found
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        found["scheduling"] = f"SCHED_FIFO {PRIORITY}"
+    except OSError as error:
+        found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_LOCK_ALL) == 0:
+        found["memory"] = "locked"
+    else:
+        found["memory"] = f"not locked ({os.strerror(ctypes.get_errno())})"
+    if libc.prctl(_SET_TIMER_SLACK, 1, 0, 0, 0) == 0:
+        found["timers"] = "slack 1 ns"
+    return found

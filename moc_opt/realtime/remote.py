@@ -1,0 +1,223 @@
+"""The plant's end of the wire: a controller that is somewhere else, in the place of one that is here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from secrets import randbits
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.realtime.clock import WallClock
+from moc_opt.realtime.key import WireError
+from moc_opt.realtime.link import BACKLOG, Link, Sequence
+from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
+from moc_opt.realtime.settings import WireSettings
+from moc_opt.realtime.watchdog import Watchdog
+from moc_opt.sim.filtered import Filtered
+from moc_opt.sim.protocols import SafetyFilter
+from moc_opt.sim.sensors import Measurement
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, NDArray[Any]]
+
+INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.REPORT, Kind.BYE)
+_BYE_S, _BYE_TIMES = 0.1, 10
+
+
+class RemoteController(Filtered):
+    """Sends each measurement, and hands on the torque that comes back; without one, the watchdog's.
+
+    Run it by ``sim.loop.simulate`` with ``pace`` as its ``watch``, and ``close`` it afterwards.
+
+    Args:
+        link: listens at the plant's address.
+        settings: watchdog and time-outs.
+        safety_filter: the plant's own, for the watchdog.
+        columns: number of ticks -> the columns of the controller that is at the other end.
+        applied: (n,) torque before the first tick [Nm].
+        scenario: fingerprint of what both ends must agree on.
+        clock: keeps the time; None is lock-step: the plant waits for each command, and sends the measurement again
+            where none comes.
+    """
+
+    stop_reason = ""
+    limited = 0
+
+    def __init__(
+        self, link: Link, settings: WireSettings, safety_filter: SafetyFilter,
+        columns: Callable[[int], dict[str, NDArray[Any]]], applied: Array, scenario: int, clock: WallClock | None,
+    ) -> None:  # fmt: skip
+        self.link, self.clock, self._settings, self._filter = link, clock, settings, safety_filter
+        self._make_columns, self._applied = columns, applied
+        self._packet = Packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
+        self._friction, self._tick, self._until = np.zeros(link.n), 0, 0.0
+        self._commands, self._reports, self._reported = Sequence(), Sequence(), False
+        self._columns: Columns = {}
+        self._control_us, self._missed = float("nan"), False
+        self._watchdog: Watchdog | None = None
+
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """None here: the controller's safety filter is at the other end, and says them there."""
+        return []
+
+    def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
+        """Wait for a controller, show it the first measurement, and wait until it has started there.
+
+        Raises:
+            WireError: none came in time.
+        """
+        link, packet = self.link, self._packet
+        self._watchdog = Watchdog(self._settings, self._filter, seen)
+        until = monotonic() + self._settings.wait_s
+        self._fill(seen, WAITING)
+        while True:
+            found = link.receive(until)
+            if found is None:
+                raise WireError(
+                    f"no controller came to {link.address} within {self._settings.wait_s:g} s ({link.quality}): start "
+                    "`python -m moc_opt control` on the same scenario with the same key, or raise [wire] wait_s"
+                )
+            if found.kind is Kind.HELLO:
+                link.send(packet, link.sender)
+            elif found.kind is Kind.START and int(found["session"]) == int(packet["session"]):
+                break
+            else:
+                link.quality.count("foreign")
+        link.peer, link.session = link.sender, int(packet["session"])
+        if self.clock is not None:
+            self.clock.start()
+
+    def pace(self, tick: int) -> None:
+        """Wait until a tick begins."""
+        if self.clock is not None:
+            self._until = self.clock.wait_for(tick)
+
+    def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
+        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's."""
+        watchdog = self._watchdog
+        if watchdog is None:
+            raise WireError("tick before start: call start once before the first tick")
+        watchdog.see(seen)
+        self._control_us, self._reported, self.limited = float("nan"), False, 0
+        command = None if watchdog.reason else self._exchange(seen)
+        self._missed = command is None
+        if command is None:
+            self.link.quality.count("missed")
+            tau = watchdog.tick(self._applied)
+            if watchdog.reason:
+                self.stop_reason = self.stop_reason or watchdog.reason
+                self._friction = watchdog.brake_friction()
+        else:
+            watchdog.feed()
+            tau = np.array(command["tau"])
+            self._friction = np.array(command["friction"])
+            self.limited, self._control_us = int(command["limited"]), float(command["control_us"])
+            flags = int(command["flags"])
+            self._reported = bool(flags & REPORTED)
+            if flags & STOP and not self.stop_reason:
+                said = bytes(command["reason"][()]).decode(errors="replace")
+                self.stop_reason = said or "the controller asked for it"
+        self._applied = tau
+        self._tick += 1
+        return tau
+
+    def brake_friction(self, seen: Measurement) -> Array:
+        """Return the dry friction (n,) [Nm] that came with the last command, or the watchdog's."""
+        return self._friction
+
+    def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
+        """Create the controller's columns, and those of the wire: lateness of the tick, the controller's own time."""
+        self._columns = {
+            **self._make_columns(ticks), "wake_us": np.full(ticks, np.nan), "control_us": np.full(ticks, np.nan),
+            "missed": np.zeros(ticks, dtype=np.bool_),
+        }  # fmt: skip
+        return dict(self._columns)
+
+    def note(self, row: int, columns: Columns) -> None:
+        """Write the last tick's values into a row, and wait for its report where one was announced."""
+        columns["missed"][row], columns["control_us"][row] = self._missed, self._control_us
+        if self.clock is not None:
+            columns["wake_us"][row] = self.clock.late_us
+        if self._reported and self._reports.newest < self._tick - 1:
+            until = monotonic() + self._settings.resend_s if self.clock is None else self.clock.spare_until
+            self._receive(until, lambda: self._reports.newest == self._tick - 1)
+
+    def close(self) -> dict[str, Any]:
+        """Tell the controller that the run is over; return the counts."""
+        self._packet["flags"] = ENDED
+        for _ in range(_BYE_TIMES if self.link.session else 0):
+            self.link.send(self._packet)
+            found = self.link.receive(monotonic() + _BYE_S)
+            while found is not None and found.kind is not Kind.BYE:
+                found = self.link.receive(monotonic() + _BYE_S)
+            if found is not None:
+                break
+        self.link.close()
+        overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
+        return {**asdict(self.link.quality), **overruns}
+
+    def _fill(self, seen: Measurement, state: int) -> None:
+        packet = self._packet
+        packet["flags"], packet["sequence"], packet["stamp"] = state, self._tick, seen.stamp
+        packet["q"], packet["v"], packet["wrench"] = seen.q, seen.v, seen.force
+        packet["commanded"], packet["counters"] = self._applied, self.link.quality.values()
+
+    def _exchange(self, seen: Measurement) -> Packet | None:
+        self._fill(seen, RUNNING)
+        self.link.send(self._packet)
+        if self.clock is not None:
+            return self._receive(self._until)
+        for turn in range(1 + self._settings.resends):
+            if turn:
+                self.link.send(self._packet)
+            found = self._receive(monotonic() + self._settings.resend_s)
+            if found is not None:
+                return found
+        return None
+
+    def _receive(self, until: float, done: Callable[[], bool] | None = None) -> Packet | None:
+        """Take what comes until the command of this tick does, or until ``done``; None where the time is over."""
+        for _ in range(BACKLOG):
+            found = self.link.receive(until)
+            if found is None:
+                break
+            if found.kind is Kind.COMMAND and self._is_usable(found) and self._is_new(found, self._commands):
+                return found
+            if found.kind is Kind.REPORT and self._is_new(found, self._reports):
+                self._keep(found)
+            if done is not None and done():
+                break
+        return None
+
+    def _is_usable(self, command: Packet) -> bool:
+        fine = np.isfinite(command["tau"]).all() and (command["friction"] >= 0.0).all()
+        if not (fine and np.isfinite(command["friction"]).all()):
+            self.link.quality.count("foreign")
+            return False
+        return True
+
+    def _is_new(self, packet: Packet, sequence: Sequence) -> bool:
+        """Judge the tick that a packet is for; only a command of the present one may be followed."""
+        quality, number = self.link.quality, int(packet["sequence"])
+        command = packet.kind is Kind.COMMAND
+        if number > self._tick:
+            quality.count("foreign")
+            return False
+        said = sequence.judge(number)
+        if said == "old" or (said == "new" and command and number < self._tick):
+            said = "late"
+        quality.count("received" if said == "new" else said)
+        sequence.take(number)
+        return said == "new"
+
+    def _keep(self, report: Packet) -> None:
+        row = int(report["sequence"])
+        for name, column in self._columns.items():
+            if name in report and row < len(column):
+                value = report[name]
+                column[row] = bytes(value[()]).decode() if value.dtype.kind == "S" else value

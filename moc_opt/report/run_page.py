@@ -1,0 +1,58 @@
+"""Runs as one page: how each ended, its metrics, its curves, and where it took the elbow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from moc_opt.errors import MocOptError, ReportError
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.redundancy.manipulability_map import manipulability_map
+from moc_opt.report.figures import Styles, time_series
+from moc_opt.report.map_page import add_map
+from moc_opt.report.page import Page
+from moc_opt.report.run_table import part, refusals, run_table, warnings
+from moc_opt.trace.trace import Trace
+
+COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
+"""Of the map."""
+
+
+def run_page(
+    traces: Mapping[str, Trace], metrics: Mapping[str, Mapping[str, float]], robot: RobotModel, title: str = ""
+) -> Page:
+    """Make the page.
+
+    Args:
+        traces: name -> run, of one arm; a baseline first.
+        metrics: name -> metric -> number, of those runs that get a table.
+        robot: the arm.
+        title: of the page; from the names if empty.
+
+    Raises:
+        ReportError: there is no run, or none has a column that can be drawn.
+    """
+    if not traces:
+        raise ReportError("no run: give one trace or more")
+    styles, page = Styles(traces), Page(title or " and ".join(traces), f"{robot.data.name}, simulated")
+    page.section("How it ended")
+    for name, trace in traces.items():
+        told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
+        page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
+    page.section("Over time")
+    page.figure(
+        time_series(traces, styles=styles),
+        "Manipulability with the largest that the self-motion allows (dotted, where it was scanned), tip error by the "
+        "robot's own kinematics where that is known, distance of the shaft from the trocar, force on it.",
+        name="curves",
+    )  # fmt: skip
+    page.section("Where the elbow went")
+    longest = max(float(trace.t_s[-1] - trace.t_s[0]) for trace in traces.values())
+    times = min(max(round(COLUMNS_PER_S * longest), COLUMNS[0]), COLUMNS[1])
+    try:
+        add_map(page, manipulability_map(robot, traces, times=times, swivels=120), styles=styles)
+    except MocOptError as error:
+        page.text(f"There is no map: {error}")
+    page.section("All metrics")
+    for name, values in metrics.items():
+        page.table(run_table(name, traces[name], values))
+    return page

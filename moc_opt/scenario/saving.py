@@ -1,0 +1,88 @@
+"""A scenario as the TOML that makes it: what differs from the defaults, and nothing else."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from moc_opt.control.settings import PRESETS, ControlSettings
+from moc_opt.errors import ScenarioError
+from moc_opt.inputs.files import check_replaceable
+from moc_opt.inputs.settings import Settings
+from moc_opt.inputs.toml import to_toml
+from moc_opt.sim.settings import PlantSettings
+
+if TYPE_CHECKING:
+    from moc_opt.scenario.config import Scenario
+
+
+def changes(scenario: Scenario) -> dict[str, Any]:
+    """Return what differs from the default scenario, as the keyword arguments that make it.
+
+    A table is written against its defaults or against that preset which leaves fewest keys.
+    """
+    found: dict[str, Any] = {}
+    for name, field in type(scenario).model_fields.items():
+        value = getattr(scenario, name)
+        if value == field.default:
+            continue
+        found[name] = min(_tables(value), key=len) if isinstance(value, Settings) else value
+    return found
+
+
+def _tables(value: Settings) -> Iterator[dict[str, Any]]:
+    """Ways to write a table: with no preset, then with each that it has."""
+    yield _differences(value, type(value)())
+    presets: dict[str, Settings] = {}
+    if isinstance(value, ControlSettings):
+        presets = {name: ControlSettings.preset(name) for name in PRESETS}
+    elif isinstance(value, PlantSettings):
+        presets = {"nominal": PlantSettings.nominal()}
+    for name, preset in presets.items():
+        table = _differences(value, preset)
+        if None not in table.values():  # what a preset sets, a file cannot set back to None
+            yield {"preset": name, **table}
+
+
+def _differences(value: Settings, base: Settings) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name in type(value).model_fields:
+        entry = getattr(value, name)
+        if entry != getattr(base, name):
+            found[name] = min(_tables(entry), key=len) if isinstance(entry, Settings) else entry
+    return found
+
+
+def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
+    """See `Scenario.save`."""
+    table = changes(scenario)
+    name = scenario.robot.name
+    if Path(name).suffix.lower() in (".toml", ".urdf"):  # read again, it would count from the folder of the file
+        table["robot"] = {**table["robot"], "name": str(Path(name).absolute())}
+    try:
+        text = to_toml(_without_none(table))
+    except TypeError as error:
+        raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
+    file = Path(path)
+    check_replaceable(file, "scenario", ScenarioError)
+    unfinished = file.with_name(f".{file.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        unfinished.write_text(text, encoding="utf-8")
+        unfinished.replace(file)
+    except OSError as error:
+        unfinished.unlink(missing_ok=True)
+        raise ScenarioError(f"scenario {str(file)!r} cannot be written: {error}; give another path") from error
+
+
+def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Write None as a file does: no limit is `inf`, no table of gains an empty text."""
+    plain: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping) and key != "settings":
+            plain[key] = _without_none(value)
+        else:
+            plain[key] = ("" if key == "gains" else float("inf")) if value is None else value
+    return plain

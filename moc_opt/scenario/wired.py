@@ -1,0 +1,133 @@
+"""A scenario whose plant and controller are two processes with a wire between them."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from moc_opt.inputs.files import to_json
+from moc_opt.realtime.answering import Answering, Ending
+from moc_opt.realtime.clock import WallClock
+from moc_opt.realtime.key import WireError, checked_key, parse_address
+from moc_opt.realtime.link import Address, Link
+from moc_opt.realtime.packets import Kind
+from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.parts import make_safety_filter
+from moc_opt.scenario.setup import Setup
+from moc_opt.sim.loop import RunAway
+from moc_opt.sim.protocols import LoggedController, SafetyFilter
+from moc_opt.trace.trace import Trace
+
+SLOWEST_S, FASTEST_S = 0.004, 0.001
+"""Control periods that are kept against the clock: 250 Hz to 1 kHz."""
+
+
+def fingerprint(scenario: Scenario) -> int:
+    """Return a number of 63 bits that differs where plant and controller would not mean the same run."""
+    whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
+    whole["robot"]["name"] = Path(scenario.robot.name).name  # its file may lie in another folder there
+    text = to_json([whole, scenario.plant.period_s], sort_keys=True)
+    return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
+
+
+class PlantServer(Setup):
+    """The plant of a scenario, for a controller at the other end of a wire.
+
+    Args:
+        scenario: what is run.
+        listen: "HOST:PORT"; port 0 is any free one, see ``address``.
+        key: of the check; None: loopback only.
+        lock_step: wait for each command instead of keeping the time.
+
+    Attributes:
+        system: goes into the trace's ``meta["wire"]``, if not empty: what this process was granted.
+
+    Raises:
+        MocOptError: as for `Setup`; an address that cannot be taken, or one that needs a key.
+    """
+
+    def __init__(self, scenario: Scenario, listen: str, key: bytes | None = None, *, lock_step: bool = False) -> None:
+        super().__init__(scenario)
+        where = parse_address(listen, "--listen")
+        period = scenario.plant.period_s
+        if not lock_step and not FASTEST_S <= period <= SLOWEST_S:
+            raise WireError(
+                f"[plant] period_s = {period}: the clock is kept from {FASTEST_S} to {SLOWEST_S} s (1 kHz to 250 Hz); "
+                "change it, or run in lock-step"
+            )
+        self.system: dict[str, str] = {}
+        self._clock = None if lock_step else WallClock(period)
+        self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
+        self._remote = RemoteController(
+            self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
+            self.plant.applied_torque, fingerprint(scenario), self._clock,
+        )  # fmt: skip
+
+    @property
+    def address(self) -> Address:
+        """Where the plant listens."""
+        return self._link.address
+
+    def adapter(self) -> LoggedController:
+        """Return the controller at the other end."""
+        return self._remote  # type: ignore[return-value]
+
+    def trace(
+        self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = 0
+    ) -> Trace:
+        """Wait for the controller, run, and return the trace; ``meta["wire"]`` has the counts of this end.
+
+        Args:
+            watch: called with the number of every tick before it.
+            to: a Parquet file that gets the whole trace at the end: nothing is written while the time is kept.
+            block: of no meaning here.
+
+        Raises:
+            MocOptError: as for `Setup.trace`; or no controller came.
+        """
+        try:
+            found, broken = super().trace(self._remote.pace), None
+        except RunAway as error:
+            found, broken = error.trace, error
+        finally:
+            counts = self._remote.close()
+        found = found.with_meta(wire=counts | ({"system": self.system} if self.system else {}))
+        if to is not None:
+            found.save(to)
+        if broken is not None:
+            raise RunAway(str(broken), found) from broken
+        return found
+
+
+def answer(
+    scenario: Scenario, connect: str, key: bytes | None = None, ready: Callable[[], None] = lambda: None
+) -> Ending:
+    """Be the controller of a plant at the other end of a wire, until its run ends.
+
+    Args:
+        scenario: the plant's; control, solver and guard are this end's own.
+        connect: "HOST:PORT" of the plant.
+        key: of the check; None: loopback only.
+        ready: called once when the plant has been found and the controller has started.
+
+    Raises:
+        MocOptError: as for `Setup`; or no plant answers there, or it runs another scenario.
+    """
+    where = parse_address(connect, "--connect")
+    checked = checked_key(key, where[0], "--connect")
+    setup = Setup(scenario)
+    tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
+    link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
+
+    def make() -> tuple[LoggedController, SafetyFilter]:
+        return setup.adapter(), make_safety_filter(setup.robot, scenario)
+
+    try:
+        return Answering(link, scenario.wire, make, tip_refs, registered, fingerprint(scenario), ready).run()
+    finally:
+        link.close()

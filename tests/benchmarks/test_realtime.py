@@ -1,0 +1,128 @@
+"""The benchmark against the clock: what it counts, and that a run of it is a run over the wire."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import realtime
+from benchmarks.latency import wire
+from benchmarks.latency.goals import goal_verdicts
+from benchmarks.latency.wire import Case, Found, RealtimeError
+from moc_opt.scenario import Scenario
+
+CASE = Case("python", 500, "quiet")
+
+
+def run_of(cycles: int, missed: int = 0, ended: str = "completed", clean: bool = True, rcm: float = 0.5) -> Found:
+    ramp = np.arange(1.0, cycles + 1.0)
+    control = np.where(np.arange(cycles) < missed, np.nan, 10.0)
+    return Found(ramp / 10.0, ramp, control, missed, 0, ended, clean, rcm, {})
+
+
+def test_a_case_is_all_cycles_of_its_runs():
+    found = realtime.summarise([run_of(1000), run_of(500, missed=3, ended="stopped: no command", rcm=0.7)])
+    assert (found["runs"], found["cycles"], found["missed"], found["stopped"], found["unclean"]) == (2, 1500, 3, 1, 0)
+    assert found["missed_share"] == pytest.approx(3 / 1500)
+    assert (found["round_worst_us"], found["wake_worst_us"], found["control_worst_us"]) == (1000.0, 100.0, 10.0)
+    assert found["round_p50_us"] == pytest.approx(np.median([*range(1, 1001), *range(1, 501)]))
+    assert found["rcm_max_mm"] == 0.7
+
+
+@pytest.mark.parametrize(
+    ("missed", "cycles", "reached"),
+    [(1, 100_000, "yes"), (2, 100_000, "no"), (0, 99_999, "not measured"), (11, 1_000_000, "no")],
+)
+def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reached):
+    case = {"cycles": cycles, "missed_share": missed / cycles}
+    summary = {"cases": {"c, 500 Hz, quiet": case, "c, 1000 Hz, quiet": {"cycles": 10**6, "missed_share": 0.5}}}
+    found = goal_verdicts(summary, realtime.GOALS)
+    assert found["c"]["reached"] == reached
+    assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
+
+
+def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
+    good, bad = ({"cycles": 9, "missed_share": 0.0, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
+    for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
+        found = goal_verdicts({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
+        assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
+
+
+def test_the_histogram_holds_every_cycle():
+    times = {"a": np.r_[np.full(999, 100.0), 5000.0], "b": np.full(10, 0.0)}
+    drawn = realtime.histogram(times, 2000.0)
+    assert [np.nansum(line.y) for line in drawn.data] == [1000, 10]
+    a = drawn.data[0]
+    assert a.x[np.flatnonzero(np.nan_to_num(a.y) == 1)[-1]] == pytest.approx(5000.0, rel=0.1)
+
+
+@pytest.mark.parametrize("rate", [250, 500, 1000])
+def test_the_file_of_a_run_is_the_scenario_at_that_rate(tmp_path, rate):
+    config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
+    file = tmp_path / "run.toml"
+    file.write_text(wire.scenario_text(config.scenario, rate, 1234, 7))
+    found = Scenario.load(file)
+    assert found.plant.period_s == 1.0 / rate
+    assert found.plant.substep_s <= 0.001
+    assert (found.duration_s, found.seed) == (pytest.approx(1234 / rate), 7)
+    assert found.task == config.scenario.task
+    assert not found.judge
+
+
+def test_the_load_is_there_and_then_is_not(monkeypatch):
+    started = []
+
+    class Process:
+        def __init__(self, command):
+            started.append(self)
+            self.killed = False
+
+        def kill(self):
+            self.killed = True
+
+        def wait(self):
+            assert self.killed
+
+    monkeypatch.setattr(wire.subprocess, "Popen", Process)
+    with wire.load("quiet"):
+        assert started == []
+    with wire.load("loaded"):
+        assert len(started) == os.cpu_count()
+    assert all(process.killed for process in started)
+
+
+def test_cases_and_runs_are_as_many_as_asked_for(monkeypatch):
+    assert len(realtime.Config().cases()) == len(set(map(str, realtime.Config().cases()))) == 8
+    monkeypatch.setattr(wire, "run_once", lambda *a: run_of(400, ended="stopped: x"))
+    assert len(wire.measure(CASE, Path("x"), None, 1000, 99, 1.0)) == 3
+    assert len(wire.measure(CASE, Path("x"), None, 1000, 2, 1.0)) == 2
+
+
+def test_a_run_by_both_commands(tmp_path):
+    """How many cycles are missed is the machine's affair; that they are counted is not."""
+    file = tmp_path / "run.toml"
+    config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
+    file.write_text(wire.scenario_text(config.scenario, 250, 100, 0) + "[wire]\nhold_ticks = 50\n")
+    found = wire.run_once(Case("python", 250, "quiet"), file, None, 120.0)
+    assert found.clean
+    assert len(found.round_us) == len(found.wake_us) == len(found.control_us)
+    assert np.isnan(found.control_us).sum() == found.missed
+    assert (np.isfinite(found.control_us) <= (found.round_us > 0.0)).all()
+    assert set(found.system) == {"plant", "controller"}
+    assert {"scheduling", "memory"} <= set(found.system["plant"])
+    if found.ended == "completed":
+        assert len(found.round_us) == 100
+
+
+def test_a_process_that_fails_is_an_error_and_not_a_figure(tmp_path, monkeypatch):
+    file = tmp_path / "run.toml"
+    file.write_text("no = 1\n")
+    with pytest.raises(RealtimeError, match="did not start"):
+        wire.run_once(CASE, file, None, 60.0)
+    file.write_text("duration_s = 0.1\nbound_samples = 0\n[wire]\nwait_s = 1.0\n")
+    with pytest.raises(RealtimeError, match="no controller came"):
+        wire.run_once(CASE, file, Path(sys.executable), 60.0)  # exits at once: 127.0.0.1 is no script

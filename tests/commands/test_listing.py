@@ -1,0 +1,56 @@
+"""The lists name everything that a scenario may name."""
+
+import json
+
+import pytest
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.robots import available_robots
+from moc_opt.tasks import CURVES
+from moc_opt.trace.metrics import METRICS
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        (["robots"], available_robots),
+        (["tasks"], lambda: [*CURVES, "waypoints"]),
+        (["metrics"], lambda: METRICS),
+        (["solvers", "--list"], mo.solvers.available),
+    ],
+)
+def test_a_list_has_every_name(capsys, command, expected):
+    assert main([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(expected()) <= set(found)
+    assert main(command) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in found)
+
+
+def test_what_a_list_says_is_so(capsys):
+    main(["tasks", "--json"])
+    assert json.loads(capsys.readouterr().out)["spiral"]["sizes"] == "turns = 2, radius = 0.03"
+    main(["metrics", "--json"])
+    assert json.loads(capsys.readouterr().out)["mu_mean"]["unit"] == "m^3"
+    main(["robots", "--json"])
+    assert json.loads(capsys.readouterr().out)["lwr4_rail"]["joints"] == 8
+    main(["solvers", "--list", "--json"])
+    assert json.loads(capsys.readouterr().out)["exact"]["here"] == "yes"
+
+
+def test_the_version_is_printed(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"moc-opt {mo.__version__}\n"
+
+
+def test_an_unknown_option_is_refused_everywhere_but_in_the_study(capsys):
+    with pytest.raises(SystemExit):
+        main(["run", "--sede=3"])
+    assert "unrecognized arguments: --sede=3" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["solvers", "--list", "--quick"])
+    assert "--quick" in capsys.readouterr().err

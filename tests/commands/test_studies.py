@@ -1,0 +1,73 @@
+"""moc-opt compare, and the study behind moc-opt solvers."""
+
+import csv
+import json
+import sys
+import types
+
+import pytest
+
+from moc_opt.__main__ import main
+from moc_opt.commands import studies
+
+
+@pytest.fixture
+def brief(tmp_path):
+    file = tmp_path / "brief.toml"
+    file.write_text("duration_s = 0.02\nbound_samples = 0\n", encoding="utf-8")
+    return str(file)
+
+
+def test_compare_prints_every_solver_and_writes_every_run(capsys, brief, tmp_path):
+    rows = tmp_path / "rows.csv"
+    assert main(["compare", "exact", "rnn", "--scenario", brief, "--trials", "2", "--out", str(rows)]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in ("dcac", "exact", "rnn"))
+    with rows.open(encoding="utf-8") as file:
+        found = list(csv.DictReader(file))
+    assert [(row["solver"], row["seed"]) for row in found] == [
+        (name, seed) for seed in "01" for name in ("dcac", "exact", "rnn")
+    ]
+    assert all(float(row["mu_mean"]) > 0.0 for row in found)
+
+
+def test_compare_prints_json_with_intervals(capsys, brief):
+    assert main(["compare", "exact", "--scenario", brief, "--trials", "2", "--seed", "3", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["exact"]["trials"] == 2
+    assert found["exact"]["mu_mean"]["samples"] == 2
+    assert found["exact"]["mu_mean"]["low"] <= found["exact"]["mu_mean"]["value"]
+
+
+def test_where_the_rows_cannot_go_is_said_before_anything_runs(capsys, brief, tmp_path, monkeypatch):
+    monkeypatch.setattr("moc_opt.comparison.compare.compare", lambda *a, **k: pytest.fail("it ran"))
+    assert main(["compare", "exact", "--scenario", brief, "--out", str(tmp_path)]) == 2
+    assert "a folder, pipe or device is there" in capsys.readouterr().err
+
+
+def test_an_unknown_solver_is_named(capsys, brief):
+    assert main(["compare", "exakt", "--scenario", brief]) == 2
+    assert "did you mean 'exact'" in capsys.readouterr().err
+
+
+def test_the_study_gets_its_own_arguments(monkeypatch):
+    asked = []
+    module = types.ModuleType("benchmarks.solvers")
+    module.main = lambda arguments: asked.append(arguments) or 7
+    monkeypatch.setitem(sys.modules, "benchmarks.solvers", module)
+    assert main(["solvers", "--quick", "--out", "here", "--json"]) == 7
+    assert asked == [["--quick", "--out", "here", "--json"]]
+
+
+def test_another_package_of_that_name_is_told_apart(monkeypatch, capsys):
+    other = types.ModuleType("benchmarks")
+    other.__file__ = "/elsewhere/benchmarks/__init__.py"
+    monkeypatch.setitem(sys.modules, "benchmarks", other)
+    assert main(["solvers", "--quick"]) == 2
+    assert "another package is called 'benchmarks' here (/elsewhere/" in capsys.readouterr().err
+
+
+def test_a_missing_package_is_named(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, studies.STUDIES, None)
+    assert main(["solvers"]) == 2
+    assert "'benchmarks' is not installed" in capsys.readouterr().err

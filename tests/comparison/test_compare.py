@@ -1,0 +1,126 @@
+"""Solvers on the same trials: who stands in the table, with which trials, means and intervals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.comparison.compare import Comparison
+from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
+from moc_opt.solvers.base import Solution, Status
+
+
+@dataclasses.dataclass(frozen=True)
+class Standing:
+    """Claims that standing still is optimal, whatever is asked."""
+
+    name = "standing"
+
+    def supports(self, qp):
+        return None
+
+    def start(self, qp):
+        return self
+
+    def solve(self, qp):
+        return Solution(np.zeros(len(qp.lower)), None, Status.SOLVED)
+
+
+SHORT = mo.Scenario(duration_s=0.3, bound_samples=0)
+
+
+@pytest.fixture(scope="module")
+def found():
+    said = []
+    found = mo.compare(["exact", Standing()], SHORT, trials=2, seed=4, watch=said.append)
+    assert said[0] == "trial 1 of 2, dcac"
+    assert len(said) == 6
+    return found
+
+
+def test_every_solver_and_dcac_run_the_same_trials(found):
+    assert found.solvers == ["dcac", "exact", "standing"]
+    assert [(row["solver"], row["seed"]) for row in found.rows] == [
+        (name, seed) for seed in (4, 5) for name in found.solvers
+    ]
+    starts = {row["seed"]: [] for row in found.rows}
+    for row in found.rows:
+        starts[row["seed"]].append(row["mu_mean"])
+    for values in starts.values():  # the same pose at the start: within 0.3 s nobody is far from it
+        assert np.ptp(values) < 0.05 * np.mean(values)
+    assert abs(np.mean(starts[4]) - np.mean(starts[5])) > 1e-3
+
+
+def test_an_instance_is_asked_and_its_claims_are_judged(found):
+    exact, standing = (found.summary()[name] for name in ("exact", "standing"))
+    assert exact["verified"] == 100.0
+    assert exact["silently_wrong"] == 0
+    assert standing["verified"] < 100.0
+    assert "verified" not in found.summary()["dcac"]
+
+
+def test_a_run_is_the_one_that_run_makes(found):
+    trial = SHORT.change(seed=4, start={"pose": "random", "swivel": "random"})
+    trace = mo.run(trial)
+    (row,) = (row for row in found.rows if row["solver"] == "exact" and row["seed"] == 4)
+    assert row["mu_mean"] == pytest.approx(mo.summarize(trace)["mu_mean"], rel=1e-6)
+
+
+def test_means_and_changes_are_those_of_the_rows(found):
+    mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
+    assert found.mean("exact", "mu_mean").value == pytest.approx(np.mean(mine))
+    assert found.mean("exact", "mu_mean").samples == 2
+    assert found.change("exact", "mu_mean").value == pytest.approx(100 * (np.mean(mine) / np.mean(base) - 1))
+
+
+def test_the_table_the_plot_and_pandas_show_every_solver(found):
+    text = repr(found)
+    assert all(name in text for name in found.solvers)
+    assert "[" in text.split("exact")[1].splitlines()[0]  # an interval
+    assert "Standing" not in text
+    assert [row["trials"] for row in found.table.rows] == ["2", "2", "2"]
+    assert "<th" in found._repr_html_()
+    frame = found.to_pandas()
+    assert len(frame) == 6
+    assert {"solver", "seed", "ended", "mu_mean"} <= set(frame.columns)
+    assert len(found.plot("mu_mean").data) == 3
+    with pytest.raises(UnknownNameError, match="unknown metric 'mu_maen': did you mean 'mu_mean'"):
+        found.plot("mu_maen")
+
+
+def test_runs_that_broke_off_are_counted_and_enter_no_mean():
+    rows = [
+        {"solver": name, "seed": seed, "ended": ended, "asked": 0, "mu_mean": mu}
+        for name, seed, ended, mu in (
+            ("dcac", 0, "completed", 0.2), ("dcac", 1, "completed", 0.2), ("exact", 0, "stopped: off", 9.0),
+            ("exact", 1, "oscillated: joint_3", 0.3),
+        )
+    ]  # fmt: skip
+    found = Comparison(rows, ["dcac", "exact"], SHORT)
+    assert found.mean("exact", "mu_mean").value == pytest.approx(0.3)
+    assert found.change("exact", "mu_mean").value == pytest.approx(50.0)
+    assert [row["trials"] for row in found.table.rows] == ["2", "1 of 2"]
+    assert "oscillated" in found.table.to_text()
+
+
+@pytest.mark.parametrize(
+    ("solvers", "more", "error", "message"),
+    [
+        (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
+        ("exact", {}, SolverError, r"give a list, \['exact'\]"),
+        ([], {}, SolverError, "no solver to compare"),
+        ([Standing(), Standing()], {}, SolverError, "two solvers are called 'standing': give a mapping"),
+        ([object()], {}, SolverError, "is no solver: it needs a name"),
+        (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give one trial or more"),
+        (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, error, message):
+    with pytest.raises(error, match=message):
+        mo.compare(solvers, **more)
+
+
+def test_a_mapping_names_its_solvers():
+    found = mo.compare({"own": Standing(), "other": "exact"}, mo.Scenario(duration_s=0.02, bound_samples=0), trials=1)
+    assert found.solvers == ["dcac", "own", "other"]

@@ -1,0 +1,118 @@
+"""The compiled residuals against their definition, whatever the answer, and what they leave to it."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from moc_opt.qp import residual_kernels as kernels
+from moc_opt.qp.problem import compute_residuals, fields
+from moc_opt.qp.residuals import FEASIBLE
+from moc_opt.solvers.exact.solver import Exact
+from tests.hard_problems import hard_problems, nearly_singular, rounded
+from tests.problems import random_problem
+
+
+def spoilt(rng, qp, x, kind):
+    """An answer of one kind: right, near, far, on the line of self-motion, at a corner of the box, outside, or none."""
+    line = np.linalg.svd(qp.A)[2][-1]
+    return {
+        "right": x, "near": x + 10.0 ** rng.uniform(-10, -3) * rng.normal(size=qp.n),
+        "slid": x + rng.normal() * line, "corner": np.where(rng.uniform(size=qp.n) < 0.5, qp.lower, qp.upper),
+        "outside": 3.0 * rng.normal(size=qp.n), "none": np.where(np.arange(qp.n) == 2, np.nan, x),
+    }[kind]  # fmt: skip
+
+
+KINDS = ("right", "near", "slid", "corner", "outside", "none")
+
+
+def cases(seed, n=7, structured=True, each=40, change=lambda qp: qp):
+    """Rows, answers and duals: every kind of answer, a third without duals, rho from 0 up, a tenth infeasible."""
+    rng, found = np.random.default_rng(seed), []
+    for k in range(each * len(KINDS)):
+        qp = change(random_problem(
+            rng, n, structured=structured, feasible=k % 10 != 3, regularization=float(rng.choice([0.0, 1e-5, 1e-2]))
+        ))  # fmt: skip
+        x, y, *_ = Exact().start(qp).solve(qp)
+        x = np.where(np.isfinite(x), x, 0.5 * (qp.lower + qp.upper))
+        y = np.full(6, np.nan) if k % 3 == 0 or y is None else y + (k % 2) * rng.normal(size=6)
+        found.append((qp.row, spoilt(rng, qp, x, KINDS[k % len(KINDS)]), y))
+    return [np.array(column) for column in zip(*found, strict=True)]
+
+
+def assert_equal(found, expected):
+    for name, mine, theirs in zip(expected._fields, found, expected, strict=True):
+        np.testing.assert_array_equal(np.isinf(mine), np.isinf(theirs), err_msg=name)
+        there = np.isfinite(theirs)
+        np.testing.assert_allclose(mine[there], theirs[there], rtol=1e-9, atol=1e-11, err_msg=name)
+    np.testing.assert_array_equal(found.verified(), expected.verified())
+
+
+@pytest.mark.parametrize(("n", "structured"), [(7, True), (6, True), (7, False), (8, False)])
+def test_equal_to_the_definition(n, structured):
+    given = cases(n, n, structured)
+    expected = compute_residuals(*given)
+    assert 0.05 < expected.verified().mean() < 0.5  # both kinds of answers are there
+    assert_equal(kernels.batch_residuals(*given), expected)
+
+
+def judged(rows, x, y):
+    found = np.full((len(x), 6), np.nan)
+    return kernels.judge(rows, x, y, found), found
+
+
+def test_all_of_one_freedom_is_compiled():
+    done, found = judged(*cases(1))
+    assert done.all()
+    assert not np.isnan(found).any()
+
+
+def test_what_has_several_freedoms_is_left_to_the_definition():
+    done, _ = judged(*cases(2, 8, structured=False))
+    x = cases(2, 8, structured=False)[1]
+    np.testing.assert_array_equal(done, ~np.isfinite(x).all(axis=1))  # of no answer nothing is left to ask
+
+
+@pytest.mark.parametrize("change", [partial(rounded, decimals=7), partial(nearly_singular, size=1e-9)])
+def test_a_rank_that_is_not_plain_is_left_to_the_definition(change):
+    given = cases(3, change=change, each=10)
+    done, _ = judged(*given)
+    assert not done[np.isfinite(given[1]).all(axis=1)].any()
+    assert_equal(kernels.batch_residuals(*given), compute_residuals(*given))
+
+
+def test_equal_at_the_edge_of_what_can_be_computed():
+    """Rounded, nearly singular, huge and tiny problems; what is missed by rounding grows with the problem's numbers."""
+    rng = np.random.default_rng(7)
+    problems = [qp for qp in hard_problems() if np.abs(qp.row[: 9 * qp.n + 6]).max() < 1e4]
+    x = np.array([np.clip(np.linalg.lstsq(qp.A, qp.b, rcond=1e-9)[0], qp.lower, qp.upper) for qp in problems])
+    rows, y = np.array([qp.row for qp in problems]), rng.normal(size=(len(x), 6))
+    assert len(problems) > 80
+    assert_equal(kernels.batch_residuals(rows, x, y), compute_residuals(rows, x, y))
+
+
+def test_ticks_without_a_subproblem():
+    """Rows of zeros, as a trace has them after a stop, beside sound ones."""
+    rows, x, y = cases(5, each=2)
+    rows[::2], x[::2], y[::2] = 0.0, np.nan, np.nan
+    assert_equal(kernels.batch_residuals(rows, x, y), compute_residuals(rows, x, y))
+    assert all(len(figure) == 0 for figure in kernels.batch_residuals(rows[:0], x[:0], y[:0]))
+
+
+@pytest.mark.parametrize("gap", [0.5 * FEASIBLE, -0.5 * FEASIBLE, 5.0 * FEASIBLE])
+def test_a_box_that_the_line_only_touches(gap):
+    """The feasible interval is one point: reached, missed by less than the tolerance, or missed."""
+    rng, found = np.random.default_rng(6), []
+    for _ in range(20):
+        qp = random_problem(rng)
+        x = Exact().start(qp).solve(qp).x
+        part = fields(row := np.array(qp.row))
+        line = np.linalg.svd(qp.A)[2][-1]
+        for j, side in ((int(np.argmax(np.abs(line[:6]))), 1.0), (int(np.argsort(np.abs(line[:6]))[-2]), -1.0)):
+            bound = part.upper if side * line[j] > 0.0 else part.lower
+            bound[j] = x[j] - np.sign(line[j]) * side * gap
+        part.lower[:], part.upper[:] = np.minimum(part.lower, part.upper), np.maximum(part.lower, part.upper)
+        found.append((row, x, np.full(6, np.nan)))
+    given = [np.array(column) for column in zip(*found, strict=True)]
+    assert judged(*given)[0].all()
+    assert_equal(kernels.batch_residuals(*given), compute_residuals(*given))

@@ -1,0 +1,97 @@
+"""A relay between the two ends of a wire that loses, repeats, exchanges, cuts and falsifies packets, by a seed."""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from moc_opt.realtime.packets import Kind
+
+Rule = Callable[[Kind, int], bool]
+TO_PLANT, TO_CONTROLLER = 0, 1
+FAULTS = ("drop", "double", "swap", "cut", "forge")
+
+
+class Relay:
+    """Listens for a controller and passes everything on to the plant, and back; a context manager.
+
+    Args:
+        plant: address of the plant.
+        share: of the packets, for each of FAULTS.
+        lost: (kind, sequence number) -> whether such a packet is lost for good.
+        seed: of what happens to which packet.
+    """
+
+    def __init__(
+        self, plant: tuple[str, int], share: float = 0.0, lost: Rule = lambda kind, number: False, seed: int = 0
+    ) -> None:
+        self._plant, self._share, self._lost = plant, share, lost
+        self._rng = np.random.default_rng(seed)
+        self._ends = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+        for end in self._ends:
+            end.bind(("127.0.0.1", 0))
+        self._controller: tuple[str, int] | None = None
+        self._held: list[bytes | None] = [None, None]
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self.done: list[Counter[str]] = [Counter(), Counter()]  # what was done in either direction
+
+    @property
+    def address(self) -> str:
+        """Where the controller is to connect to."""
+        return "{}:{}".format(*self._ends[0].getsockname())
+
+    def __enter__(self) -> Relay:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+        for end in self._ends:
+            end.close()
+
+    def _run(self) -> None:
+        while not self._over.is_set():
+            for end in select.select(self._ends, [], [], 0.05)[0]:
+                data, sender = end.recvfrom(4096)
+                way = self._ends.index(end)
+                if way == TO_PLANT:
+                    self._controller = sender
+                self._pass_on(data, way)
+
+    def _pass_on(self, data: bytes, way: int) -> None:
+        kind, number = Kind(data[5]), int.from_bytes(data[24:32], "little")
+        if self._lost(kind, number):
+            self.done[way]["lost"] += 1
+            return
+        draw = self._rng.uniform()
+        fault = int(draw / self._share) if self._share > 0.0 else len(FAULTS)
+        name = FAULTS[fault] if fault < len(FAULTS) else ""
+        self.done[way][name] += 1
+        held, self._held[way] = self._held[way], None
+        if name == "swap" and held is None:
+            self._held[way] = data  # goes out after the next one
+            return
+        if name == "cut":
+            self._send(data[: len(data) // 2], way)
+        elif name == "forge":
+            at = int(self._rng.integers(0, len(data)))
+            at += at == 5  # another kind has another size: that one would count as cut
+            self._send(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :], way)
+        elif name != "drop":
+            self._send(data, way)
+        if name == "double":
+            self._send(data, way)
+        if held is not None:
+            self._send(held, way)
+
+    def _send(self, data: bytes, way: int) -> None:
+        target = self._plant if way == TO_PLANT else self._controller
+        if target is not None:
+            self._ends[1 - way].sendto(data, target)

@@ -1,0 +1,82 @@
+"""The clock against a clock of the test: no test waits for the wall's."""
+
+from __future__ import annotations
+
+import pytest
+
+from moc_opt.realtime import clock
+from moc_opt.realtime.clock import WallClock, ask_for_realtime
+
+T = 0.002
+
+
+@pytest.fixture
+def wall(monkeypatch):
+    """What the time is, and how much later than asked a sleep ends."""
+    now = {"s": 100.0, "oversleep": 0.0}
+
+    def sleep(seconds):
+        assert seconds > 0.0
+        now["s"] += seconds + now["oversleep"]
+
+    monkeypatch.setattr(clock, "monotonic", lambda: now["s"])
+    monkeypatch.setattr(clock, "sleep", sleep)
+    return now
+
+
+def test_ticks_begin_at_fixed_times_whatever_they_take(wall):
+    time = WallClock(T)
+    time.start()
+    for tick in range(50):
+        until = time.wait_for(tick)
+        assert wall["s"] == pytest.approx(100.0 + (1 + tick) * T)
+        assert until == pytest.approx(wall["s"] + T)
+        assert time.spare_until < until
+        wall["s"] += T * (0.1 + 0.8 * (tick % 2))
+    assert time.overruns == 0
+
+
+def test_a_late_tick_leaves_the_controller_its_period_and_the_next_ones_their_times(wall):
+    time = WallClock(T)
+    time.start()
+    wall["oversleep"] = 0.5 * T
+    assert time.wait_for(0) == pytest.approx(100.0 + 2.5 * T)
+    assert time.late_us == pytest.approx(1e6 * 0.5 * T)
+    wall["oversleep"] = 0.0
+    time.wait_for(1)
+    assert wall["s"] == pytest.approx(100.0 + 2 * T)
+    assert time.overruns == 0
+
+
+def test_a_stall_of_the_plant_moves_all_later_ticks_and_is_counted(wall):
+    time = WallClock(T)
+    time.start()
+    time.wait_for(0)
+    wall["s"] += 10 * T
+    time.wait_for(1)
+    assert (time.overruns, time.late_us) == (1, pytest.approx(1e6 * 9 * T))
+    begin = wall["s"]
+    time.wait_for(2)
+    assert wall["s"] == pytest.approx(begin + T)
+    assert time.overruns == 1
+
+
+def test_what_is_not_permitted_is_said(monkeypatch):
+    def refuse(*arguments):
+        raise PermissionError(1, "Operation not permitted")
+
+    class Libc:
+        @staticmethod
+        def mlockall(flags):
+            return -1
+
+        @staticmethod
+        def prctl(*arguments):
+            return 0
+
+    monkeypatch.setattr(clock.os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(clock.ctypes, "CDLL", lambda *a, **k: Libc)
+    found = ask_for_realtime()
+    assert "Operation not permitted" in found["scheduling"]
+    assert found["memory"].startswith("not locked")
+    assert found["timers"] == "slack 1 ns"

@@ -1,0 +1,190 @@
+"""The plant's end, with packets that are there before it looks: no thread and no clock."""
+
+from __future__ import annotations
+
+import socket
+
+import numpy as np
+import pytest
+
+from moc_opt.control.safety_settings import SafetyFilterSettings
+from moc_opt.realtime.key import WireError
+from moc_opt.realtime.link import Link
+from moc_opt.realtime.packets import RUNNING, STOP, Kind, Packet
+from moc_opt.realtime.remote import INCOMING, RemoteController
+from moc_opt.realtime.settings import WireSettings
+from moc_opt.scenario import Scenario, make_safety_filter
+from moc_opt.sim.sensors import Measurement
+
+KEY = b"k" * 16
+SETTINGS = WireSettings(hold_ticks=2, damp_ticks=3, wait_s=0.01)
+
+
+class NoTime:
+    """A clock whose ticks are over as soon as they begin: only what has arrived already counts."""
+
+    late_us, overruns, spare_until = 0.0, 0, 0.0
+
+    def start(self) -> None:
+        pass
+
+    def wait_for(self, tick: int) -> float:
+        return 0.0
+
+
+class Peer:
+    """The controller, played by the test."""
+
+    def __init__(self, robot, clock=None) -> None:
+        self.n = robot.n
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.link = Link(self.n, KEY, INCOMING, listen=("127.0.0.1", 0))
+        guard = make_safety_filter(robot, Scenario(guard=SafetyFilterSettings().model_dump()))
+        self.hold = robot.gravity(robot.data.q_home)
+        self.plant = RemoteController(
+            self.link, SETTINGS, guard, lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, 9,
+            NoTime() if clock is None else clock,
+        )  # fmt: skip
+        self.columns = self.plant.columns(50)
+        self.session = int(self.plant._packet["session"])
+        self.seen = Measurement(np.array(robot.data.q_home), np.zeros(self.n), np.zeros(6))
+        self.k = 0
+
+    def say(self, kind: Kind, number: int = 0, **values) -> None:
+        packet = Packet(kind, self.n, 0 if kind is Kind.HELLO else self.session, 9)
+        for name, value in ({"sequence": number} | values).items():
+            packet[name] = value
+        self.socket.sendto(packet.seal(KEY), self.link.address)
+
+    def start(self) -> None:
+        self.say(Kind.HELLO)
+        self.say(Kind.START)
+        self.plant.start(self.seen, np.zeros((3, 3)), np.zeros((2, 3)))
+
+    def tick(self, v=0.0):
+        self.plant.pace(self.k)
+        seen = self.seen._replace(v=np.full(self.n, v), stamp=self.k)
+        tau = self.plant.tick(seen, np.zeros((3, 3)), np.zeros((2, 3)))
+        self.plant.note(self.k, self.columns)
+        self.k += 1
+        return tau
+
+    def heard(self) -> Packet:
+        packet = Packet(Kind.MEASUREMENT, self.n)
+        packet.buffer[:] = self.socket.recv(4096)
+        return packet
+
+
+@pytest.fixture
+def peer(robot):
+    made = Peer(robot)
+    yield made
+    made.socket.close()
+    made.link.close()
+
+
+def test_a_run_begins_with_a_handshake(peer):
+    peer.start()
+    shown = peer.heard()
+    assert shown["flags"] == 0
+    assert shown["sequence"] == 0
+    assert shown["scenario"] == 9
+    np.testing.assert_array_equal(shown["q"], peer.seen.q)
+    np.testing.assert_array_equal(shown["commanded"], peer.hold)
+    assert peer.link.peer == ("127.0.0.1", peer.socket.getsockname()[1])
+
+
+def test_start_of_another_session_begins_nothing(peer):
+    peer.say(Kind.HELLO)
+    peer.say(Kind.START, session=peer.session ^ 1)
+    peer.say(Kind.COMMAND)
+    with pytest.raises(WireError, match="no controller came"):
+        peer.plant.start(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))
+    assert peer.link.quality.foreign == 2
+
+
+def test_commands_are_followed_and_every_fault_has_its_count(peer):
+    peer.start()
+    ones, quality = np.ones(peer.n), peer.link.quality
+    peer.say(Kind.COMMAND, 0, tau=ones, limited=3, control_us=12.0)
+    np.testing.assert_array_equal(peer.tick(), ones)
+    assert peer.plant.limited == 3
+    assert peer.columns["control_us"][0] == 12.0
+    assert (quality.received, quality.missed) == (1, 0)
+    np.testing.assert_array_equal(peer.tick(), ones)  # no command for tick 1: held
+    assert quality.missed == 1
+    assert peer.columns["missed"][:2].tolist() == [False, True]
+    peer.say(Kind.COMMAND, 1, tau=7 * ones)  # late: not followed
+    peer.say(Kind.COMMAND, 4, tau=7 * ones)  # of a tick to come
+    peer.say(Kind.COMMAND, 2, tau=np.nan * ones)
+    np.testing.assert_array_equal(peer.tick(), ones)
+    assert (quality.late, quality.foreign, quality.missed) == (1, 2, 2)
+    peer.say(Kind.COMMAND, 3, tau=2 * ones)
+    peer.say(Kind.COMMAND, 3, tau=3 * ones)  # again, and otherwise
+    np.testing.assert_array_equal(peer.tick(), 2 * ones)
+    np.testing.assert_array_equal(peer.tick(), 2 * ones)
+    assert (quality.doubled, quality.missed) == (1, 3)
+    peer.say(Kind.COMMAND, 5, tau=5 * ones)
+    peer.say(Kind.COMMAND, 4, tau=4 * ones)  # after a newer one
+    np.testing.assert_array_equal(peer.tick(), 5 * ones)
+    peer.tick()
+    assert (quality.reordered, quality.received) == (1, 3)
+    for _ in range(8):
+        shown = peer.heard()
+    assert shown["flags"] == RUNNING
+    assert shown["sequence"] == 6
+    np.testing.assert_array_equal(shown["commanded"], 5 * ones)
+    assert shown["counters"].tolist() == [3, 3, 1, 1, 0, 0, 0, 2]
+
+
+def test_the_watchdog_holds_then_damps_then_brakes(peer):
+    peer.start()
+    ones = np.ones(peer.n)
+    peer.say(Kind.COMMAND, 0, tau=ones)
+    peer.tick()
+    for _ in range(SETTINGS.hold_ticks):
+        np.testing.assert_array_equal(peer.tick(v=0.1), ones)
+    for k in range(SETTINGS.damp_ticks):
+        tau = peer.tick(v=0.1)
+        assert peer.plant.stop_reason == ""
+        step = 0.002 * SafetyFilterSettings().torque_rate_Nm_per_s
+        if (np.abs(peer.hold - 1.0) < step).all() and k == 0:
+            np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)  # weight less 5 Nm s/rad times 0.1 rad/s
+    np.testing.assert_allclose(tau, peer.hold - 0.5, atol=1e-9)
+    peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
+    np.testing.assert_array_equal(peer.tick(), 3 * ones)  # a command in time: followed again
+    for _ in range(SETTINGS.hold_ticks + SETTINGS.damp_ticks + 1):
+        tau = peer.tick()
+    assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
+    assert (peer.plant.brake_friction(peer.seen) > 0.0).all()
+    peer.say(Kind.COMMAND, peer.k, tau=3 * ones)
+    np.testing.assert_allclose(peer.tick(), peer.hold, atol=1e-9)  # brakes stay closed
+    assert peer.plant.stop_reason == "no command from the controller for 6 ticks"
+
+
+def test_what_the_controller_stops_stays_stopped(peer):
+    peer.start()
+    ones = np.ones(peer.n)
+    peer.say(Kind.COMMAND, 0, tau=ones, flags=STOP, reason=b"because", friction=2 * ones)
+    peer.tick()
+    peer.say(Kind.COMMAND, 1, tau=ones, friction=3 * ones)
+    peer.tick()
+    assert peer.plant.stop_reason == "because"
+    np.testing.assert_array_equal(peer.plant.brake_friction(peer.seen), 3 * ones)
+
+
+def test_reports_fill_their_own_row_whenever_they_come(peer):
+    peer.start()
+    for k in range(3):
+        peer.say(Kind.COMMAND, k)
+        peer.tick()
+    peer.say(Kind.REPORT, 2, solve_us=2.0)
+    peer.say(Kind.REPORT, 0, solve_us=0.5)  # reordered: not taken
+    peer.say(Kind.REPORT, 40, solve_us=0.5)  # of a tick to come
+    peer.tick()
+    np.testing.assert_array_equal(peer.columns["solve_us"][:4], [np.nan, np.nan, 2.0, np.nan])
+
+
+def test_tick_before_start_is_refused(peer):
+    with pytest.raises(WireError, match="before start"):
+        peer.plant.tick(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))

@@ -1,0 +1,117 @@
+"""What a scenario writes is what it is: the file it saves loads as the same scenario."""
+
+import typing
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import moc_opt as mo
+from moc_opt.errors import ScenarioError
+from moc_opt.inputs.settings import Settings
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.saving import changes
+
+POSITIVE = st.floats(1e-6, 90.0)
+NOT_NEGATIVE = st.just(0.0) | POSITIVE
+NAMES = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,8}[A-Za-z0-9_]", fullmatch=True).filter(lambda s: ".." not in s)
+TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+FINITE = st.floats(1e-20, 1e6) | st.integers(-9, 9) | st.booleans() | TEXT
+CONTROL = st.fixed_dictionaries(
+    {},
+    optional={
+        "preset": st.sampled_from(["paper", "tuned", "robust"]),
+        "K_N2": st.floats(0.1, 200.0) | st.lists(NOT_NEGATIVE, min_size=7, max_size=7),
+        "gains": st.sampled_from([None, "moc", "default"]),
+        "rcm_lambda": st.none() | st.floats(0.1, 1.0),
+        "regularization": st.floats(1e-9, 1.0),
+        "fallback": st.sampled_from(["damping", "hold"]),
+        "supervisor": st.fixed_dictionaries({}, optional={"budget_us": st.floats(1.0, 1e4)}),
+    },
+)
+PLANT = st.fixed_dictionaries(
+    {},
+    optional={
+        "preset": st.sampled_from(["nominal", "realistic"]),
+        "friction": st.floats(1e-6, 3.0),
+        "delay_ticks": st.integers(0, 4),
+        "gravity": st.booleans(),
+    },
+)
+SCENARIOS = st.fixed_dictionaries(
+    {},
+    optional={
+        "name": NAMES,
+        "seed": st.integers(0, 2**63 - 1),
+        "duration_s": st.none() | st.floats(0.01, 100.0),
+        "control": CONTROL,
+        "plant": PLANT,
+        "task": st.fixed_dictionaries({"path": st.sampled_from(["line", "spiral"])}, optional={
+            "sizes": st.dictionaries(st.sampled_from(["length", "radius"]), st.floats(0.01, 0.1)),
+            "heading": st.tuples(*[st.floats(0.1, 1.0)] * 3),
+        }),
+        "solver": st.fixed_dictionaries({"name": NAMES}, optional={
+            "settings": st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
+            "replay_us": st.none() | st.lists(NOT_NEGATIVE, max_size=3),
+        }),
+        "guard": st.fixed_dictionaries({}, optional={"position_margin_rad": st.floats(0.001, 0.1)}),
+    },
+)  # fmt: skip
+
+
+@settings(max_examples=150)
+@given(SCENARIOS)
+def test_what_is_saved_loads_as_the_same(tmp_path_factory, values):
+    scenario = Scenario(**values)
+    file = tmp_path_factory.mktemp("saved") / "scenario.toml"
+    scenario.save(file)
+    assert Scenario.load(file) == scenario
+    assert eval(repr(scenario), {"Scenario": Scenario}) == scenario
+
+
+def test_only_what_differs_is_written(tmp_path):
+    scenario = Scenario(seed=3, control={"preset": "tuned", "K_N2": 20.0}, plant={"preset": "nominal"})
+    assert changes(scenario) == {
+        "seed": 3, "control": {"preset": "tuned", "K_N2": 20.0}, "plant": {"preset": "nominal"},
+    }  # fmt: skip
+    Scenario().save(tmp_path / "a.toml")
+    assert (tmp_path / "a.toml").read_text(encoding="utf-8").strip() == ""
+    assert repr(Scenario()) == "Scenario()"
+    assert "tuned" in scenario._repr_html_()
+
+
+def optional_fields(kind=Scenario, path=""):
+    """(path, default) of every field that may be None."""
+    for name, field in kind.model_fields.items():
+        inside = field.annotation
+        if isinstance(inside, type) and issubclass(inside, Settings):
+            yield from optional_fields(inside, f"{path}{name}.")
+        elif type(None) in typing.get_args(inside):
+            yield f"{path}{name}", field.default
+
+
+def test_every_limit_that_can_be_lifted_can_be_saved_lifted(tmp_path):
+    lifted = [name for name, default in optional_fields() if default is not None]
+    assert "control.gains" in lifted
+    assert any(name.startswith("guard.") for name in lifted)
+    for name in lifted:
+        table, _, key = name.partition(".")
+        scenario = Scenario(**{table: {key: None}})
+        scenario.save(tmp_path / "lifted.toml")
+        assert Scenario.load(tmp_path / "lifted.toml") == scenario, name
+
+
+def test_a_robot_s_own_file_is_found_from_anywhere(tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    Scenario(robot={"name": "my.toml"}).save("elsewhere/a.toml")
+    assert Scenario.load("elsewhere/a.toml").robot.name == str(tmp_path / "my.toml")
+
+
+def test_what_has_no_form_in_toml_is_named(tmp_path):
+    scenario = Scenario(solver={"name": "osqp", "settings": {"kinematics": object()}})
+    with pytest.raises(ScenarioError, match=r"solver.settings.kinematics = <object .* has no form in TOML"):
+        scenario.save(tmp_path / "a.toml")
+    assert not (tmp_path / "a.toml").exists()
+    with pytest.raises(ScenarioError, match=r"cannot be written: .*give another path"):
+        mo.Scenario(seed=1).save(tmp_path / "no" / "such" / "a.toml")

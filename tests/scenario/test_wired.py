@@ -1,0 +1,209 @@
+"""A run over the wire is the simulated run; what happens to packets is counted, and the arm survives it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from moc_opt.__main__ import main
+from moc_opt.realtime.answering import Ending
+from moc_opt.realtime.key import WireError
+from moc_opt.realtime.packets import Kind
+from moc_opt.scenario import Scenario, run
+from moc_opt.scenario.wired import PlantServer, answer, fingerprint
+from moc_opt.trace.trace import Trace
+from tests.realtime.relay import TO_CONTROLLER, TO_PLANT, Relay
+
+SHORT: dict[str, Any] = {"duration_s": 0.6, "bound_samples": 0}
+CLOCKS = {"tick_us", "solve_us"}
+WIRE_COLUMNS = {"wake_us", "control_us", "missed"}
+
+
+def wired(scenario: Scenario, relayed: dict[str, Any] | None = None) -> tuple[Trace, Ending, Relay | None]:
+    """A run in lock-step, its controller in a thread of its own, directly or through a relay."""
+    plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
+    with ThreadPoolExecutor(1) as pool:
+        if relayed is None:
+            controller = pool.submit(answer, scenario, "{}:{}".format(*plant.address))
+            return plant.trace(), controller.result(), None
+        with Relay(plant.address, **relayed) as relay:
+            controller = pool.submit(answer, scenario, relay.address)
+            return plant.trace(), controller.result(), relay
+
+
+def assert_same(found: Trace, expected: Trace) -> None:
+    """All columns but the clock's, to rounding."""
+    assert set(found.columns) == set(expected.columns) | WIRE_COLUMNS
+    assert found.meta["ended"] == expected.meta["ended"]
+    for name, column in expected.columns.items():
+        if name in CLOCKS:
+            continue
+        if column.dtype.kind == "f":
+            np.testing.assert_allclose(found.columns[name], column, rtol=1e-12, atol=1e-12, err_msg=name)
+        else:
+            np.testing.assert_array_equal(found.columns[name], column, err_msg=name)
+
+
+RUNS: dict[str, dict[str, Any]] = {
+    "default": {},
+    "dcac": {"control": {"law": "dcac"}},
+    "compiled": {"control": {"backend": "c"}},
+    "eight joints": {"robot": {"name": "lwr4_rail"}},
+    "bad sensors": {"faults": {"drop_share": 0.1, "late_ticks": 1, "bump_N": 20.0, "bump_at_s": 0.2}},
+    "spoilt answers": {"faults": {"solver": "nan", "solver_share": 0.3}},
+    "stopped": {"faults": {"nan_at_s": 0.3, "nan_ticks": 100}},
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_without_loss_the_wire_changes_nothing(name: str) -> None:
+    scenario = Scenario(**SHORT, seed=3, **RUNS[name])
+    found, ending, _ = wired(scenario)
+    expected = run(scenario)
+    assert_same(found, expected)
+    assert not found.columns["missed"].any()
+    assert expected.meta["ended"].startswith(ending.ended)
+    assert ending.ticks == len(expected) == ending.quality.received
+    assert ending.faults == expected.meta.get("faults", {})
+    assert sum(ending.quality.values()) == ending.ticks  # and nothing else came
+    reports = found.meta["wire"].pop("received") - len(expected)
+    assert reports == len(expected)
+    assert set(found.meta["wire"].values()) == {0}
+
+
+def test_where_the_plant_waits_no_fault_of_the_wire_changes_the_run() -> None:
+    """It sends a measurement again until the command comes: each kind of fault is counted, none is felt."""
+    scenario = Scenario(**SHORT, wire={"resend_s": 0.02, "resends": 1000})
+    found, ending, relay = wired(scenario, {"share": 0.04, "seed": 1})
+    assert relay is not None
+    expected = run(scenario)
+    for name in ("tau_Nm", "q_rad", "tip_error_m", "rcm_error_m"):  # a lost report leaves a gap in the others
+        np.testing.assert_allclose(found.columns[name], expected.columns[name], rtol=1e-12, atol=1e-12)
+    counts = found.meta["wire"]
+    for end, way in ((counts, TO_PLANT), (vars(ending.quality), TO_CONTROLLER)):
+        done = relay.done[way]
+        assert min(done[fault] for fault in ("drop", "double", "swap", "cut", "forge")) > 5
+        assert end["truncated"] == done["cut"]
+        assert end["forged"] == done["forge"]
+        assert end["doubled"] > 5
+        assert end["foreign"] <= 3  # of the handshake, repeated
+    assert counts["missed"] == ending.quality.missed == 0
+    assert ending.ended == found.meta["ended"] == "completed"
+
+
+BLIND = {"resend_s": 0.02, "resends": 0, "hold_ticks": 5, "damp_ticks": 40}
+
+
+def test_commands_that_never_come_are_bridged_and_then_the_brakes_close() -> None:
+    gaps = [range(50, 53), range(100, 120), range(220, 10_000)]
+    scenario = Scenario(**SHORT, wire=BLIND)
+    found, _, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
+    missed, tau = found.columns["missed"], found.tau_Nm
+    assert missed[50:53].all()
+    assert missed[100:120].all()
+    assert missed[220:].all()
+    assert (tau[50:53] == tau[49]).all()  # held
+    assert (tau[100:105] == tau[99]).all()
+    assert not (np.diff(tau[104:120], axis=0) == 0.0).all(axis=1).any()  # then weight and damping
+    assert found.meta["ended"].startswith("stopped: no command from the controller for 46 ticks")
+    assert found.meta["stopped_at_s"] == pytest.approx(0.002 * (220 + 45))
+    assert found.rcm_error_registered_m.max() < 2e-3
+    assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
+
+
+def test_a_controller_that_does_not_see_the_arm_stops_it() -> None:
+    scenario = Scenario(**SHORT, wire=BLIND)
+    few, many = {60, 61, 62}, range(150, 160)
+    found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and (k in few or k in many)})
+    assert found.columns["missed"][sorted(few)].all()
+    assert "ticks late" in found.meta["ended"]
+    assert found.meta["ended"].startswith("stopped: ")
+    assert 0.002 * 160 <= found.meta["stopped_at_s"] <= 0.002 * 170
+    assert ending.ended == "stopped: " + found.meta["ended"].removeprefix("stopped: ").partition(" (t =")[0]
+    assert ending.quality.missed >= len(few) + len(many)
+    assert found.rcm_error_registered_m.max() < 2e-3
+    assert np.abs(found.v_rad_per_s[-1]).max() < 1e-3
+
+
+def test_a_plant_that_falls_silent_ends_the_controller() -> None:
+    scenario = Scenario(**SHORT, wire=BLIND | {"silence_s": 0.3})
+    found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.MEASUREMENT and k >= 100})
+    assert ending.ended == "the plant has been silent for 0.3 s"
+    assert ending.ticks == 100
+    assert found.meta["ended"].startswith("stopped: no command from the controller")
+
+
+def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
+    """Two processes by the command line; how many ticks are missed is the machine's affair."""
+    file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
+    file.write_text("duration_s = 0.4\nbound_samples = 0\n[plant]\nperiod_s = 0.004\nsubsteps = 4\n")
+    key = tmp_path / "key"
+    key.write_text("0123456789abcdef0123456789abcdef\n")
+    plant = subprocess.Popen(
+        [sys.executable, "-m", "moc_opt", "plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace),
+         "--key-file", str(key), "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert plant.stderr is not None
+    address = plant.stderr.readline().split()[-1]
+    control = subprocess.run(
+        [sys.executable, "-m", "moc_opt", "control", str(file), "--connect", address, "--key-file", str(key)],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    said, errors = plant.communicate(timeout=120)
+    assert plant.returncode in (0, 3), errors
+    saved = Trace.load(trace)
+    assert json.loads(said)["ended"] == saved.meta["ended"]
+    assert saved.meta["ended"] == "completed" or saved.meta["ended"].startswith("stopped: no command")
+    assert control.returncode in (0, 3), control.stderr
+    counts = saved.meta["wire"]
+    assert json.loads(control.stdout)["ticks"] <= len(saved)
+    assert saved.columns["missed"].sum() == counts["missed"]
+    assert np.nanmin(saved.columns["wake_us"]) > -1.0
+    assert saved.rcm_error_registered_m.max() < 2e-3
+
+
+def test_both_ends_must_mean_the_same_run() -> None:
+    base = Scenario(**SHORT)
+    assert fingerprint(base) == fingerprint(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
+    others = ({"seed": 1}, {"task": {"path": "line"}}, {"trocar": {"depth_m": 0.14}}, {"plant": {"period_s": 0.001}})
+    assert len({fingerprint(base), *(fingerprint(base.change(**other)) for other in others)}) == 5
+    here, there = ({"robot": {"name": f"{folder}/arm.toml"}} for folder in ("/here", "/there"))
+    assert fingerprint(base.change(**here)) == fingerprint(base.change(**there)) != fingerprint(base)
+    plant = PlantServer(base.change(wire={"wait_s": 20.0}), "127.0.0.1:0", lock_step=True)
+    with ThreadPoolExecutor(1) as pool:
+        run_there = pool.submit(plant.trace)
+        with pytest.raises(WireError, match="another scenario"):
+            answer(base.change(seed=1), "{}:{}".format(*plant.address))
+        answer(base, "{}:{}".format(*plant.address))  # the plant goes on waiting for one that fits
+        assert run_there.result().meta["ended"] == "completed"
+
+
+def test_another_key_is_not_heard() -> None:
+    base = Scenario(**SHORT, wire={"wait_s": 0.3})
+    plant = PlantServer(base, "127.0.0.1:0", b"k" * 32, lock_step=True)
+    with ThreadPoolExecutor(1) as pool:
+        run_there = pool.submit(plant.trace)
+        with pytest.raises(WireError, match="no plant answers"):
+            answer(base, "{}:{}".format(*plant.address), b"l" * 32)
+        with pytest.raises(WireError, match=r"no controller came .*forged [1-9]"):
+            run_there.result()
+
+
+def test_what_cannot_be_is_refused_in_words(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for command, words in {
+        ("plant", "--listen", "0.0.0.0:30200"): "other machines reach that address",
+        ("control", "--connect", "192.0.2.1:30200"): "--key-file",
+        ("plant", "--listen", "here"): "HOST:PORT",
+        ("control", "--key-file", str(tmp_path / "none")): "no such file",
+    }.items():
+        assert main(command) == 2
+        assert words in capsys.readouterr().err
+    with pytest.raises(WireError, match=r"period_s = 0\.005"):
+        PlantServer(Scenario(plant={"period_s": 0.005, "substeps": 5}), "127.0.0.1:0")

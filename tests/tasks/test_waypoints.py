@@ -1,0 +1,85 @@
+"""Paths through waypoints: through every point, smooth, by arc length."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import TaskError
+from moc_opt.tasks import Reference, Waypoints
+
+AXES = {"normal": [0.0, 0.0, 1.0], "heading": [1.0, 0.0, 0.0]}
+START = [0.5, -0.1, 0.2]
+STEPS = st.lists(st.tuples(*[st.floats(-0.01, 0.01)] * 3), min_size=1, max_size=8)
+
+
+def walk(steps):
+    """Points that go ahead by 1 to 3 cm a step: no cusp."""
+    return np.cumsum(np.add(steps, (0.02, 0.0, 0.0)), axis=0)
+
+
+@settings(max_examples=40)
+@given(STEPS)
+def test_it_goes_through_every_point_at_unit_speed_and_bends_smoothly(steps):
+    points = walk(steps)
+    path = Waypoints(points, START, **AXES)
+    s = np.linspace(0.0, path.length, 4001)
+    p, tangent, bend = path.at(s)
+    np.testing.assert_allclose(p[0], START, atol=1e-12)
+    np.testing.assert_allclose(p[-1], START + points[-1], atol=1e-9)
+    for point in points:
+        assert np.linalg.norm(p - (START + point), axis=1).min() < path.length / 4000
+    np.testing.assert_allclose(np.linalg.norm(tangent, axis=1), 1.0, atol=1e-9)
+    step = s[1] - s[0]
+    np.testing.assert_allclose((p[2:] - p[:-2]) / (2 * step), tangent[1:-1], atol=1e-4)
+    np.testing.assert_allclose((tangent[2:] - tangent[:-2]) / (2 * step), bend[1:-1], atol=1e-2 * (1 + abs(bend).max()))
+    np.testing.assert_allclose(np.sum(tangent * bend, axis=1), 0.0, atol=1e-9 * (1 + abs(bend).max()))
+    assert abs(np.diff(bend, axis=0)).max() < 0.05 * (1 + abs(bend).max())  # no corner in the curvature
+
+
+def test_one_point_is_a_straight_line():
+    path = Waypoints([[0.03, 0.0, 0.04]], START, **AXES)
+    assert path.length == pytest.approx(0.05)
+    p, _, bend = path.at(0.025)
+    np.testing.assert_allclose(p, np.add(START, [0.015, 0.0, 0.02]))
+    assert not bend.any()
+
+
+def test_points_are_in_the_axes_of_the_path():
+    path = Waypoints([[0.01, 0.02, 0.03]], np.zeros(3), normal=[1, 0, 0], heading=[0, 0, 2])
+    np.testing.assert_allclose(path.at(path.length)[0], [0.03, -0.02, 0.01], atol=1e-12)  # left = normal x heading
+
+
+def test_a_circle_s_points_give_almost_the_circle():
+    angle = np.linspace(0.0, 2 * np.pi, 41)
+    path = Waypoints(0.03 * np.stack([np.sin(angle), 1 - np.cos(angle), 0 * angle], axis=1), START, **AXES)
+    assert path.length == pytest.approx(2 * np.pi * 0.03, rel=1e-4)
+    assert path.curvature(path.length / 2) == pytest.approx(1 / 0.03, rel=1e-2)
+
+
+def test_the_time_law_keeps_its_limits():
+    path = Waypoints(walk([[0.0, 0.01, 0.0], [0.0, -0.01, 0.01], [0.0, 0.01, 0.01]]), START, **AXES)
+    reference = Reference(path, 0.05, 0.2)
+    _, dx, ddx = reference.at(np.linspace(0.0, reference.duration, 5000))
+    assert np.linalg.norm(dx, axis=1).max() <= 0.05 * (1 + 1e-9)
+    fastest = np.linalg.norm(ddx, axis=1).max()
+    assert fastest <= 0.2 * (1 + 1e-6)
+    assert fastest > 0.199 or np.linalg.norm(dx, axis=1).max() > 0.0499
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([], r"shape \(0,\): give finite numbers"),
+        ([[0.0, 0.0, 0.0]], "one of them off the start"),
+        ([[0.1, 0.0]], r"shape \(1, 2\)"),
+        ([[0.1, 0.0, np.nan]], "give finite numbers"),
+        ([[0.1, "a", 0.0]], "points of three numbers"),
+        ([[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]], r"\[0.01, 0.0, 0.0\] stands twice"),
+        ([[0.02, 0, 0], [0, 0, 0]], r"turns back on the spot near waypoint \[0.02, 0.0, 0.0\]"),
+        (np.ones((1001, 3)), "1001 waypoints|stands twice"),
+    ],
+)
+def test_what_is_no_path_is_named(points, message):
+    with pytest.raises(TaskError, match=message):
+        Waypoints(points, START, **AXES)

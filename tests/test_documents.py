@@ -1,0 +1,117 @@
+"""README is a script: what its fenced blocks say runs from top to bottom, in an empty folder, exactly as printed.
+
+`sh` blocks go to a shell, `python` blocks into one interpreter. Two kinds of line are not run as they stand: a block
+that begins with "# in a checkout" takes minutes and a virtual environment, so its targets are looked up in the
+Makefile; and `moc-opt live` serves until Ctrl-C, so it is started, its address awaited, and interrupted.
+"""
+
+import importlib.util
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import moc_opt as mo
+
+ROOT = Path(__file__).resolve().parent.parent
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+CHECKOUT = "# in a checkout"
+PATIENCE_S = 300
+
+
+def blocks(document):
+    """(language, text) of every fenced block, in order."""
+    return BLOCK.findall((ROOT / document).read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """An empty folder, and an environment in which `moc-opt` is this checkout's."""
+    folder, tools = tmp_path_factory.mktemp("empty"), tmp_path_factory.mktemp("bin")
+    command = tools / "moc-opt"
+    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -P -m moc_opt "$@"\n', encoding="utf-8")
+    command.chmod(0o755)
+    paths = {"PATH": f"{tools}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    return folder, {**os.environ, **paths, "COLUMNS": "120"}
+
+
+def run(command, place, **more):
+    folder, environment = place
+    found = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=PATIENCE_S, **more
+    )
+    assert found.returncode == 0, f"{command}\n{found.stdout[-2000:]}\n{found.stderr[-2000:]}"
+    return found.stdout
+
+
+def serve(line, place):
+    """Start a server, wait until it says where it listens, and press Ctrl-C."""
+    folder, environment = place
+    words = line.partition("#")[0].split()
+    with subprocess.Popen(
+        [*words, "--port", "0"], cwd=folder, env=environment, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    ) as process:  # fmt: skip
+        said = ""
+        for said in process.stdout:
+            if "http://127.0.0.1" in said:
+                break
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        process.stdout.read()
+        assert process.wait(60) in (0, 130), said
+        assert "http://127.0.0.1" in said
+
+
+def test_readme_runs_from_top_to_bottom_in_an_empty_folder(place):
+    found = blocks("README.md")
+    assert [language for language, _ in found] == ["sh", "sh", "python", "python", "python"]
+    shell = [text for language, text in found if language == "sh" and not text.startswith(CHECKOUT)]
+    for text in shell:
+        lines = text.splitlines()
+        served = [line for line in lines if line.startswith("moc-opt live")]
+        rest = "\n".join(line for line in lines if line not in served)
+        run(["bash", "-euc", rest], place)
+        for line in served:
+            serve(line, place)
+    folder, _ = place
+    written = {"scenario.toml", "proxqp.parquet", "network.parquet", "report.html", "replay.html", "map.html", "c"}
+    assert {file.name for file in folder.iterdir()} == written
+    # There is something to see: MOC moves the elbow from its poor place, the network as printed does not.
+    mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("proxqp", "network")}
+    assert mu["proxqp"].mean() > 1.2 * mu["network"].mean()
+    run([sys.executable, "-P", "-c", "\n".join(text for language, text in found if language == "python")], place)
+
+
+def test_what_is_said_of_a_checkout_is_there():
+    targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    lines = [line for _, text in blocks("README.md") if text.startswith(CHECKOUT) for line in text.splitlines()[1:]]
+    assert len(lines) >= 2
+    for line in lines:
+        program, target = line.split()[:2]
+        assert program == "make"
+        assert target in targets
+
+
+def test_every_benchmark_that_readme_names_exists():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"\bbenchmarks\.([a-z_]+)\b", text)) - {"NAME"}
+    assert len(names) > 10
+    assert [name for name in sorted(names) if importlib.util.find_spec(f"benchmarks.{name}") is None] == []
+
+
+def test_every_file_that_the_documents_link_to_exists():
+    for document in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]:
+        links = re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", document.read_text(encoding="utf-8"))
+        assert [link for link in links if not (document.parent / link).exists()] == [], document.name
+
+
+def test_the_python_of_look_runs(place, tmp_path):
+    (text,) = (text for language, text in blocks("docs/look.md") if language == "python")
+    run([sys.executable, "-P", "-c", text], (tmp_path, place[1]))
+    assert (tmp_path / "map.html").stat().st_size > 10_000

@@ -1,0 +1,100 @@
+"""A trace as pandas, xarray and plotly have it: the same numbers under names that say what they are."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.errors import TraceError
+from moc_opt.trace.trace import MissingDataError, Trace
+
+ROWS = 40
+
+
+@pytest.fixture
+def trace():
+    rng = np.random.default_rng(5)
+    columns = {
+        "t_s": 0.1 * np.arange(ROWS), "q_rad": rng.normal(size=(ROWS, 7)), "tip_m": rng.normal(size=(ROWS, 3)),
+        "mu": rng.uniform(0.1, 0.3, ROWS), "rcm_error_m": rng.uniform(0, 1e-3, ROWS),
+        "status": np.array(["solved"] * ROWS), "own": rng.normal(size=(ROWS, 3)),
+    }  # fmt: skip
+    scenario = {"name": "spiral", "control": {"law": "moc"}, "solver": {"name": "osqp"}}
+    return Trace(columns, {"ended": "completed", "period_s": 0.1, "robot": "lwr4", "scenario": scenario})
+
+
+def test_pandas_has_every_number_of_every_column(trace):
+    frame = trace.to_pandas()
+    assert frame.index.name == "t_s"
+    assert frame.shape == (ROWS, 7 + 3 + 1 + 1 + 1 + 3)
+    assert np.array_equal(frame.index, trace.t_s)
+    for axis, name in enumerate("xyz"):
+        assert np.array_equal(frame[f"tip_m_{name}"], trace.tip_m[:, axis])
+    for joint in range(7):
+        assert np.array_equal(frame[f"q_rad_{joint}"], trace.q_rad[:, joint])
+    assert np.array_equal(frame["own_2"], trace.own[:, 2])
+    assert set(frame["status"]) == {"solved"}
+    assert frame.attrs["ended"] == "completed"
+
+
+def test_xarray_names_the_dimensions_and_units(trace):
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'moc-opt[dataframes]'")
+    found = trace.to_xarray()
+    assert found.q_rad.dims == ("t_s", "joint")
+    assert found.tip_m.dims == ("t_s", "axis")
+    assert found.q_rad.attrs["units"] == "rad"
+    assert list(found.axis.values) == ["x", "y", "z"]
+    assert np.array_equal(found.tip_m.sel(axis="y"), trace.tip_m[:, 1])
+    assert np.array_equal(found.own, trace.own)
+    assert found.attrs["robot"] == "lwr4"
+
+
+@pytest.mark.parametrize(("package", "method"), [("pandas", "to_pandas"), ("xarray", "to_xarray")])
+def test_without_the_package_the_extra_is_named(trace, monkeypatch, package, method):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(TraceError, match=rf"{package} is not installed: pip install 'moc-opt\[dataframes\]'"):
+        getattr(trace, method)()
+
+
+def test_plot_draws_the_columns_asked_for_and_a_baseline(trace):
+    figure = trace.plot(["mu"], name="osqp", beside=trace.between(0.0, 1.0))
+    lines = {line.name: line for line in figure.data}
+    assert set(lines) == {"baseline", "osqp"}
+    assert np.allclose(lines["osqp"].y, trace.mu)
+    assert len(lines["baseline"].x) == 10
+    assert {line.name for line in trace.plot().data} == {"run"}
+
+
+def test_pieces_that_meet_make_the_whole(trace):
+    first, second = trace.between(0.0, 2.0), trace.between(2.0, 99.0)
+    assert len(first) + len(second) == len(trace)
+    assert np.array_equal(np.concatenate([first.tick, second.tick]), np.arange(ROWS))
+    assert first.t_s[-1] < 2.0 <= second.t_s[0]
+    assert dict(first.meta) == dict(trace.meta)
+
+
+def test_a_slice_without_ticks_says_where_they_are(trace):
+    with pytest.raises(TraceError, match=r"between\(7.0, 8.0\): no tick lies there; .* from 0 to 3.9 s"):
+        trace.between(7.0, 8.0)
+    with pytest.raises(MissingDataError, match="no column 't_s'"):
+        Trace({"mu": [1.0]}).between(0, 1)
+
+
+def test_repr_says_what_run_it_is(trace):
+    assert repr(trace).startswith("Trace(40 ticks, 4.000 s, spiral, lwr4, osqp, completed: t_s, q_rad")
+    html = trace.with_meta(ended="stopped: <b>off</b>")._repr_html_()
+    assert "osqp" in html
+    assert "mu [m^3]" in html
+    assert "&lt;b&gt;off" in html
+    assert "<b>off" not in html
+
+
+def test_columns_are_completed(trace):
+    assert {"q_rad", "own", "between", "plot"} <= set(dir(trace))
+
+
+def test_load_trace_reads_what_save_wrote(trace, tmp_path):
+    trace.save(tmp_path / "a.parquet")
+    again = mo.load_trace(tmp_path / "a.parquet")
+    assert np.array_equal(again.q_rad, trace.q_rad)
