@@ -53,6 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
     ahead.add_argument("--margin", type=float, default=0.0, help="that joints keep from their limits [rad]")
     ahead.add_argument("--speed-share", type=float, default=1.0, help="of the joints' speed limits that may be used")
+    ahead.add_argument("--acceleration", type=float, default=float("inf"), help="most of any joint [rad/s^2]")
     ahead.add_argument("--place", choices=("trocar", "base"), help="also search for the place of it that serves best")
     ahead.add_argument("--box", type=float, default=0.05, help="of the search: half the edge of its cube [m]")
     ahead.add_argument("--candidates", type=int, default=40, help="of the search")

@@ -22,7 +22,7 @@ def plan_scenario(given: argparse.Namespace) -> int:
     if given.out is not None:
         check_out(given.out, "course")
     asked = {"objective": given.objective, "margin_rad": given.margin, "speed_share": given.speed_share}
-    found = plan(scenario, **asked)
+    found = plan(scenario, acceleration=given.acceleration, **asked)
     began, places = time.perf_counter(), []
     if given.place is not None:
         places = place(scenario, given.place, box_m=given.box, candidates=given.candidates, **asked)

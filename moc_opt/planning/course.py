@@ -31,7 +31,8 @@ class Course:
     mu: Array
     """(k,) [m^3], by the robot model"""
     violation: float
-    """Largest of: tip or wrist off its target [m], a joint beyond its limit or its speed times the period [rad]."""
+    """Largest of: tip or wrist off its target [m]; a joint beyond its limit, its speed times the period, or its
+    acceleration times the period's square [rad]."""
     certified: bool = False
     """Whether it is a local optimum to the solver's tolerance; False: the best on a grid."""
 
@@ -66,17 +67,27 @@ def weights(count: int) -> Array:
     return weight
 
 
+def faster(q: Array) -> Array:
+    """|ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
+    return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
+
+
 def make_course(
-    robot: RobotModel, targets: Targets, q: Array, margin_rad: float = 0.0, speed_share: float = 1.0
-) -> Course:
-    """Judge poses (k,n) for the first k times by the robot model itself, whoever found them."""
+    robot: RobotModel, targets: Targets, q: Array, margin_rad: float = 0.0, speed_share: float = 1.0,
+    acceleration: float = np.inf,
+) -> Course:  # fmt: skip
+    """Judge poses (k,n) for the first k times by the robot model itself, whoever found them.
+
+    The joints begin at rest; ``acceleration`` [rad/s^2] is the most of any of them.
+    """
     count = len(q)
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
     moving = robot.moves.any(axis=0)
     beyond = np.maximum(q - robot.q_max + margin_rad, robot.q_min + margin_rad - q)[:, moving].max()
     fast = np.abs(np.diff(q, axis=0)) - speed_share * robot.v_max * targets.period_s
-    violation = float(max(off, beyond, fast.max(initial=-np.inf), 0.0))
+    gained = faster(q) - acceleration * targets.period_s**2
+    violation = float(max(off, beyond, fast.max(initial=-np.inf), gained.max(initial=-np.inf), 0.0))
     t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
     for array in (t, poses, mu):
         array.flags.writeable = False

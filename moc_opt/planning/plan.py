@@ -12,7 +12,7 @@ from moc_opt.errors import TaskError
 from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.climb import climb
-from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course
 from moc_opt.planning.pose_map import PoseMap, spherical_map
 from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
@@ -114,6 +114,7 @@ def make_plan(
     swivels: int = 720,
     margin_rad: float = 0.0,
     speed_share: float = 1.0,
+    acceleration: float = np.inf,
     refined: bool = True,
 ) -> Plan:
     """Plan a path from one start.
@@ -126,12 +127,15 @@ def make_plan(
         swivels: samples of one turn, of an arm with a closed form.
         margin_rad: that every joint keeps from its limits.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
+        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
         refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
     """
     _check(robot, q_start, targets, objective, margin_rad, speed_share)
+    if not acceleration > 0.0 or (np.isfinite(acceleration) and not refined):
+        raise TaskError(f"acceleration = {acceleration!r}: give above 0, and refined = True with it")
     began = time.perf_counter()
     found = map_of(robot, q_start, targets, swivels)
     mapped = time.perf_counter()
@@ -148,15 +152,17 @@ def make_plan(
         known = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
         course = None
         if known is not None and np.isfinite(known).all():
-            course = make_course(robot, targets, known, margin_rad, speed_share)
+            course = make_course(robot, targets, known, margin_rad, speed_share, acceleration)
         # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
         for guess in (None, bound.q_rad) if refined and course is not None else ():
             if course is not None and (guess is None or np.isfinite(guess).all()):
                 course = refine(
                     robot, targets, course, objective, guess=guess, free_start=free, margin_rad=margin_rad,
-                    speed_share=speed_share,
+                    speed_share=speed_share, acceleration=acceleration,
                 )  # fmt: skip
-        courses.append(None if answer.q_rad is None and course is not None and not course.kept else course)
+        if course is not None and not course.kept and (answer.q_rad is None or np.isfinite(acceleration)):
+            course = None
+        courses.append(course)
     took = mapped - began, searched - mapped, time.perf_counter() - bounded
     mine, best = courses
     if mine is not None and best is not None and mine.value(objective) > best.value(objective):
@@ -188,6 +194,8 @@ def blocked(
     robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin_rad: float, proven: bool
 ) -> Blocked:
     """Name the first point that the search did not reach, and what is in its way; unless ``proven``, say so."""
+    if answer.q_rad is not None:
+        return _too_sudden(robot, found.targets, answer.q_rad)
     k, targets = answer.reached, found.targets
     at = float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist())
     feasible, names = found.feasible(margin_rad), robot.data.joint_names
@@ -212,6 +220,17 @@ def blocked(
         return Blocked(*at, "no pose of the branch is within the joint limits there")
     doubt = "" if proven else " between the poses of the map; the bound excludes no other way"
     return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit{doubt}")
+
+
+def _too_sudden(robot: RobotModel, targets: Targets, q: Array) -> Blocked:
+    """Where the best course without a limit on accelerations needs the largest one: with the limit none was found."""
+    gained = faster(q) / targets.period_s**2
+    k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
+    return Blocked(
+        float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist()),
+        f"no course keeps the acceleration limit; the one without takes {robot.data.joint_names[j]} to "
+        f"{gained[k, j]:.3g} rad/s^2 there",
+    )  # fmt: skip
 
 
 def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> NDArray[np.bool_]:

@@ -48,6 +48,7 @@ def refine(
     margin_rad: float = 0.0,
     speed_share: float = 1.0,
     smoothness: float = 0.0,
+    acceleration: float = np.inf,
 ) -> Course:
     """Improve a course to a local optimum.
 
@@ -63,6 +64,7 @@ def refine(
         smoothness: w [s^4/rad^2]; w (|ddq|^2 + |dq|^2 / `SETTLED_S`^2), its mean over the time, is taken off the
             objective (in shares of the mean mu; log: of itself), from rest to rest. The answer is taken if the
             objective proper falls by no more than `SMOOTH_LOSS` of the given course's.
+        acceleration: most of any joint, from rest [rad/s^2].
 
     Returns:
         The better of both courses by the robot model's own mu; one that breaks a constraint by more than
@@ -89,6 +91,11 @@ def refine(
     step = (speed_share * robot.v_max * targets.period_s)[moving] - INSIDE
     most = np.tile(step, k - 1)
     rows.append((ca.vec(x[:, 1:] - x[:, :-1]), -most, most))
+    if np.isfinite(acceleration):
+        rest_on = ca.horzcat(x[:, 0], x)
+        gained = rest_on[:, 2:] - 2.0 * rest_on[:, 1:-1] + rest_on[:, :-2]
+        most_gained = np.full(a * (k - 1), acceleration * targets.period_s**2 - INSIDE)
+        rows.append((ca.vec(gained), -most_gained, most_gained))
     keep = margin_rad + INSIDE
     low, high = (np.tile(limit[moving], k) for limit in (robot.q_min + keep, robot.q_max - keep))
     begin = np.array((course.q_rad if guess is None else guess)[:, moving]).ravel()
@@ -120,7 +127,7 @@ def refine(
     poses[:, moving] = np.array(answer["x"]).ravel()[: k * a].reshape(k, a)
     if not np.isfinite(poses).all():
         return course
-    found = make_course(robot, targets, poses, margin_rad, speed_share)
+    found = make_course(robot, targets, poses, margin_rad, speed_share, acceleration)
     enough = course.value(objective) - (SMOOTH_LOSS * abs(course.value(objective)) if smoothness > 0.0 else 0.0)
     if not found.kept or (course.kept and found.value(objective) < enough):
         return course

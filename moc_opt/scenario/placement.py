@@ -20,8 +20,8 @@ from moc_opt.planning.plan import map_of
 from moc_opt.planning.search import search
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, lay_out, seeds_of
-from moc_opt.scenario.planned import targets_of
+from moc_opt.scenario.layout import Layout
+from moc_opt.scenario.planned import layout_of, targets_of
 from moc_opt.tasks import Trocar
 
 Array = NDArray[np.float64]
@@ -66,8 +66,7 @@ def place(
             f"box_m = {box_m!r}, candidates = {candidates!r}, best = {best!r}: give above 0 to 1 m, and 1 or more"
         )
     robot = scenario.robot.arm()
-    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
-    layout = lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
+    layout = layout_of(scenario, robot)
     shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
 
     def planned(shift: Array, times: int | None, swivels: int) -> Placement:

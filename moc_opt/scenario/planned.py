@@ -29,6 +29,7 @@ def plan(
     swivels: int = 720,
     margin_rad: float = 0.0,
     speed_share: float = 1.0,
+    acceleration: float = np.inf,
     refined: bool = True,
 ) -> Plan:
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
@@ -40,7 +41,7 @@ def plan(
         scenario: what would be run.
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
-        swivels, margin_rad, speed_share, refined: as of `moc_opt.planning.plan.make_plan`.
+        swivels, margin_rad, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -50,12 +51,21 @@ def plan(
     if times is not None and not 2 <= times <= 100_000:
         raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
-    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
-    layout = lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
+    layout = layout_of(scenario, robot)
     return make_plan(
         robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels, margin_rad=margin_rad,
-        speed_share=speed_share, refined=refined,
+        speed_share=speed_share, acceleration=acceleration, refined=refined,
     )  # fmt: skip
+
+
+def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
+    """Lay a scenario's task out as its run does, whether or not the arm can follow the path from there.
+
+    Raises:
+        MocOptError: the scenario's start, path or trocar is not usable.
+    """
+    unchecked = scenario if scenario.start.pose == "random" else scenario.change(start={"check_path": False})
+    return lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
 
 
 def targets_of(robot: RobotModel, layout: Layout, times: int | None = None) -> Targets:

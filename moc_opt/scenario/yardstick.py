@@ -26,13 +26,11 @@ from moc_opt.planning.search import search
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.freedoms import best_freedoms
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import lay_out, seeds_of
-from moc_opt.scenario.planned import targets_of
+from moc_opt.scenario.planned import MOST_TIMES, layout_of, targets_of
 from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.05
 """Of the grid: a joint's way in one period is then several swivels of the map, so that little of its speed is lost."""
-MOST_TIMES = 1000
 PATH = ("robot", "start", "trocar", "task", "duration_s", "seed")
 """The fields of a scenario that path and start follow from."""
 
@@ -56,10 +54,7 @@ def yardstick(scenario: Scenario) -> Yardstick:
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable.
     """
-    table = scenario.model_dump(mode="json", include=set(PATH))
-    if scenario.start.pose != "random":
-        table["start"]["check_path"] = False
-    return _planned(json.dumps(table, sort_keys=True))
+    return _planned(json.dumps(scenario.model_dump(mode="json", include=set(PATH)), sort_keys=True))
 
 
 @lru_cache(maxsize=64)
@@ -69,7 +64,7 @@ def _planned(table: str) -> Yardstick:
     real = best_freedoms(robot).real
     if real != 1:
         return Yardstick(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
-    layout = lay_out(scenario, robot, np.random.default_rng(seeds_of(scenario)[0]))
+    layout = layout_of(scenario, robot)
     times = int(np.clip(math.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
     targets = targets_of(robot, layout, times)
     found, step = map_of(robot, layout.q, targets), robot.v_max * targets.period_s

@@ -109,9 +109,34 @@ def _targets(robot: RobotModel, q: Array, reference: Reference, trocar: Trocar) 
     return lay_targets(reference, trocar, robot.state(q).tool_span, 0.2 + reference.duration, 80)
 
 
+def test_a_limit_on_accelerations_is_kept_and_costs_little(robot: RobotModel) -> None:
+    q = robot.data.q_home
+    targets = task(robot, q, 60)
+    free = make_plan(robot, q, targets, swivels=360)
+    assert free.from_start is not None
+
+    def largest(poses: Array) -> float:
+        """Of |ddq| by differences of the speeds, the first of them from rest."""
+        speed = np.vstack([np.zeros(robot.n), np.diff(poses, axis=0) / targets.period_s])
+        return float(np.abs(np.diff(speed, axis=0)).max() / targets.period_s)
+
+    needed = largest(free.from_start.q_rad)
+    kept = make_plan(robot, q, targets, swivels=360, acceleration=0.5 * needed)
+    assert kept.from_start is not None
+    assert largest(kept.from_start.q_rad) <= 0.5 * needed * (1.0 + 1e-6)
+    assert kept.from_start.violation < 1e-8
+    assert 0.9 * free.from_start.mu_mean < kept.from_start.mu_mean <= free.from_start.mu_mean * (1.0 + 1e-6)
+    never = make_plan(robot, q, targets, swivels=360, acceleration=1e-3)
+    assert never.from_start is None
+    assert never.blocked is not None
+    assert "acceleration limit" in never.blocked.reason
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"acceleration": 0.0}, "acceleration = 0.0"),
+        ({"acceleration": 5.0, "refined": False}, "refined = True"),
         ({"objective": "best"}, "objective = 'best'"),
         ({"speed_share": 0.0}, "speed_share = 0.0"),
         ({"margin_rad": 3.0}, "margin_rad = 3.0"),
