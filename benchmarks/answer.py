@@ -5,6 +5,7 @@ Everything else lies folded below, and is reached by links from the columns of t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -64,12 +65,27 @@ def reached(value: object) -> Mark:
     return YES if value in (True, "yes") else NO if value in (False, "no") else UNKNOWN
 
 
-def goals_answer(sentences: Sequence[str], title: str, columns: Sequence[Column], goals: Sequence[Mapping[str, object]],
+def in_sentences(text: str, most: int = 3) -> list[str]:
+    """Split a text where a sentence ends; what is beyond ``most`` sentences stays with the last of them."""
+    parts = re.split(r"(?<=\.) (?=[A-Z`])", text)
+    return [*parts[: most - 1], " ".join(parts[most - 1 :])] if len(parts) > most else parts
+
+
+def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequence[Mapping[str, object]],
                  pictures: Sequence[Picture] = ()) -> Answer:  # fmt: skip
-    """Make the answer of a benchmark whose result is a list of goals: its table, each goal marked in ``reached``."""
+    """Make the answer of a benchmark whose result is a list of goals: its table, missed goals first.
+
+    Args:
+        text: the result in words.
+        title: of the table.
+        columns: of the table; that of the key ``reached`` shows marks.
+        goals: rows, ``reached`` as `reached` takes it.
+        pictures: what is drawn.
+    """
     rows = [{**goal, "reached": reached(goal.get("reached"))} for goal in goals]
+    rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
     made = [replace(column, title="") if column.key == "reached" else column for column in columns]
-    return Answer(sentences, Table(title, made, rows), pictures)
+    return Answer(in_sentences(text), Table(title, made, rows), pictures)
 
 
 def interval_picture(

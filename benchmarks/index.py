@@ -12,6 +12,8 @@ from moc_opt.report.document import beside, save_document
 from moc_opt.report.document import render as rendered
 
 NAME, FOLDER = "index.html", "results"
+FIRST = ("solvers", "paper", "robots", "plan", "speed", "realtime", "faults")
+"""Reports that come before all others, in this order."""
 HEAD_CHARACTERS = 20_000
 """Of a report, in which its title and what it says first are found; what follows are figures."""
 
@@ -34,7 +36,7 @@ def write_index(folder: Path) -> Path | None:
 def reports(folder: Path) -> list[dict[str, Any]]:
     """Return one row for each report below a folder: where it is, its title, what it says first, when it was made."""
     found = []
-    for page in sorted(folder.glob("*/report.html")):
+    for page in sorted(folder.glob("*/report.html"), key=_place):
         with page.open(encoding="utf-8", errors="replace") as file:
             head = file.read(HEAD_CHARACTERS)
         environment = _read(page.with_name("environment.json"))
@@ -48,6 +50,11 @@ def reports(folder: Path) -> list[dict[str, Any]]:
             "load": machine.get("load_1min"), "seed": environment.get("seed"),
         })  # fmt: skip
     return found
+
+
+def _place(page: Path) -> tuple[int, str]:
+    name = page.parent.name
+    return FIRST.index(name) if name in FIRST else len(FIRST), name
 
 
 def _of(pattern: str, head: str) -> str:

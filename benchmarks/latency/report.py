@@ -165,7 +165,8 @@ def headline(summary: Summary) -> str:
         said.append(f"the fastest peer, {best}, takes {summary['peers'][best]['tick_p50_us']:.1f} us for the same job")
     said.append(f"{reached} of {len(summary['goals'])} goals are reached")
     if missed:
-        said.append("not reached: " + "; ".join(missed))
+        more = [f"and {len(missed) - 3} more"] if len(missed) > 3 else []
+        said.append("not reached: " + "; ".join([*missed[:3], *more]))
     return ". ".join(part[0].upper() + part[1:] for part in said) + "."
 
 
@@ -208,7 +209,7 @@ def answer(summary: Summary, ticks: Mapping[str, ArrayLike]) -> Answer:
         Picture(figures.latency_ecdf(ticks, tail=True), "The rare late ones: lower at the right is better.", "tail"),
     ]
     found = tables(summary)["goals"]
-    return goals_answer([headline(summary)], found.title, found.columns, found.rows, pictures)
+    return goals_answer(headline(summary), found.title, found.columns, found.rows, pictures)
 
 
 def report(summary: Summary, first: Answer, environment: Mapping[str, Any]) -> Page:

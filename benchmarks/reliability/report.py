@@ -91,7 +91,7 @@ def answer(summary: Summary, goals: list[dict[str, Any]], traces: Mapping[str, T
             "faults",
         )
     ] if traces else []  # fmt: skip
-    return goals_answer([headline(summary, goals)], "Goals", GOALS, goals, pictures)
+    return goals_answer(headline(summary, goals), "Goals", GOALS, goals, pictures)
 
 
 def report(summary: Summary, goals: list[dict[str, Any]], first: Answer, environment: Mapping[str, Any]) -> Page:

@@ -21,6 +21,7 @@ def test_every_report_is_linked_with_what_it_says_first(tmp_path):
     results = tmp_path / "results"
     report(results / "solvers", "Solvers <b>", "Take `exact` & avoid \"x\".")
     report(results / "paper", "The paper")
+    report(results / "another", "Another")
     (results / "solvers" / "environment.json").write_text(json.dumps({"when": "2026-11-22T05:20:11", "seed": 3}))
     (results / "paper" / "environment.json").write_text("no JSON")
     (results / "empty").mkdir()
@@ -28,7 +29,7 @@ def test_every_report_is_linked_with_what_it_says_first(tmp_path):
     assert path == results / "index.html"
     text = path.read_text()
     links = re.findall(r'href="([^"]+report.html)"', text)
-    assert links == ["paper/report.html", "solvers/report.html"]
+    assert links == ["solvers/report.html", "paper/report.html", "another/report.html"]
     assert all((results / link).exists() for link in links)
     assert "Take <code>exact</code> &amp; avoid &#34;x&#34;." in text
     assert "Solvers &lt;b&gt;" in text
