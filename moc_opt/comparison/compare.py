@@ -189,15 +189,21 @@ def compare(
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, note, rows = _named(solvers, base), busy(), []
+    baseline: Trace | None
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
     for k in range(seed, seed + trials):
-        trial = placed(base.change(seed=k, start=start))
+        trial, baseline = placed(base.change(seed=k, start=start)), None
         for name, solver in chosen.items():
             if watch is not None:
                 watch(f"trial {k - seed + 1} of {trials}, {name}")
             named = solver if isinstance(solver, str) else None
             case = trial if named is None else variant(trial, named, _settings(base, named))
-            rows.append({"solver": name, "seed": k, **_measured(case, None if named is not None else solver)})
+            trace = _run(case, None if isinstance(solver, str) else solver)
+            row = {"solver": name, "seed": k, "ended": str(trace.meta["ended"]), "asked": _asked(trace)}
+            same_length = baseline is not None and len(trace) == len(baseline)
+            rows.append(row | summarize(trace, baseline if same_length else None))
+            if name == BASELINE and Ending.of(row["ended"]).whole:
+                baseline = trace
     return Comparison(rows, list(chosen), base, note)
 
 
@@ -206,12 +212,11 @@ def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
     return base.solver.settings if name == base.solver.name else {}
 
 
-def _measured(case: Scenario, solver: Any) -> dict[str, Any]:
+def _run(case: Scenario, solver: Solver | None) -> Trace:
     try:
-        trace = run(case, solver=solver)
+        return run(case, solver=solver)
     except RunAway as error:
-        trace = error.trace
-    return {"ended": str(trace.meta["ended"]), "asked": _asked(trace), **summarize(trace)}
+        return error.trace
 
 
 def _asked(trace: Trace) -> int:
