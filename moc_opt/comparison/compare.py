@@ -199,10 +199,10 @@ def compare(
             named = solver if isinstance(solver, str) else None
             case = trial if named is None else variant(trial, named, _settings(base, named))
             trace = _run(case, None if isinstance(solver, str) else solver)
-            row = {"solver": name, "seed": k, "ended": str(trace.meta["ended"]), "asked": _asked(trace)}
             same_length = baseline is not None and len(trace) == len(baseline)
+            row = {"solver": name, "seed": k, "ended": (ended := str(trace.meta["ended"])), "asked": _asked(trace)}
             rows.append(row | summarize(trace, baseline if same_length else None))
-            if name == BASELINE and Ending.of(row["ended"]).whole:
+            if name == BASELINE and Ending.of(ended).whole:
                 baseline = trace
     return Comparison(rows, list(chosen), base, note)
 
