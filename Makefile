@@ -11,7 +11,7 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
-	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,cluster,peers,qpbenchmark,dev]' --constraint constraints.txt
+	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,dataframes,cluster,peers,qpbenchmark,dev]' --constraint constraints.txt
 	touch $(READY)
 
 solvers: setup

@@ -6,7 +6,7 @@ import csv
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from moc_opt.solvers.base import Solver
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS, summarize
 from moc_opt.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
@@ -116,7 +120,7 @@ class Comparison:
         )
         return Table(f"{self.scenario.name}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
 
-    def plot(self, metric: str = "mu_mean") -> Any:
+    def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw a metric over the trials as one box a solver: a plotly figure.
 
         Raises:
@@ -127,7 +131,7 @@ class Comparison:
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
         return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
 
         Raises:
