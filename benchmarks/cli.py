@@ -20,6 +20,7 @@ from benchmarks.index import write_index
 from benchmarks.output import save_page, write_json, write_rows
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
+from moc_opt.report.machine import busy
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 
@@ -103,6 +104,7 @@ def run(
     """
     given = options.parse_args(arguments)
     given.argv = sys.argv[1:] if arguments is None else list(arguments)
+    given.busy = busy()  # by others: this benchmark has not begun
     try:
         found = work(given)
         if isinstance(found, int):
@@ -138,6 +140,8 @@ def leave(found: Results, given: Namespace) -> None:
     for table in found.tables:
         screen.print(table.narrowed(screen.width))
     show(screen, found.sentences)
+    if getattr(given, "busy", ""):
+        screen.print(given.busy, markup=False, soft_wrap=True)
     screen.print(f"written: {out}/{' '.join([*files, *found.files])}", markup=False, soft_wrap=True)
 
 

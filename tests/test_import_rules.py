@@ -72,10 +72,11 @@ ONLY = {
     "scenario": {"numpy", "pydantic", "pyarrow"},
     "public": set(),
 }
-ONLY_MODULES = {  # whoever has a subproblem needs numpy alone
+ONLY_MODULES = {  # whoever has a subproblem or a trace needs numpy alone
     "moc_opt.qp.problem": {"numpy"}, "moc_opt.qp.residuals": {"numpy"}, "moc_opt.qp.extremes": {"numpy"},
     "moc_opt.qp.reduction": {"numpy"}, "moc_opt.qp.layout": set(),
     "moc_opt.solvers.base": {"numpy"},
+    "moc_opt.trace.trace": {"numpy", "pandas", "plotly", "xarray"},  # the others for their types alone
 }  # fmt: skip
 # Methods of public objects that hand them on: what they import upwards or from others lies inside a function.
 VIEWS = {"moc_opt.trace.views": {"moc_opt.report.figures"}}
@@ -295,6 +296,8 @@ HEAVY = (
     "scipy",
     "pyarrow",
     "plotly",
+    "pandas",
+    "xarray",
 )
 
 

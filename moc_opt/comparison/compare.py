@@ -6,7 +6,7 @@ import csv
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,10 @@ from moc_opt.solvers.base import Solver
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS, summarize
 from moc_opt.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
 
@@ -116,7 +120,7 @@ class Comparison:
         )
         return Table(f"{self.scenario.name}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
 
-    def plot(self, metric: str = "mu_mean") -> Any:
+    def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw a metric over the trials as one box a solver: a plotly figure.
 
         Raises:
@@ -127,7 +131,7 @@ class Comparison:
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
         return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
 
         Raises:
@@ -189,15 +193,21 @@ def compare(
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, note, rows = _named(solvers, base), busy(), []
+    baseline: Trace | None
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
     for k in range(seed, seed + trials):
-        trial = placed(base.change(seed=k, start=start))
+        trial, baseline = placed(base.change(seed=k, start=start)), None
         for name, solver in chosen.items():
             if watch is not None:
                 watch(f"trial {k - seed + 1} of {trials}, {name}")
             named = solver if isinstance(solver, str) else None
             case = trial if named is None else variant(trial, named, _settings(base, named))
-            rows.append({"solver": name, "seed": k, **_measured(case, None if named is not None else solver)})
+            trace = _run(case, None if isinstance(solver, str) else solver)
+            same_length = baseline is not None and len(trace) == len(baseline)
+            row = {"solver": name, "seed": k, "ended": (ended := str(trace.meta["ended"])), "asked": _asked(trace)}
+            rows.append(row | summarize(trace, baseline if same_length else None))
+            if name == BASELINE and Ending.of(ended).whole:
+                baseline = trace
     return Comparison(rows, list(chosen), base, note)
 
 
@@ -206,12 +216,11 @@ def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
     return base.solver.settings if name == base.solver.name else {}
 
 
-def _measured(case: Scenario, solver: Any) -> dict[str, Any]:
+def _run(case: Scenario, solver: Solver | None) -> Trace:
     try:
-        trace = run(case, solver=solver)
+        return run(case, solver=solver)
     except RunAway as error:
-        trace = error.trace
-    return {"ended": str(trace.meta["ended"]), "asked": _asked(trace), **summarize(trace)}
+        return error.trace
 
 
 def _asked(trace: Trace) -> int:

@@ -1,4 +1,4 @@
-"""The terminal: tables in colour, a progress bar for what takes long, lines where the output is no terminal."""
+"""The terminal: tables in colour, a progress bar for what takes long, no bar where the output is no terminal."""
 
 from __future__ import annotations
 
@@ -115,13 +115,15 @@ def progress(
     # A clock of its own: the first step alone may take longer than the patience.
     late = Timer(patience_s, bar.start)
     late.daemon = True
-    late.start()
+    if where.is_terminal:
+        late.start()
     try:
         yield Bar(bar, task)
     finally:
-        late.cancel()
-        late.join()
-        bar.stop()
+        if where.is_terminal:
+            late.cancel()
+            late.join()
+            bar.stop()
 
 
 def track(items: Sequence[T], description: str, *, on: Console | None = None) -> Iterator[T]:

@@ -34,6 +34,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "tip_ref_m": Column("m", "(N, 3)", "tip reference X_d"),
         "wrist_m": Column("m", "(N, 3)", "true wrist centre N"),
         "trocar_m": Column("m", "(N, 3)", "true trocar P_t"),
+        "trocar_registered_m": Column("m", "(N, 3)", "the trocar that the controller is told"),
+        "force_N": Column("N", "(N, 3)", "of the tool on its mount, as the wrench sensor shows it, its axes"),
+        "torque_Nm": Column("Nm", "(N, 3)", "the same wrench's moment"),
         "mu": Column("m^3", "(N,)", "manipulability sqrt(det(J_T J_T^T))"),
         "tip_error_m": Column("m", "(N,)", "|X_d - X|: absolute, in the base frame"),
         "tip_error_registered_m": Column("m", "(N,)", "the same in the frame registered by touch at the start"),
@@ -45,6 +48,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "rcm_error_model_m": Column("m", "(N,)", "the latter by the robot's own kinematics, sensor noise aside"),
         "trocar_force_N": Column("N", "(N, 3)", "true force of the trocar on the shaft, world axes"),
         "x_rad_per_s": Column("rad/s", "(N, n)", "the subproblem's answer; NaN where there was none"),
+        "dual": Column("", "(N, k)", "multipliers y of the six rows; NaN where the solver gave none"),
+        "subproblem": Column("", "(N, k)", "its packed numbers: `NullSpaceQP.from_row`"),
+        "iterations": Column("1", "(N,)", "of the solver's own loop; 0 for closed forms"),
         "status": Column("", "(N,)", "status the solver claimed; 'none' without a third level", "text"),
         "applied_x_rad_per_s": Column("rad/s", "(N, n)", "what the third level followed: the answer, or its stand-in"),
         "fault": Column(
@@ -59,6 +65,9 @@ COLUMNS: Mapping[str, Column] = MappingProxyType(
         "verified": Column("", "(N,)", "the answer was judged optimal", "flag"),
         "primal": Column("rad/s, m/s", "(N,)", "max(|A x - b|_inf, box violation); NaN: no subproblem"),
         "natural": Column("rad/s", "(N,)", "natural residual; NaN: no subproblem"),
+        "natural_best": Column("rad/s", "(N,)", "the same with the best multipliers for that answer"),
+        "relative": Column("rad/s", "(N,)", "that of the cost divided by its slope along the self-motion"),
+        "distance": Column("rad/s", "(N,)", "largest entry of the way to the nearest optimum"),
         "loss": Column("1", "(N,)", "share of the cost's range, 0 optimum, 1 worst; NaN: no subproblem"),
         "mu_bound": Column("m^3", "(N,)", "largest mu of all feasible poses with this tip and wrist; NaN: unknown"),
         "mu_best_from_start": Column("m^3", "(N,)", "mu along the best course from the start of the run"),
@@ -97,6 +106,6 @@ def check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> Non
     if known is not None:
         wanted = {"text": "U", "flag": "b"}.get(known.kind, "fiu")
         width = known.shape.removeprefix("(N,").strip(" )")
-        fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", str(shape[1]))
+        fits = len(shape) == 1 if not width else len(shape) == 2 and width in ("n", "k", str(shape[1]))
         if kind not in wanted or not fits:
             raise TraceError(f"column {name!r} is {dtype} of shape {shape}: give {known.kind}s of shape {known.shape}")

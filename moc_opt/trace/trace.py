@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,11 @@ from moc_opt.trace import parquet as trace_file
 from moc_opt.trace import views
 from moc_opt.trace import writer as trace_writer
 from moc_opt.trace.columns import COLUMNS, Column, check_column, column
+
+if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+    from xarray import Dataset
 
 
 class MissingDataError(TraceError, AttributeError):
@@ -135,7 +140,7 @@ class Trace:
             raise TraceError(f"between({start_s!r}, {stop_s!r}): no tick lies there; the trace has its ticks {there}")
         return self.select(inside)
 
-    def plot(self, columns: Sequence[str] | None = None, *, name: str = "run", beside: Trace | None = None) -> Any:
+    def plot(self, columns: Sequence[str] | None = None, *, name: str = "run", beside: Trace | None = None) -> Figure:
         """Draw the run over time, as the reports do: a plotly figure that a notebook shows.
 
         Args:
@@ -150,7 +155,7 @@ class Trace:
         runs = {name: self} if beside is None else {"baseline": beside, name: self}
         return views.figure(runs, columns)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame, one row a tick, indexed by `t_s`; `attrs` holds `meta`.
 
         A vector is spread over columns: `tip_m_x`, `tip_m_y`, `tip_m_z`; joints are numbered from 0 (`q_rad_0`).
@@ -160,7 +165,7 @@ class Trace:
         """
         return views.frame(self)
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> Dataset:
         """Return an xarray.Dataset over `t_s`, `joint` and `axis`; each variable has its unit and meaning.
 
         Raises:

@@ -20,7 +20,8 @@ from moc_opt.trace.metrics import METRICS
         (["solvers", "--list"], mo.solvers.available),
     ],
 )
-def test_a_list_has_every_name(capsys, command, expected):
+def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
+    monkeypatch.setenv("COLUMNS", "400")  # no name is broken
     assert main([*command, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(expected()) <= set(found)

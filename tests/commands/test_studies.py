@@ -18,7 +18,8 @@ def brief(tmp_path):
     return str(file)
 
 
-def test_compare_prints_every_solver_and_writes_every_run(capsys, brief, tmp_path):
+def test_compare_prints_every_solver_and_writes_every_run(capsys, brief, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
     rows = tmp_path / "rows.csv"
     assert main(["compare", "exact", "rnn", "--scenario", brief, "--trials", "2", "--out", str(rows)]) == 0
     shown = capsys.readouterr().out

@@ -67,6 +67,16 @@ def test_a_run_is_the_one_that_run_makes(found):
     assert row["mu_mean"] == pytest.approx(mo.summarize(trace)["mu_mean"], rel=1e-6)
 
 
+def test_every_run_has_its_gain_over_dcac_on_the_same_trial(found):
+    mu = {(row["solver"], row["seed"]): row["mu_mean"] for row in found.rows}
+    for row in found.rows:
+        if row["solver"] == "dcac":
+            assert "mu_gain_percent" not in row
+        else:
+            gain = 100 * (row["mu_mean"] / mu["dcac", row["seed"]] - 1)
+            assert row["mu_gain_percent"] == pytest.approx(gain)
+
+
 def test_means_and_changes_are_those_of_the_rows(found):
     mine, base = ([row["mu_mean"] for row in found.rows if row["solver"] == name] for name in ("exact", "dcac"))
     assert found.mean("exact", "mu_mean").value == pytest.approx(np.mean(mine))

@@ -146,3 +146,9 @@ def test_help_says_what_the_status_means(capsys):
     with pytest.raises(SystemExit):
         main(["run", "--help"])
     assert "Exit status: 0" in capsys.readouterr().out
+
+
+def test_numbers_are_written_as_people_write_them():
+    metrics = {"claimed_solved": 4034.0, "mu_mean": 0.31471, "primal_max": 2.7e-16, "torque_rate_rms_Nm_per_s": 5069.4}
+    values = [row["value"] for row in run_table("run", trace(), metrics).rows][1:]
+    assert values == ["4034", "0.3147", "2.700e-16", "5069"]

@@ -55,6 +55,11 @@ def written(folder, text):
     return file
 
 
+def test_every_column_of_a_run_is_documented():
+    trace = run(Scenario(duration_s=0.02, faults={"solver": "nan"}))
+    assert [name for name in trace.columns if name not in Trace.COLUMNS] == []
+
+
 # --- errors at every depth ---
 
 

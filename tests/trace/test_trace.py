@@ -297,7 +297,7 @@ def test_pyarrow_is_loaded_only_for_files() -> None:
 def test_every_documented_column_says_its_unit_and_shape() -> None:
     units = {"_m": "m", "_s": "s", "_us": "us", "_N": "N", "_Nm": "Nm", "_rad": "rad", "_rad_per_s": "rad/s"}
     for name, column in Trace.COLUMNS.items():
-        assert column.shape in ("(N,)", "(N, 3)", "(N, n)"), name
+        assert column.shape in ("(N,)", "(N, 3)", "(N, n)", "(N, k)"), name
         assert column.meaning, name
         # The unit stands in the name where there is one.
         suffix = max((end for end in units if name.endswith(end)), key=len, default=None)

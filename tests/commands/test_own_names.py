@@ -1,0 +1,104 @@
+"""Paths and metrics of another package, and waypoints, from a scenario's file and from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.errors import ScenarioError
+from moc_opt.trace.metrics import METRICS, registry
+
+PACKAGE = '''
+import numpy as np
+from moc_opt.trace.metrics import metric
+
+def helix(radius, pitch=0.01):
+    """Go round once while it climbs."""
+    w = np.linspace(0.0, 2 * np.pi, 17)
+    return np.stack([radius * np.sin(w), radius * (1 - np.cos(w)), pitch * w / (2 * np.pi)], axis=1)
+
+@metric("rad")
+def own_travel_rad(trace):
+    """Sum of all joint motion."""
+    return float(abs(trace.q_rad[1:] - trace.q_rad[:-1]).sum())
+'''
+POINTS = [[0.01, 0.0, 0.0], [0.02, 0.01, -0.005], [0.03, 0.0, 0.0]]
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """An installed package with a path and a metric."""
+    site = tmp_path / "site"
+    info = site / "own_things-1.0.dist-info"
+    info.mkdir(parents=True)
+    (site / "own_things.py").write_text(PACKAGE, encoding="utf-8")
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-things\nVersion: 1.0\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text(
+        "[moc_opt.tasks]\nhelix = own_things:helix\n[moc_opt.metrics]\nown_travel_rad = own_things:own_travel_rad\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(site))
+    monkeypatch.setattr(registry, "_LOADED", {})
+    yield
+    METRICS.pop("own_travel_rad", None)
+
+
+def printed(capsys, *arguments):
+    status = main(["run", *map(str, arguments), "--json"])
+    found = capsys.readouterr()
+    assert status == 0, found.err
+    return json.loads(found.out)
+
+
+def test_own_path_and_metric_in_a_file(package, tmp_path, capsys):
+    file, trace = tmp_path / "own.toml", tmp_path / "own.parquet"
+    file.write_text(
+        'bound_samples = 0\nmetrics = ["own_travel_rad", "mu_mean"]\n'
+        '[task]\npath = "helix"\nwait_s = 0.0\nhold_s = 0.0\n[task.sizes]\nradius = 0.004\n',
+        encoding="utf-8",
+    )
+    found = printed(capsys, file, "--trace", trace)
+    assert {"own_travel_rad", "mu_mean"} <= set(found) <= {"own_travel_rad", "mu_mean", "ended", "warnings", "faults"}
+    assert found["own_travel_rad"] > 0.0
+    ends = mo.load_trace(trace).tip_ref_m[[0, -1]]
+    np.testing.assert_allclose(ends[1] - ends[0], [0.0, 0.0, 0.01], atol=1e-4)
+
+
+def test_own_path_and_metric_on_the_command_line(package, tmp_path, capsys):
+    short = tmp_path / "short.toml"
+    short.write_text("duration_s = 0.02\nbound_samples = 0\n[task.sizes]\nradius = 0.01\n", encoding="utf-8")
+    assert "own_travel_rad" in printed(capsys, short, "--metric", "own_travel_rad")
+    assert main(["run", str(short), "--task", "helix"]) == 2
+    assert "[task] a helix needs its radius" in capsys.readouterr().err  # sizes of another path are not kept
+    assert main(["tasks", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["helix"]["sizes"] == "radius, pitch = 0.01"
+    assert main(["metrics", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["own_travel_rad"]["unit"] == "rad"
+    assert main(["run", str(short), "--metric", "own_travel"]) == 2
+    assert "did you mean 'own_travel_rad'" in capsys.readouterr().err
+
+
+def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsys):
+    points, file = tmp_path / "points.csv", tmp_path / "short.toml"
+    points.write_text("# x, y, z\n0.01, 0, 0\n0.02 0.01 -0.005\n\n0.03,0,0\n", encoding="utf-8")
+    file.write_text("duration_s = 0.7\nbound_samples = 0\n[task]\nwait_s = 0.0\n", encoding="utf-8")
+    printed(capsys, file, "--task", points, "--trace", tmp_path / "a.parquet")
+    scenario = mo.Scenario(duration_s=0.7, bound_samples=0, task={"waypoints_m": POINTS, "wait_s": 0.0})
+    assert scenario.task.path == "waypoints"
+    asked = mo.run(scenario).tip_ref_m
+    np.testing.assert_array_equal(mo.load_trace(tmp_path / "a.parquet").tip_ref_m, asked)
+    assert np.ptp(asked, axis=0).min() > 1e-4  # in three dimensions
+
+
+def test_waypoints_and_another_path_exclude_each_other(tmp_path, capsys):
+    with pytest.raises(ScenarioError, match=r"path = 'spiral': leave waypoints_m out"):
+        mo.Scenario(task={"path": "spiral", "waypoints_m": POINTS})
+    with pytest.raises(ScenarioError, match=r"path = 'waypoints': give waypoints_m"):
+        mo.Scenario(task={"path": "waypoints"})
+    (tmp_path / "bad.csv").write_text("0.1, 0.2\n", encoding="utf-8")
+    assert main(["run", "--task", str(tmp_path / "bad.csv")]) == 2
+    assert "[task] waypoints_m.0" in capsys.readouterr().err
+    assert main(["run", "--task", "spirla"]) == 2
+    assert "did you mean 'spiral'" in capsys.readouterr().err
