@@ -28,6 +28,7 @@ from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise, tables
 from moc_opt.control import ControlSettings
+from moc_opt.inputs.files import to_json
 from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario
 
@@ -93,7 +94,7 @@ def study(given: Namespace) -> cli.Results:
 def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
     """The rows of a job: from its file, if it was done before at this commit, or else worked out."""
     asked = [commit, job.part, job.robot, job.trial.model_dump(mode="json"), job.count, dict(job.loops)]
-    file = folder / f"{hashlib.sha256(json.dumps(asked, sort_keys=True).encode()).hexdigest()[:24]}.json"
+    file = folder / f"{hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()[:24]}.json"
     if file.exists():
         found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
         return found

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -149,12 +151,12 @@ class Comparison:
         Raises:
             ScenarioError: the file cannot be written.
         """
-        keys = dict.fromkeys(key for row in self.rows for key in row)
+        written = io.StringIO(newline="")
+        table = csv.DictWriter(written, list(dict.fromkeys(key for row in self.rows for key in row)))
+        table.writeheader()
+        table.writerows(self.rows)
         try:
-            with open(path, "w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, list(keys))
-                writer.writeheader()
-                writer.writerows(self.rows)
+            Path(path).write_text(written.getvalue(), encoding="utf-8", newline="")
         except OSError as error:
             raise ScenarioError(f"{path}: cannot be written: {error}") from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import select
 import signal
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control.exchange import ANSWERED, OBSERVES, REFUSED, START, Answer, Exchange, shared_file
+from moc_opt.inputs.files import to_json
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Worker:
         self._bells.register(self._bell, select.POLLIN)
         ends = (fd, theirs.fileno())
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _BOOT, json.dumps(sys.path), *map(str, (*ends, n, os.getpid()))],
+            [sys.executable, "-c", _BOOT, to_json(sys.path, indent=None), *map(str, (*ends, n, os.getpid()))],
             stdin=subprocess.DEVNULL, pass_fds=ends, start_new_session=True,
         )  # fmt: skip
         os.close(fd)

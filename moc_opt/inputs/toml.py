@@ -37,7 +37,7 @@ def _key(key: str) -> str:
 
 def _text(text: str) -> str:
     # JSON's escapes are TOML's, but for DEL, and for characters beyond 16 bits, which stay as they are.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return json.dumps(text, ensure_ascii=False, allow_nan=False).replace("\x7f", "\\u007f")
 
 
 def _value(value: Any, where: str) -> str:

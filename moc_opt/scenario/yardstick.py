@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import to_json
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.climb import top_of
 from moc_opt.planning.course import Course, make_course
@@ -54,7 +55,7 @@ def yardstick(scenario: Scenario) -> Yardstick:
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable.
     """
-    return _planned(json.dumps(scenario.model_dump(mode="json", include=set(PATH)), sort_keys=True))
+    return _planned(to_json(scenario.model_dump(mode="json", include=set(PATH)), indent=None, sort_keys=True))
 
 
 @lru_cache(maxsize=64)

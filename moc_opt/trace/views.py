@@ -6,7 +6,6 @@ pandas, xarray and the figures are imported when they are asked for, never befor
 from __future__ import annotations
 
 import importlib
-import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError
+from moc_opt.inputs.files import to_json
 from moc_opt.inputs.notebook import table_html
 from moc_opt.trace.columns import COLUMNS
 
@@ -82,7 +82,8 @@ def dataset(trace: Trace) -> Any:
         variables[name] = (dimensions, array, words)
     # Attributes of a NetCDF file are texts and numbers: what is nested goes as JSON.
     plain = {
-        key: value if isinstance(value, str | int | float) else json.dumps(value) for key, value in trace.meta.items()
+        key: value if isinstance(value, str | int | float) else to_json(value, indent=None)
+        for key, value in trace.meta.items()
     }
     return xarray.Dataset(variables, coordinates, plain)
 

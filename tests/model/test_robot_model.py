@@ -265,11 +265,11 @@ def test_the_record_is_what_the_attributes_show(arm: RobotModel) -> None:
     views = kernels.state_views(s.record, s.n)
     assert s.record.shape == (kernels.record_size(s.n),)
     assert sum(np.size(view) for view in views) == s.record.size
-    for name in ("q", "v", "tip", "wrist", "A", "grad_mu", "M", "h", "energy_slope", "gravity"):
+    for name in ("q", "v", "tip", "wrist", "A", "grad_mu", "grad_mu_shaft", "M", "h", "energy_slope", "gravity"):
         np.testing.assert_array_equal(getattr(views, name), getattr(s, name))
     np.testing.assert_array_equal(views.u, s.tool_direction)
     np.testing.assert_array_equal(views.drift, np.r_[s.drift_tip, s.drift_wrist])
-    np.testing.assert_array_equal(views.scalars, [s.mu, s.tool_span])
+    np.testing.assert_array_equal(views.scalars, [s.mu, s.tool_span, s.mu_shaft])
     np.testing.assert_array_equal(s.A, np.vstack([s.J_tip, s.J_wrist]))
     copy = pickle.loads(pickle.dumps(s))
     np.testing.assert_array_equal(copy.record, s.record)
