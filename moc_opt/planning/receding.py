@@ -33,7 +33,7 @@ MOST_OFF = 1e-3
 
 
 class Answer(NamedTuple):
-    """A course at N + 1 evenly spaced times; straight between them, and at rest after the last."""
+    """A course at N + 1 evenly spaced times; cubic between them (Hermite), and at rest after the last."""
 
     t_s: Array
     q_rad: Array
@@ -43,11 +43,13 @@ class Answer(NamedTuple):
         """Pose (n,) [rad] and velocity (n,) [rad/s]."""
         if t_s >= self.t_s[-1]:
             return self.q_rad[-1], np.zeros_like(self.q_rad[-1])
-        along = max(0.0, (t_s - self.t_s[0]) / (self.t_s[1] - self.t_s[0]))
+        dt = self.t_s[1] - self.t_s[0]
+        along = max(0.0, (t_s - self.t_s[0]) / dt)
         k = min(int(along), len(self.t_s) - 2)
-        part = along - k
-        q, v = ((1.0 - part) * rows[k] + part * rows[k + 1] for rows in (self.q_rad, self.v_rad_per_s))
-        return q, v
+        s, q, way = along - k, self.q_rad[k], self.q_rad[k + 1] - self.q_rad[k]
+        v, last = self.v_rad_per_s[k], self.v_rad_per_s[k + 1]
+        bend, turn = 3.0 * way - dt * (2.0 * v + last), dt * (v + last) - 2.0 * way
+        return q + s * (dt * v + s * (bend + s * turn)), v + s * (2.0 * bend + 3.0 * s * turn) / dt
 
 
 class Receding:

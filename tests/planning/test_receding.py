@@ -98,7 +98,7 @@ def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPa
         return rng.normal(size=guess.shape) if wrong == "random" else np.full_like(guess, np.nan)
 
     monkeypatch.setattr(one._horizon, "solve", nonsense)
-    for _ in range(500):
+    for _ in range(700):
         wish = one.wish(robot.state(q))
     assert one.kept == len(one.solve_s) - 1 > 10
     assert np.isfinite(wish).all()
