@@ -36,6 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file: x,y,z [m] a line")
     one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
     one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
+    one.add_argument(
+        "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"
+    )
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")

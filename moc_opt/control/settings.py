@@ -139,7 +139,7 @@ class ControlSettings(Settings):
         "from where the arm is",
     )
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = Field(
-        default=0.5, description="under receding: how far ahead the course is made smooth; V knows what comes after"
+        default=1.0, description="under receding: how far ahead the course is made smooth; V knows what comes after"
     )
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(
         default=20.0, description="under receding: solves in a second"

@@ -11,6 +11,7 @@ V is what the pose at the end is worth for the rest of the path, as a parabola (
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,11 @@ from moc_opt.planning.to_go import End
 Array = NDArray[np.float64]
 OPTIONS: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
-    "max_iter": 6, "tol_pr": 1e-6, "tol_du": 1e-3, "qpsol": "osqp", "convexify_strategy": "regularize",
-    "qpsol_options": {"error_on_fail": False, "osqp": {"verbose": False, "max_iter": 1000}},
+    "max_iter": 6, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp",
+    "qpsol_options": {
+        "error_on_fail": False,
+        "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
+    },
 }  # fmt: skip
 
 
@@ -72,12 +76,17 @@ class Horizon:
             start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend
         )
         problem: dict[str, Any] = {"x": ca.vec(x), "p": given, "f": -gain, "g": ca.vertcat(*tasks, *steps, z)}
-        self._solver = ca.nlpsol("horizon", "sqpmethod", problem, OPTIONS)
+        self._make: Callable[[], Any] = lambda: ca.nlpsol("horizon", "sqpmethod", problem, OPTIONS)
+        self.forget()
         self._low, self._high = (
             np.tile(limit[moving], nodes) for limit in (robot.q_min + margin_rad, robot.q_max - margin_rad)
         )
         self._step, self._equal = np.tile(speed[moving], nodes), np.zeros(5 * nodes)
         self.nodes, self.speed, self.margin_rad = nodes, speed, margin_rad
+
+    def forget(self) -> None:
+        """Make the solver anew: its workspace goes from call to call, and a run is to be repeated to the last bit."""
+        self._solver = self._make()
 
     def solve(self, guess: Array, start: Array, speed: Array, targets: Targets, end: End) -> Array:
         """Solve it.

@@ -19,7 +19,7 @@ from moc_opt.model.robot_state import RobotState
 from moc_opt.planning.course import make_course
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.targets import Targets
-from moc_opt.planning.to_go import ToGo
+from moc_opt.planning.to_go import NEARBY_RAD, ToGo
 
 Array = NDArray[np.float64]
 
@@ -87,18 +87,30 @@ class Receding:
 
     def start(self) -> None:
         """Go back to t = 0."""
+        self._horizon.forget()
         self._tick, self.solve_s, self.kept = 0, [], 0
         self._answer: Answer | None = None
-        self._answer = self._next = self._solve(self._q_start, 0.0)
+        self._before = self._answer = self._next = self._solve(self._q_start, 0.0)
+
+    @property
+    def told(self) -> dict[str, float]:
+        """Number of ``solves`` since the start, of those ``kept``, and their times [ms]."""
+        times = 1e3 * np.array(self.solve_s or [0.0])
+        median, high = np.percentile(times, [50.0, 99.0]).tolist()
+        return {"solves": len(self.solve_s), "kept": self.kept, "solve_ms_median": median, "solve_ms_p99": high}
 
     def wish(self, state: RobotState) -> Array:
         """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         t = self._tick * self._period
         if self._tick and self._tick % self._every == 0:
-            self._answer, self._next = self._next, self._solve(state.q, t)
-        self._tick += 1
+            self._before, self._answer, self._next = self._answer, self._next, self._solve(state.q, t)
         assert self._answer is not None
-        q, v = self._answer.at(t)
+        assert self._before is not None
+        # From one answer to the next without a jump, over the time until the one after it.
+        part = (self._tick % self._every) / self._every
+        (q_0, v_0), (q_1, v_1) = self._before.at(t), self._answer.at(t)
+        q, v = (1.0 - part) * q_0 + part * q_1, (1.0 - part) * v_0 + part * v_1
+        self._tick += 1
         wish: Array = self._lead * (v + self._gain * (q - state.q))
         return wish
 
@@ -120,7 +132,7 @@ class Receding:
         times, poses, branch, sample = way
         nodes = np.linspace(t, times[-1], NODES + 1)
         there = self._at(nodes[1:])
-        guess = _between(nodes[1:], times, poses)
+        guess = self._warm(nodes[1:], times, poses)
         speed = np.zeros(len(q)) if self._answer is None else self._answer.at(t)[1]
         answer = self._horizon.solve(guess, q, speed, there, self._to_go.near(end, branch, sample))
         course = np.concatenate([q[None], answer])
@@ -129,6 +141,19 @@ class Receding:
         velocity = np.gradient(course, nodes, axis=0)
         velocity[0] = speed
         return Answer(nodes, course, velocity)
+
+    def _warm(self, t: Array, times: Array, poses: Array) -> Array:
+        """The last answer and then the way, as long as they go together; else the way alone."""
+        guess, last = _between(t, times, poses), self._answer
+        if last is None:
+            return guess
+        apart = last.q_rad[-1] - _between(last.t_s[-1:], times, poses)[0]
+        if np.abs(apart).max() > NEARBY_RAD:
+            return guess
+        known = t <= last.t_s[-1]
+        guess += apart
+        guess[known] = _between(t[known], last.t_s, last.q_rad)
+        return guess
 
     def _usable(self, course: Array, there: Targets) -> bool:
         if not np.isfinite(course).all():

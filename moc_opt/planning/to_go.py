@@ -2,11 +2,11 @@
 
 Dynamic programming backwards over the map, once, before anything moves:
 
-    V_k(p) = g(p) + max { V_{k+1}(p') : |q - q'| <= v_max dt for every joint }
+    V_k(p) = mu dt + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
 A horizon that ends in V chooses as if it went to the end of the path: it leaves a hump of mu for a better one where
 that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model. It
-does not know what pushes the arm nor what accelerations cost, and it is as accurate as its map: a pose stands for half
+does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for half
 of the half cell around it.
 """
 
@@ -50,14 +50,16 @@ class End(NamedTuple):
 class ToGo:
     """V over a map of k times, b branches, m samples."""
 
-    def __init__(self, found: PoseMap, step_rad: Array, margin_rad: float = 0.0) -> None:
+    def __init__(self, found: PoseMap, step_rad: Array, margin_rad: float = 0.0, price: float = 0.0) -> None:
         """Go through the map from its end to its start.
 
         Args:
             found: the map.
             step_rad: (n,) most that a joint turns in one period [rad].
             margin_rad: from the joint limits.
+            price: c, of speed [m^3 s^2/rad^2].
         """
+        self._price = price / found.targets.period_s
         self.map, self._step, count = found, step_rad, len(found.targets)
         self._poses = lru_cache(KEPT)(self._evaluated)
         weight = weights(count) * found.targets.period_s
@@ -93,10 +95,10 @@ class ToGo:
         b, j = (int(i) for i in np.unravel_index(int(np.argmax(value)), value.shape))
         if not np.isfinite(value[b, j]):
             return None
-        poses, i = [], j
+        poses, at = [], (b, j)
         for k, back in zip(range(end, first - 1, -1), backs[::-1], strict=True):
-            poses.append(self._poses(k)[0][b, i])
-            i = int(back[b, i])
+            poses.append(self._poses(k)[0][at])
+            at = divmod(int(back[at]), back.shape[1])
         return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
 
     def near(self, end: int, b: int, j: int) -> End:
@@ -128,18 +130,20 @@ class ToGo:
     ) -> tuple[Array, NDArray[np.int32]]:
         value, back = np.empty(gain.shape), np.empty(gain.shape, dtype=np.int32)
         window = math.ceil(int(self.map.window[k : k + 2].max()) * max(periods, 1.0))
-        spread(before, slack, value_before, *self._poses(k), gain, periods * self._step, window, value, back)
+        price, step = self._price / max(periods, 1e-9), periods * self._step
+        crossing = self.map.crossing(k, step)
+        spread(before, slack, value_before, *self._poses(k), gain, step, window, crossing, price, value, back)
         return value, back
 
 
 @njit(cache=True, nogil=True)
 def spread(
     before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array, step: Array,
-    window: int, value: Array, back: NDArray[np.int32],
+    window: int, crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
 ) -> None:  # fmt: skip
-    """Fill value and back (b,m) as `search_kernels.advance` does, going out from the poses that have a value.
+    """Fill value and back (b,m) as `search_kernels.advance` does, but going out from the poses that have a value.
 
-    That costs what is reached, not what there is: a horizon begins at one pose.
+    That costs what is reached, not what there is: a horizon begins at one pose. Price: of a step's square [1/rad^2].
     """
     branches, m, n = q.shape
     m0 = before.shape[1]
@@ -154,12 +158,18 @@ def spread(
                 continue
             for i in range(count):
                 j = (j0 + first + i) % m
-                if not worth + gain[b, j] > value[b, j]:
-                    continue
-                near = True
-                for a in range(n):
-                    if not abs(q[b, j, a] - before[b, j0, a]) <= step[a] + slack[b, j, a] + slack_before[b, j0, a]:
-                        near = False
+                flips = crossing[j]
+                while True:  # over all subsets of the bits, the empty one last
+                    to = b ^ flips
+                    near, total = worth + gain[to, j] > value[to, j], worth + gain[to, j]
+                    for a in range(n):
+                        if not near:
+                            break
+                        away = abs(q[to, j, a] - before[b, j0, a])
+                        near = away <= step[a] + slack[to, j, a] + slack_before[b, j0, a]
+                        total -= price * away * away
+                    if near and total > value[to, j]:
+                        value[to, j], back[to, j] = total, b * m0 + j0
+                    if flips == 0:
                         break
-                if near:
-                    value[b, j], back[b, j] = worth + gain[b, j], j0
+                    flips = (flips - 1) & crossing[j]

@@ -14,6 +14,7 @@ from moc_opt.planning.follow import Follower
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.receding import HURRY, NODES, Receding
+from moc_opt.planning.refine import SETTLED_S, refine
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
@@ -26,8 +27,8 @@ V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
 FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
-SMOOTHNESS = 1e-3
-"""[s^4/rad^2]"""
+SMOOTHNESS = {"planned": 3e-3, "receding": 6e-3}
+"""What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
@@ -54,31 +55,38 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
         return lambda: Follower(course, period, lead=lead)
     fine = _laid(robot, layout)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
+    smooth = SMOOTHNESS["receding"]
     found, share = map_of(robot, layout.q, path), (1.0 - SPEED_LEFT) * settings.speed_fraction
     for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
-        to_go = ToGo(found, share * robot.v_max * path.period_s, margin)
+        usual = float(np.nanmean(found.highest(margin)))
+        to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
         if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
             break
     else:
         raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
-    horizon = Horizon(
-        robot, NODES, mu=float(np.nanmean(found.highest(margin))), margin_rad=margin, speed=HURRY * share * robot.v_max,
-        smoothness=SMOOTHNESS,
-    )  # fmt: skip
-    return lambda: Receding(
-        to_go, horizon, robot, fine, layout.q, period, horizon_s=settings.horizon_s, rate_per_s=settings.replan_per_s,
-        lead=lead,
-    )  # fmt: skip
+
+    def receding() -> Receding:
+        horizon = Horizon(
+            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth
+        )
+        return Receding(
+            to_go, horizon, robot, fine, layout.q, period, horizon_s=settings.horizon_s,
+            rate_per_s=settings.replan_per_s, lead=lead,
+        )  # fmt: skip
+
+    return receding
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
-    """The best course in mean mu from the start of this run that the third level can follow."""
+    """The best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
     share = (1.0 - SPEED_LEFT) * settings.speed_fraction
     for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
         found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
         if found.from_start is not None:
-            return found.from_start
+            return refine(
+                robot, targets, found.from_start, margin_rad=margin, speed_share=share, smoothness=SMOOTHNESS["planned"]
+            )
     raise _stuck(scenario, found)
 
 

@@ -16,6 +16,7 @@ from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
 from moc_opt.control.isolated import Isolated
 from moc_opt.errors import ScenarioError, describe
+from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.agreement import check_engines
@@ -74,6 +75,8 @@ class Setup:
         entry = layout.trocar + self.offset.trocar
         self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
         self._fault_seed = fault_seed
+        self.guide: Guide | None = None
+        """What the third level of the last controller follows."""
         self._replayed_us = recorded_times(scenario)
 
     def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
@@ -114,8 +117,8 @@ class Setup:
             budget = None if times is None else budget  # kept by one of the two: an older answer is not late
         watch = settings.supervisor.model_copy(update={"budget_us": budget})
         settings = settings.model_copy(update={"supervisor": watch})
-        guide = None if self._guides is None else self._guides()
-        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, guide)
+        self.guide = None if self._guides is None else self._guides()
+        return Controller(self.robot, settings, solver, self.scenario.plant.period_s, times, self.guide)
 
     def _times(self) -> Iterator[float] | None:
         """Solve times [us] that stand for the clock's, where the scenario replays some or a solver that hangs."""
@@ -206,13 +209,14 @@ class Setup:
         def trocar(t: Array) -> Array:
             return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
 
-        return simulate(
+        found = simulate(
             self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
             Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
             safety_filter=make_safety_filter(self.robot, self.scenario),
             faults=faults if wrong.around_the_arm else None,
             stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
         )  # fmt: skip
+        return found.with_meta(replans=self.guide.told) if isinstance(self.guide, Receding) else found
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
         """A run whose rows go to the disk as they come; judged block by block."""

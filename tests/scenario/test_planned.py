@@ -116,3 +116,12 @@ def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> 
 def test_what_is_no_scenario_is_refused(given):
     with pytest.raises(ScenarioError, match="give a Scenario"):
         mo.plan(given)
+
+
+def test_the_third_level_is_chosen_from_the_command_line(tmp_path: Path) -> None:
+    file, to = scenario_file(tmp_path, "duration_s = 0.3\nbound_samples = 0\n"), tmp_path / "run.parquet"
+    assert main(["run", file, "--third-level", "receding", "--trace", str(to), "--json"]) == 0
+    told = mo.Trace.load(to)
+    assert told.meta["scenario"]["control"]["third_level"] == "receding"
+    local = mo.run(mo.Scenario.load(file))
+    assert np.abs(told.columns["x_rad_per_s"] - local.columns["x_rad_per_s"]).max() > 1e-3

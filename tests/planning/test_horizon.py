@@ -1,0 +1,64 @@
+"""The short program keeps tip, shaft, limits and speeds, goes where V is higher, and gently for a price."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.course import make_course
+from moc_opt.planning.horizon import Horizon
+from moc_opt.planning.search import search
+from moc_opt.planning.targets import Targets
+from moc_opt.planning.to_go import End
+from tests.conftest import Array
+from tests.planning.test_search import map_of
+
+NODES = 8
+
+
+def problem(robot: RobotModel) -> tuple[Horizon, Array, Array, Targets]:
+    """A start in the middle of a course, and the course as a guess."""
+    found, step = map_of(robot, robot.data.q_home, count=101)
+    q = search(found, step, start=(robot.data.q_home, 0.1)).q_rad
+    assert q is not None
+    part, path = slice(30, 30 + NODES), found.targets
+    there = Targets(path.t_s[part], path.tip[part], path.wrist[part], path.arc_length_m[part])
+    made = Horizon(robot, NODES, mu=0.1, margin_rad=0.0, speed=robot.v_max, smoothness=1e-3)
+    return made, q[29], q[part], there
+
+
+def nothing(q: Array) -> End:
+    return End(q, np.zeros(len(q)), 0.0, 0.0, -1.0, 1.0)
+
+
+def test_tip_shaft_limits_and_speeds_are_kept(robot: RobotModel) -> None:
+    made, start, guess, there = problem(robot)
+    answer = made.solve(guess, start, np.zeros(robot.n), there, nothing(start))
+    course = make_course(robot, there, answer)
+    assert course.violation < 1e-4
+    first = np.abs(answer[0] - start) / there.period_s
+    assert (first <= robot.v_max + 1e-3).all()
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_its_end_is_pulled_to_where_v_is_higher(robot: RobotModel, side: float) -> None:
+    made, start, guess, there = problem(robot)
+    rest = (guess[-1] - start) / (NODES * there.period_s)
+    plain = made.solve(guess, start, rest, there, nothing(guess[-1]))
+    along = np.linalg.svd(robot.state(plain[-1]).A[:, :6])[2][-1]
+    along = np.append(along / np.linalg.norm(along), 0.0)
+    pulled = made.solve(guess, start, rest, there, End(plain[-1], along, 0.05 * side, -0.5, -1.0, 1.0))
+    assert side * (along @ (pulled[-1] - plain[-1])) > 1e-3
+    kept = made.solve(guess, start, rest, there, End(plain[-1], along, 0.05 * side, -0.5, -1e-4, 1e-4))
+    assert abs(along @ (kept[-1] - plain[-1])) < 1e-3
+
+
+def test_a_smoother_course_is_had_for_a_higher_price(robot: RobotModel) -> None:
+    _, start, guess, there = problem(robot)
+    rough = []
+    for price in (1e-4, 1e-1):
+        made = Horizon(robot, NODES, mu=0.1, margin_rad=0.0, speed=robot.v_max, smoothness=price)
+        q = np.concatenate([start[None], made.solve(guess, start, np.zeros(robot.n), there, nothing(start))])
+        rough.append(float((np.diff(q, axis=0) ** 2).sum()))
+    assert rough[1] < rough[0]
