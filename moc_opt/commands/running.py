@@ -20,9 +20,9 @@ def run_scenario(given: argparse.Namespace) -> int:
     from moc_opt.scenario import RunAway, Setup
 
     scenario, title = read_scenario(given.scenario)
-    scenario = changed(scenario, given)
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
+    scenario = changed(scenario, given)
     if given.report is not None:
         check_out(given.report, "report")
     setup = Setup(scenario)
@@ -94,6 +94,8 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         scenario = scenario.change(control={"third_level": given.third_level})
     if given.solver is not None:
         scenario = scenario.change(solver={"name": given.solver, "settings": {}})
+    if given.third_level is not None:
+        scenario = scenario.change(control={"third_level": given.third_level})
     if given.task is not None:
         task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
         if Path(given.task).suffix.lower() in (".csv", ".txt"):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import moc_opt as mo
+from moc_opt.__main__ import main
 from moc_opt.planning.climb import top_of
 from moc_opt.report.map_page import best_courses
 from moc_opt.scenario.planned import plan
@@ -56,6 +58,15 @@ def test_without_the_setting_nothing_is_planned() -> None:
     assert "mu_best" not in quick.columns
     assert "best_courses" not in quick.meta
     assert "mu_fraction_of_best" not in mo.summarize(quick)
+
+
+@pytest.mark.parametrize(("line", "there"), [("", True), ("best_courses = false\n", False)])
+def test_the_command_run_compares_unless_the_scenario_says_no(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, there: bool
+) -> None:
+    (tmp_path / "short.toml").write_text(f"{line}duration_s = 0.1\nbound_samples = 0\n", encoding="utf-8")
+    assert main(["run", str(tmp_path / "short.toml"), "--seed", "3", "--json"]) == 0
+    assert ("mu_fraction_of_best" in json.loads(capsys.readouterr().out)) == there
 
 
 def test_of_an_arm_with_two_freedoms_the_reason_is_given() -> None:
