@@ -126,16 +126,18 @@ def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None
 
 
 def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Solvers by mean mu on every arm, best first, and Spearman's rank correlation between arms."""
+    """Solvers by mean mu to a thousandth, best first, and the rank correlation of arms that tell them apart."""
     scores = {
         robot: {name: row["mu_mean"] for name, row in figures.items() if name != MATCHED and "mu_mean" in row}
         for robot, figures in robots.items()
     }
+    # What differs by less than a thousandth is alike: answers that are equal to 1e-6 have no rank.
+    scores = {robot: {name: round(mu / max(by.values()), 3) for name, mu in by.items()} for robot, by in scores.items()}
     order = {robot: sorted(by, key=lambda name: -by[name]) for robot, by in scores.items()}
     between = {}
     for one, two in combinations(scores, 2):
         shared = [name for name in scores[one] if name in scores[two]]
-        if len(shared) > 2:
+        if len(shared) > 2 and all(len({by[name] for name in shared}) > 1 for by in (scores[one], scores[two])):
             rho = stats.spearmanr(
                 [scores[one][n] for n in shared], [scores[two][n] for n in shared]
             ).statistic

@@ -105,6 +105,7 @@ def test_arms_that_rank_solvers_alike_correlate() -> None:
     orders = {"a": (1.1, 1.2, 1.3), "b": (2.1, 2.2, 2.3), "c": (3.3, 3.2, 3.1)}
     rows = [row(robot, "t", "dcac") for robot in orders]
     rows += [row(r, "t", s, mu=m) for r, mus in orders.items() for s, m in zip(("x", "y", "z"), mus, strict=True)]
-    ranking = summarise(rows)["ranking"]
+    rows += [row("d", "t", "dcac"), *[row("d", "t", s, mu=1.0 + k * 1e-6) for k, s in enumerate("xyz")]]
+    ranking = summarise(rows)["ranking"]  # d tells none apart, and correlates with none
     assert ranking["order"]["a"] == ["z", "y", "x"]
     assert ranking["between"] == pytest.approx({"a, b": 1.0, "a, c": -1.0, "b, c": -1.0})
