@@ -45,6 +45,13 @@ class WallClock:
         return now + self._period  # whoever is late, the controller has a whole period
 
 
+def give_back_realtime() -> None:
+    """Be an ordinary process again: what follows a run is long, and nobody waits for it."""
+    if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        ctypes.CDLL(None).munlockall()
+
+
 def ask_for_realtime() -> dict[str, str]:
     """Ask for a real-time priority, for memory that is never paged out, and for exact timers.
 

@@ -61,6 +61,7 @@ class RemoteController(Filtered):
         self._control_us, self._missed = float("nan"), False
         self._watchdog: Watchdog | None = None
         self.told: dict[str, Any] = {}
+        self._counts: dict[str, Any] = {}
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
@@ -151,7 +152,9 @@ class RemoteController(Filtered):
             self._receive(until, lambda: self._reports.newest == self._tick - 1)
 
     def close(self) -> dict[str, Any]:
-        """Tell the controller that the run is over; return the counts. ``told`` has what it said of the run."""
+        """Tell the controller, once, that the run is over; return the counts. ``told`` has what it said of the run."""
+        if self._counts:
+            return self._counts
         self._packet["flags"] = ENDED
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
@@ -163,7 +166,8 @@ class RemoteController(Filtered):
                 break
         self.link.close()
         overruns = {} if self.clock is None else {"overruns": self.clock.overruns}
-        return {**asdict(self.link.quality), **overruns}
+        self._counts = {**asdict(self.link.quality), **overruns}
+        return self._counts
 
     def _fill(self, seen: Measurement, state: int) -> None:
         packet = self._packet

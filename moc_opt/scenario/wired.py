@@ -6,12 +6,13 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from moc_opt.inputs.files import to_json
 from moc_opt.realtime.answering import Answering, Ending
-from moc_opt.realtime.clock import WallClock
+from moc_opt.realtime.clock import WallClock, give_back_realtime
 from moc_opt.realtime.key import WireError, checked_key, parse_address
 from moc_opt.realtime.link import Address, Link
 from moc_opt.realtime.packets import Kind
@@ -76,6 +77,14 @@ class PlantServer(Setup):
     def adapter(self) -> LoggedController:
         """Return the controller at the other end."""
         return self._remote  # type: ignore[return-value]
+
+    def _simulate(self, *given: Any, **named: Any) -> Trace:
+        try:
+            return super()._simulate(*given, **named)
+        finally:  # judging may take longer than a controller waits
+            self._remote.close()
+            if self.system:
+                give_back_realtime()
 
     def trace(
         self, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, block: int = 0

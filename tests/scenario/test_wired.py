@@ -143,6 +143,16 @@ def test_a_plant_that_falls_silent_ends_the_controller() -> None:
     assert found.meta["ended"].startswith("stopped: no command from the controller")
 
 
+def test_the_controller_is_told_before_the_run_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, told = Scenario(**SHORT, wire={"silence_s": 20.0}), []
+    plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
+    with ThreadPoolExecutor(1) as pool:
+        controller = pool.submit(answer, scenario, "{}:{}".format(*plant.address))
+        monkeypatch.setattr(plant, "_row_by_row", lambda *given: told.append(controller.result(10.0)) or {})
+        plant.trace()
+    assert told[0].ended == "completed"
+
+
 def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     """Two processes by the command line; how many ticks are missed is the machine's affair."""
     file, trace = tmp_path / "run.toml", tmp_path / "run.parquet"
