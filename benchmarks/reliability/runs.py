@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 SMOOTH_S = 0.2  # errors are averaged over so long before they are compared with the run without a fault
 RECOVERED = 1.2  # times the level without a fault
 RESOLUTION_M = 5e-5  # half an encoder step at the end of the arm: less is no difference
-COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late")
+COMPLAINTS = ("failed", "raised", "malformed", "not_finite", "outside", "lied", "late", "lost")
 """Faults that a supervisor names when a solver misbehaves; "infeasible" is an honest answer."""
 
 

@@ -13,6 +13,7 @@ still: a second process is kept ready, and a tick that finds none falls back.
 
 from __future__ import annotations
 
+import os
 import pickle
 from typing import ClassVar, NamedTuple
 
@@ -64,12 +65,16 @@ class Isolated:
             and a second process is kept ready.
 
     Raises:
-        ControlError: the solver cannot be copied into another process.
+        ControlError: the solver cannot be copied into another process, or this is no Linux.
     """
 
     def __init__(
         self, inner: Solver, settings: ProcessSettings | None = None, budget_us: float | None = None, waits: bool = True
     ) -> None:
+        if not hasattr(os, "memfd_create"):
+            raise ControlError(
+                "[solver] isolation = 'process' needs Linux: it shares memory without a name; take 'none'"
+            )
         self.inner, self.settings, self.waits = inner, settings or ProcessSettings(), waits
         self.budget_us = float("inf") if budget_us is None else budget_us
         try:

@@ -207,6 +207,12 @@ def test_a_solver_that_cannot_run_there_is_refused_before_anything_moves(qp, sol
         started(solver, qp)
 
 
+def test_another_system_is_named(monkeypatch):
+    monkeypatch.delattr(os, "memfd_create")
+    with pytest.raises(ControlError, match="needs Linux"):
+        Isolated(bad.Misbehaving())
+
+
 def test_a_run_survives_a_plug_in_that_hangs(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(install(tmp_path)))
     isolated = {"isolation": "process", "process": {"hang_s": 1.0}}
