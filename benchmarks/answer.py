@@ -21,6 +21,10 @@ from moc_opt.report.tables import Column, Table
 MOST_COLUMNS = 8
 YES, NO, UNKNOWN = Mark("✔", "yes", "good", 0), Mark("✘", "no", "bad", 2), Mark("–", "open", "other", 1)
 """Of what was to be reached or confirmed."""
+WORDS = {
+    "yes": YES, "no": NO, "met": Mark("✔", "met", "good", 0), "missed": Mark("✘", "missed", "bad", 2), "open": UNKNOWN,
+    "not measured": Mark("–", "not measured", "other", 1),
+}  # fmt: skip
 
 
 class Picture(NamedTuple):
@@ -69,6 +73,17 @@ def in_sentences(text: str, most: int = 3) -> list[str]:
     """Split a text where a sentence ends; what is beyond ``most`` sentences stays with the last of them."""
     parts = re.split(r"(?<=\.) (?=[A-Z`])", text)
     return [*parts[: most - 1], " ".join(parts[most - 1 :])] if len(parts) > most else parts
+
+
+def marked_answer(text: str, table: Table) -> Answer:
+    """Make the answer of a text and a table: its first eight columns, its verdicts in colour and with a symbol."""
+    columns = table.columns[:MOST_COLUMNS]
+    rows = [
+        {column.key: WORDS.get(value, value) if isinstance(value, str) else value
+         for column in columns if (value := row.get(column.key)) is not None}
+        for row in table.rows
+    ]  # fmt: skip
+    return Answer(in_sentences(text), replace(table, columns=columns, rows=rows))
 
 
 def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequence[Mapping[str, object]],

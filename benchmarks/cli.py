@@ -139,7 +139,8 @@ def leave(found: Results, given: Namespace) -> None:
         show(screen, found.answer.screens(screen.width))
     for table in found.tables:
         screen.print(table.narrowed(screen.width))
-    show(screen, found.sentences)
+    for sentence in found.sentences:
+        screen.print(sentence, markup=False, soft_wrap=True)
     if getattr(given, "busy", ""):
         screen.print(given.busy, markup=False, soft_wrap=True)
     screen.print(f"written: {out}/{' '.join([*files, *found.files])}", markup=False, soft_wrap=True)

@@ -61,7 +61,7 @@ def table(summary: Mapping[str, Any], rows: Sequence[Row]) -> Table:
         Column("mu_percent", f"of {'best' if best else 'bound'}", unit="mu %", format=".1f", section=loop,
                help="mean manipulability over the "
                + ("best that can be executed" if best else "largest on the self-motion")),
-        Column("damage", "worst damage", unit=f"{trials:.0f} trials", section=loop,
+        Column("damage", "worst damage", unit=f"{trials:.0f} trials" if trials else "", section=loop,
                help="in closed loop, against the solver to take: the figure that is worst beyond what counts as equal"),
     ]  # fmt: skip
     return Table(

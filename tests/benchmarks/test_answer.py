@@ -9,7 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from benchmarks.answer import Answer, Picture, goals_answer, in_sentences, interval_picture, reached
+from benchmarks.answer import (
+    MOST_COLUMNS,
+    Answer,
+    Picture,
+    goals_answer,
+    in_sentences,
+    interval_picture,
+    marked_answer,
+    reached,
+)
 from moc_opt.report import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -29,6 +38,15 @@ def test_missed_goals_come_first_and_are_marked():
 )
 def test_a_goal_is_reached_missed_or_open(value, word):
     assert reached(value).word == word
+
+
+def test_verdicts_of_a_table_are_marked_and_its_columns_are_few():
+    columns = [Column(f"c{k}", f"c{k}") for k in range(10)]
+    rows = [{"c0": "a goal", "c1": "met", "c2": 3.0}, {"c0": "missed", "c1": "missed"}]
+    made = marked_answer("It holds.", Table("t", columns, rows)).table
+    assert len(made.columns) == MOST_COLUMNS
+    assert [row["c1"].symbol for row in made.rows] == ["✔", "✘"]
+    assert (made.rows[0]["c0"], made.rows[0]["c2"]) == ("a goal", 3.0)
 
 
 def test_sentences_end_where_they_end_and_are_few():
