@@ -1,6 +1,8 @@
 """Bad input, in quantity: every case ends in success or in a MocOptError that says what is wrong.
 
-python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--out DIR] [--json] [--page]
+python -m benchmarks.fuzz [--cases N] [--seed N] [--only KIND ...] [--resume] [--out DIR] [--json] [--page]
+
+A long run keeps the figures of every kind that is through in DIR/kinds.json; ``--resume`` goes on behind them.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ import traceback
 import warnings
 from argparse import Namespace
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +20,8 @@ from benchmarks import cli, output
 from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import COUNTS, PAGE, write_page
 from moc_opt.embedded.compiler import CompilerError, find_compiler
+from moc_opt.errors import ScenarioError
+from moc_opt.inputs.files import read_json
 from moc_opt.report.tables import Table
 
 if TYPE_CHECKING:
@@ -103,6 +107,12 @@ def has_compiler() -> bool:
         return False
 
 
+def through(kept: Path, asked: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Read the figures of the kinds that an interrupted run with the same cases was through with; {} of any other."""
+    found = read_json(kept, "figures of the fuzzer", ScenarioError) if kept.exists() else {}
+    return dict(found["kinds"]) if {name: found.get(name) for name in asked} == asked else {}
+
+
 def send(given: Namespace) -> cli.Results:
     """Send the cases of every kind; status 1 where one did not end well."""
     kinds = given.only or list(KINDS)
@@ -111,15 +121,19 @@ def send(given: Namespace) -> cli.Results:
         kinds.remove("exported")
     whole = sum(KINDS[kind] for kind in kinds)
     shares = {kind: max(1, round(given.cases * KINDS[kind] / whole)) for kind in kinds}
-    summary: dict[str, dict[str, Any]] = {}
-    with cli.steps("cases", sum(shares.values())) as step:
-        for kind, cases in shares.items():
+    environment = output.environment({"cases": given.cases, "kinds": kinds}, given.seed, given.argv)
+    asked = {"seed": given.seed, "shares": shares, "commit": environment["commit"]}
+    kept = given.out / "kinds.json"
+    summary: dict[str, dict[str, Any]] = through(kept, asked) if given.resume else {}
+    left = {kind: cases for kind, cases in shares.items() if kind not in summary}
+    with cli.steps("cases", sum(left.values())) as step:
+        for kind, cases in left.items():
             verdicts, failures = limited(explore, kind, cases, given.seed, step, CASE_S)
             summary[kind] = {
                 "cases": verdicts.total() + len(failures), "accepted": verdicts["accepted"],
                 "refused": verdicts["refused"], "failed": len(failures), "failures": failures,
             }  # fmt: skip
-    environment = output.environment({"cases": given.cases, "kinds": kinds}, given.seed, given.argv)
+            output.write_json(kept, {**asked, "kinds": summary})
     if given.page:
         write_page({"fuzz": {"cases": given.cases, "seed": given.seed, "kinds": summary}})
     table = Table("Bad input", COUNTS, [{"kind": kind, **figures} for kind, figures in summary.items()])
@@ -133,6 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.add_argument("--cases", type=int, default=10_000, help="in all")
     options.add_argument("--seed", type=cli.seed_number, default=0)
     options.add_argument("--only", nargs="+", choices=list(KINDS), help="these kinds of input alone")
+    options.add_argument("--resume", action="store_true", help="leave out the kinds that a run before was through with")
     options.add_argument("--page", action="store_true", help=f"put the figures into {PAGE.parent.name}/{PAGE.name}")
     return cli.run(options, send, arguments)
 

@@ -133,6 +133,29 @@ def test_the_command(tmp_path, capsys, monkeypatch):
     assert "ZeroDivisionError" in capsys.readouterr().out
 
 
+def test_a_run_that_was_cut_short_goes_on_behind_what_it_was_through_with(tmp_path, capsys, monkeypatch):
+    """With the same cases, seed and commit; with others all is done anew."""
+    done = []
+
+    def limited(explore, kind, cases, *rest):
+        if kind == "subproblem" and len(done) == 1:
+            raise KeyboardInterrupt
+        done.append(kind)
+        return Counter(accepted=cases), []
+
+    monkeypatch.setattr(fuzz, "limited", limited)
+    command = ["--cases", "12", "--out", str(tmp_path), "--only", "record_file", "subproblem", "--resume", "--json"]
+    assert fuzz.main(command) == 130
+    assert done == ["record_file"]
+    done.append("a break")
+    assert fuzz.main(command) == 0
+    assert done[2:] == ["subproblem"]
+    whole = json.loads(capsys.readouterr().out)
+    assert [kind["cases"] for kind in whole.values()] == [3, 9]
+    assert fuzz.main([*command, "--seed", "5"]) == 0
+    assert done[3:] == ["record_file", "subproblem"]
+
+
 @pytest.mark.parametrize(
     ("table", "names"),
     [
