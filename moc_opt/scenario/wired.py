@@ -129,7 +129,7 @@ def answer(
     """
     where = parse_address(connect, "--connect")
     checked = checked_key(key, where[0], "--connect")
-    setup = Setup(scenario)
+    setup = Setup(scenario, realtime=True)
     tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
     link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
 
