@@ -144,6 +144,8 @@ def report(summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any
     """One page, with one picture an arm."""
     page = Page("The arms", "what of the study holds on every arm, and what is the LWR4+'s")
     page.headline(headline(summary))
+    page.table(tables(summary)[1])
+    page.fold()
     page.section("How to read this")
     page.text(
         "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "
