@@ -160,6 +160,8 @@ def report(
     """One page of these tables that opens by itself."""
     page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
     page.headline(headline(summary))
+    page.table(tables(summary)[0])
+    page.fold()
     page.section("How to read this")
     page.text(
         "Starts are drawn evenly from the joint ranges less a tenth at both ends, and rejected where the pose or one "

@@ -173,6 +173,8 @@ def report(
     """One page of these tables, with one picture an arm."""
     page = Page("The arms", "what of the study holds on every arm, and what is the LWR4+'s")
     page.headline(headline(summary))
+    page.table(tables(summary)[1])
+    page.fold()
     page.section("How to read this")
     page.text(
         "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "

@@ -148,7 +148,7 @@ JOBS: dict[str, Part] = {
 
 
 SECONDS = {
-    "open_loop": 12.0, "testsets": 55.0, "closed_loop": 50.0, "sweeps": 30.0, "growth": 18.0, "duals": 2.0,
+    "open_loop": 12.0, "testsets": 55.0, "closed_loop": 50.0, "sweeps": 75.0, "growth": 18.0, "duals": 2.0,
     "qpbenchmark": 10.0,
 }  # fmt: skip
 """That each part takes, roughly, on two cores: what its steps weigh in the time that is left."""

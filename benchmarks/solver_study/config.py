@@ -91,7 +91,7 @@ class Sweeps(Settings):
     KIND: ClassVar[str] = "[sweeps]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     seeds: int = Field(2, ge=1, description="trials per task, the first ones of [closed_loop]")
-    duration_s: Level = Field(1.5, description="of a trial; as in [closed_loop], its runs count in the prediction too")
+    duration_s: Level = Field(4.0, description="of a trial; as in [closed_loop], its runs count in the prediction too")
     values: Literal["few", "usual", "many"] = "usual"
     deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
     late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")

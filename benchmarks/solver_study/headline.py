@@ -79,7 +79,8 @@ def _growth(rows: Rows) -> Iterator[str]:
 
 def _closed_loop(rows: Rows) -> Iterator[str]:
     """What the solvers do to manipulability; of few trials no solver is named and no interval given."""
-    gains = {n: m["mu_gain_percent"] for n, m in rows.items() if n != BASELINE and "mu_gain_percent" in m}
+    whole = {n: m for n, m in rows.items() if n != BASELINE and not m.get("short_runs")}  # of the same ticks
+    gains = {n: m["mu_gain_percent"] for n, m in whole.items() if "mu_gain_percent" in m}
     if not gains:
         return
     best, worst = max(gains, key=gains.__getitem__), min(gains, key=gains.__getitem__)

@@ -11,9 +11,6 @@ from benchmarks.answer import Answer
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.report.console import Bar
 
-SETTLED = ("testsets", "closed_loop")
-"""Parts without which no sentence is said about a solver."""
-
 
 class Progress:
     """Collects what parts of the study find, and shows it.
@@ -45,9 +42,14 @@ class Progress:
         self._summary = {**self._summary, **parts}
         self._answer = answer(self._summary, self._deadline_us, drawn=False)
         said = self._answer.sentences[0]
-        if not self._screen.is_terminal and said != self._said and all(part in self._summary for part in SETTLED):
+        if not self._screen.is_terminal and said != self._said and self._stands():
             self._said = said
             self._screen.print(f"so far: {said}", markup=False)
+
+    def _stands(self) -> bool:
+        """Whether every solver has answered the certified sets: before that the best one is not known."""
+        answered = {name.removesuffix("@recommended") for name in self._summary.get("testsets", {})}
+        return bool(answered) and set(self._summary.get("open_loop_warm", {})) <= answered
 
     def below(self) -> Iterable[RenderableType]:
         """Yield the answer so far, for a terminal."""

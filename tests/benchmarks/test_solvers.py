@@ -301,6 +301,12 @@ def test_few_trials_make_no_claim():
         assert "[" not in said(trials)
 
 
+def test_a_gain_of_other_ticks_is_not_compared():
+    rows = {name: {"runs": 15, "mu_gain_percent": gain, "short_runs": short} for name, gain, short in
+            (("a", 12.5, 0), ("b", 3.0, 0), ("slow", 1.0, 15))}  # fmt: skip
+    assert "with a and by 3 % with b" in headline({"closed_loop": rows}, {})
+
+
 def test_growth_is_said_in_words():
     rows = {"a": {"solve_p50_us_14_over_7": 1.25, "solve_p50_us_n7": 9.0}, "b": {"solve_p50_us_14_over_7": 3.0}}
     said = headline({"growth": rows}, {})

@@ -43,13 +43,16 @@ def test_steps_weigh_what_their_part_takes():
 
 def test_a_headline_is_said_once_it_stands_and_when_it_changes():
     shown, file = watch()
-    shown.show({"open_loop_warm": WARM})
+    shown.show({"open_loop_warm": {**WARM, "osqp": WARM["exact"]}})
     shown.show({"testsets": SETS})
-    assert file.getvalue() == "", "nothing is said before the closed loop"
-    shown.show({"closed_loop": LOOP})
+    assert file.getvalue() == "", "osqp has not answered yet"
+    shown.show({"testsets": {**SETS, "osqp@recommended": {**SETS["exact@recommended"], "silently_wrong": 8}}})
     shown.show({"closed_loop": LOOP})
     assert file.getvalue().count("so far: Take `exact`") == 1
     shown.show({"testsets": {"exact@recommended": {**SETS["exact@recommended"], "silently_wrong": 1}}})
+    assert file.getvalue().count("so far: ") == 1, "osqp has no answer any more"
+    wrong = {**SETS["exact@recommended"], "silently_wrong": 1}
+    shown.show({"testsets": {"exact@recommended": wrong, "osqp@recommended": wrong}})
     assert "No solver is sound" in file.getvalue()
 
 
