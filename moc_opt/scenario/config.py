@@ -177,14 +177,6 @@ class Scenario(Settings):
             )
         return self
 
-    @property
-    def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
-        if self.guard.repeat_joint_ticks is not None:
-            return self.guard
-        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
-        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
-
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
         """Read a TOML file; the path of a robot's file in it is relative to the scenario's folder.
@@ -211,6 +203,14 @@ class Scenario(Settings):
                 new = old.replace(new)
             values[name] = new
         return type(self)(**values, **tables)
+
+    @property
+    def told_guard(self) -> SafetyFilterSettings:
+        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        if self.guard.repeat_joint_ticks is not None:
+            return self.guard
+        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
+        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
 
 
 def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
