@@ -220,14 +220,6 @@ class Scenario(Settings):
             )
         return self
 
-    @property
-    def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
-        if self.guard.repeat_joint_ticks is not None:
-            return self.guard
-        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
-        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
-
     @model_validator(mode="after")
     def _isolated_by_what_can(self) -> Self:
         if self.solver.isolation == "process" and self.control.law == "moc":
@@ -290,6 +282,14 @@ class Scenario(Settings):
                 new = old.replace(new)
             values[name] = new
         return type(self)(**values, **tables)
+
+    @property
+    def told_guard(self) -> SafetyFilterSettings:
+        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        if self.guard.repeat_joint_ticks is not None:
+            return self.guard
+        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
+        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
 
 
 def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
