@@ -1,0 +1,135 @@
+"""Manipulability of the tip, and of the shaft once the tip is held, each with its gradient. Compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.numerics.cache import njit
+
+Array = NDArray[np.float64]
+
+# Below this det(J J^T), relative to the cube of the mean of its diagonal, mu is rounding noise.
+_SINGULAR = 1e-14
+
+
+@njit(cache=True)
+def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
+    """mu = sqrt(det(J J^T)) (Yoshikawa), and its gradient (n,) into `grad`.
+
+    dmu/dq_k = mu trace(dJ/dq_k pinv(J)), with the dJ_j/dq_k of `drift` and rows P_j = (J J^T)^-1 J_j of the
+    pseudo-inverse: dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
+    At a singularity mu has a kink and no gradient: zero is returned there, never NaN.
+    """
+    n = axes.shape[0]
+    a, b, c, d, e, f = gram(jacobian)
+    i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
+    i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * i00 + b * i01 + c * i02
+    mean = (a + d + f) / 3.0
+    mu = math.sqrt(max(det, 0.0))
+    if det <= _SINGULAR * mean * mean * mean:
+        for k in range(n):
+            grad[k] = 0.0
+        return mu
+    # From the base the sums of P_j x ang_j over j < k; then from the tip those of J_j x P_j over j >= k.
+    sx = sy = sz = 0.0
+    for k in range(n):
+        x, y, z = jacobian[0, k], jacobian[1, k], jacobian[2, k]
+        grad[k] = x * sx + y * sy + z * sz
+        px, py, pz = i00 * x + i01 * y + i02 * z, i01 * x + i11 * y + i12 * z, i02 * x + i12 * y + i22 * z
+        wx, wy, wz = axes[k, 3], axes[k, 4], axes[k, 5]
+        sx += py * wz - pz * wy
+        sy += pz * wx - px * wz
+        sz += px * wy - py * wx
+    sx = sy = sz = 0.0
+    for k in range(n - 1, -1, -1):
+        x, y, z = jacobian[0, k], jacobian[1, k], jacobian[2, k]
+        px, py, pz = i00 * x + i01 * y + i02 * z, i01 * x + i11 * y + i12 * z, i02 * x + i12 * y + i22 * z
+        sx += y * pz - z * py
+        sy += z * px - x * pz
+        sz += x * py - y * px
+        grad[k] = (grad[k] + axes[k, 3] * sx + axes[k, 4] * sy + axes[k, 5] * sz) / mu
+    return mu
+
+
+@njit(cache=True)
+def shaft_manipulability(axes: Array, A: Array, u: Array, grad: Array) -> float:
+    """Manipulability of the shaft once the tip is held, mu_s = sqrt(pdet(C)) [m^2], and its gradient (n,) into `grad`.
+
+    C = J_W N J_W^T (3,3) with N = I - pinv(J_T) J_T: how motion that leaves the tip alone moves the wrist; it has no
+    part along the shaft u, so that pdet(C) is the product of its other two eigenvalues. mu mu_s is the volume of the
+    five rows of tip and shaft together: where mu_s is zero a joint speed without bound is needed to turn the shaft.
+
+    In the axes of the tool, which turn with ang_k, dJ_j/dq_k is zero for k <= j and ang_j x J_k - ang_k x J_j else, so
+    with Q = C^+ J_W N on the wrist's columns and -K^T Q on the tip's, K = J_W pinv(J_T),
+    dmu_s/dq_k = mu_s sum_{wrist, tip} (J_k . sum_{j<k} P_j x ang_j - ang_k . sum_{j<k} J_j x P_j).
+    Zero where mu or mu_s has a kink.
+    """
+    n = axes.shape[0]
+    for k in range(n):
+        grad[k] = 0.0
+    T, W = A[0:3], A[3:6]
+    room = np.zeros((6, 3, 3))
+    tip, mixed, rest, inverse, K, C = room[0], room[1], room[2], room[3], room[4], room[5]
+    for j in range(n):
+        for a in range(3):
+            for b in range(3):
+                tip[a, b] += T[a, j] * T[b, j]
+                mixed[a, b] += W[a, j] * T[b, j]
+                rest[a, b] += W[a, j] * W[b, j]
+    det = _adjugate3(tip, inverse)
+    mean = (tip[0, 0] + tip[1, 1] + tip[2, 2]) / 3.0
+    if det <= _SINGULAR * mean * mean * mean:
+        return 0.0
+    inverse /= det
+    for a in range(3):
+        for b in range(3):
+            K[a, b] = mixed[a, 0] * inverse[0, b] + mixed[a, 1] * inverse[1, b] + mixed[a, 2] * inverse[2, b]
+    for a in range(3):
+        for b in range(3):
+            C[a, b] = rest[a, b] - K[a, 0] * mixed[b, 0] - K[a, 1] * mixed[b, 1] - K[a, 2] * mixed[b, 2]
+    trace = C[0, 0] + C[1, 1] + C[2, 2]
+    minors = 0.0  # of rank two: the sum of the principal minors is the product of both eigenvalues
+    for a in range(3):
+        b = (a + 1) % 3
+        minors += C[a, a] * C[b, b] - C[a, b] * C[b, a]
+    mu = math.sqrt(max(minors, 0.0))
+    if not minors > _SINGULAR * trace * trace:
+        return mu
+    size = 0.5 * trace  # any number above zero: it only fills the direction of u, which is taken out below
+    for a in range(3):
+        for b in range(3):
+            C[a, b] += size * u[a] * u[b]
+    inverse /= _adjugate3(C, inverse)
+    sums = np.zeros((7, 3))
+    moved, P, turns, pulls = sums[0], sums[1:3], sums[3:5], sums[5:7]
+    for k in range(n):
+        for a in range(3):  # column k of J_W N; u^T (J_W N) = 0
+            moved[a] = W[a, k] - K[a, 0] * T[0, k] - K[a, 1] * T[1, k] - K[a, 2] * T[2, k]
+        for a in range(3):
+            P[1, a] = inverse[a, 0] * moved[0] + inverse[a, 1] * moved[1] + inverse[a, 2] * moved[2]
+        for a in range(3):
+            P[0, a] = -(K[0, a] * P[1, 0] + K[1, a] * P[1, 1] + K[2, a] * P[1, 2])
+        for i in range(2):
+            J, p, turn, pull = A[3 * i : 3 * i + 3, k], P[i], turns[i], pulls[i]
+            for a in range(3):
+                grad[k] += mu * (J[a] * pull[a] - axes[k, 3 + a] * turn[a])
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                pull[a] += p[b] * axes[k, 3 + c] - p[c] * axes[k, 3 + b]
+                turn[a] += J[b] * p[c] - J[c] * p[b]
+    return mu
+
+
+@njit(cache=True)
+def _adjugate3(S: Array, out: Array) -> float:
+    """Write the adjugate of a symmetric (3,3), its inverse times its determinant; returns the determinant."""
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        for d in range(3):
+            e, f = (d + 1) % 3, (d + 2) % 3
+            out[a, d] = S[b, e] * S[c, f] - S[b, f] * S[c, e]
+    return float(S[0, 0] * out[0, 0] + S[0, 1] * out[0, 1] + S[0, 2] * out[0, 2])
