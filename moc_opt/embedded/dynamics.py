@@ -82,7 +82,7 @@ def points(arm: Arm, frames: list[Frame]) -> Points:
 
 
 def manipulability(at: Points) -> tuple[SX, SX]:
-    """Compute mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `kinematics_kernels.manipulability`.
+    """Compute mu = sqrt(det(J J^T)) and its gradient (n,), the sums of `manipulability_kernels.manipulability`.
 
     dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j), P_j = (J J^T)^-1 J_j; zero
     where J J^T is singular.
@@ -104,7 +104,7 @@ def manipulability(at: Points) -> tuple[SX, SX]:
 
 
 def shaft_manipulability(at: Points) -> tuple[SX, SX]:
-    """Compute mu_shaft and its gradient (n,), the sums of `kinematics_kernels.shaft_manipulability`."""
+    """Compute mu_shaft and its gradient (n,), the sums of `manipulability_kernels.shaft_manipulability`."""
     T, W, n = at.J_tip, at.J_wrist, at.J_tip.shape[1]
     u = (at.tip - at.wrist) / ca.norm_2(at.tip - at.wrist)
     S = T @ T.T

@@ -135,21 +135,6 @@ def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def gram(jacobian: Array) -> tuple[float, float, float, float, float, float]:
-    """Compute a .. f of J J^T = [[a, b, c], [b, d, e], [c, e, f]] for J (3,n)."""
-    a = b = c = d = e = f = 0.0
-    for j in range(jacobian.shape[1]):
-        x, y, z = jacobian[0, j], jacobian[1, j], jacobian[2, j]
-        a += x * x
-        b += x * y
-        c += x * z
-        d += y * y
-        e += y * z
-        f += z * z
-    return a, b, c, d, e, f
-
-
-@njit(cache=True)
 def yoshikawa(jacobian: Array) -> float:
     """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
     a, b, c, d, e, f = gram(jacobian)

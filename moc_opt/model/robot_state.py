@@ -124,7 +124,7 @@ class RobotState:
 
     @property
     def mu_shaft(self) -> float:
-        """Manipulability of the shaft once the tip is held [m^2]; see `kinematics_kernels.shaft_manipulability`."""
+        """Manipulability of the shaft once the tip is held [m^2]; see `manipulability_kernels.shaft_manipulability`."""
         return float(self.record[self._at["scalars"].start + 2])
 
     @property

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model.kinematics_kernels import manipulability, point_jacobian
+from moc_opt.model.kinematics_kernels import point_jacobian
+from moc_opt.model.manipulability_kernels import manipulability
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, gram, solve_in_place, times, transpose_times
 from moc_opt.redundancy.continuation import TOLERANCE, Constraint, forward
