@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.model.dynamics_kernels import energy_slope, gravity_torque
-from moc_opt.model.manipulability_kernels import manipulability, shaft_manipulability
+from moc_opt.model.manipulability_kernels import manipulability, shaft_manipulability, yoshikawa
 from moc_opt.model.place_kernels import place_joints, point_in_world
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
@@ -132,13 +132,6 @@ def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
         sx += wx
         sy += wy
         sz += wz
-
-
-@njit(cache=True)
-def yoshikawa(jacobian: Array) -> float:
-    """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
-    a, b, c, d, e, f = gram(jacobian)
-    return math.sqrt(max(a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d), 0.0))
 
 
 @njit(cache=True)

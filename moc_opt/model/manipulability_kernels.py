@@ -31,6 +31,13 @@ def gram(jacobian: Array) -> tuple[float, float, float, float, float, float]:
 
 
 @njit(cache=True)
+def yoshikawa(jacobian: Array) -> float:
+    """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
+    a, b, c, d, e, f = gram(jacobian)
+    return math.sqrt(max(a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d), 0.0))
+
+
+@njit(cache=True)
 def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
     """mu = sqrt(det(J J^T)) (Yoshikawa), and its gradient (n,) into `grad`.
 
