@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.model.kinematics_kernels import point_jacobian, yoshikawa
+from moc_opt.model.kinematics_kernels import point_jacobian
+from moc_opt.model.manipulability_kernels import yoshikawa
 from moc_opt.model.place_kernels import place_joints, point_in_world
 from moc_opt.numerics.cache import njit
 
