@@ -142,7 +142,7 @@ def leave(found: Results, given: Namespace) -> None:
     for sentence in found.sentences:
         screen.print(sentence, markup=False, soft_wrap=True)
     if getattr(given, "busy", ""):
-        screen.print(given.busy, markup=False, soft_wrap=True)
+        show(screen, [given.busy])
     screen.print(f"written: {out}/{' '.join([*files, *found.files])}", markup=False, soft_wrap=True)
 
 

@@ -94,6 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if rest and (given.command != "solvers" or given.list):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:
+        more.check_paths(given)
         if given.command in more.NAMES:
             return more.run_command(given, rest)
         if given.command == "robot":

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from moc_opt.errors import TraceError
+
 LISTS = {
     "robots": "the arms of the package",
     "tasks": "the paths that [task] path may name, and their sizes",
@@ -38,6 +40,24 @@ def add_commands(commands: Any) -> None:
     keys = commands.add_parser("keys", help="every key of a scenario: type, unit, default, meaning")
     keys.add_argument("table", nargs="?", help="of one table: task, control, control.supervisor, plant, ...")
     keys.add_argument("--markdown", action="store_true", help="print docs/scenario.md")
+
+
+def check_paths(given: argparse.Namespace) -> None:
+    """Refuse to write over what is read, and two results into one file.
+
+    Raises:
+        TraceError: names the option and the file.
+    """
+    read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source")]
+    taken = {Path(path).resolve(): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
+    for name in ("trace", "report", "out"):
+        path = getattr(given, name, None)
+        if path is None:
+            continue
+        place = Path(path).resolve()
+        if place in taken:
+            raise TraceError(f"--{name} {path}: that file {taken[place]}; give another name")
+        taken[place] = f"is written by --{name}"
 
 
 def run_command(given: argparse.Namespace, rest: Sequence[str] = ()) -> int:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ STUDIES = "benchmarks"
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare, print, and write the rows; returns 0.
+    """Compare, print, and write the rows; returns 0, or 3 where a solver drove no trial to its end.
 
     Raises:
         MocOptError: see `moc_opt.comparison.compare.compare`; or the rows cannot be written.
@@ -44,7 +45,11 @@ def compare_solvers(given: argparse.Namespace) -> int:
             screen.print(piece)
     if given.out is not None:
         found.save_rows(given.out)
-    return 0
+    lost = [name for name in found.solvers if not found.values(name, "mu_mean")]
+    for name in lost:
+        ended = next(row["ended"] for row in found.rows if row["solver"] == name)
+        print(f"{name}: no trial came to its end; the first was {ended}", file=sys.stderr)
+    return 3 if lost else 0
 
 
 def run_study(name: str, arguments: Sequence[str]) -> int:

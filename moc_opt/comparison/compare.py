@@ -156,6 +156,7 @@ class Comparison:
         table.writeheader()
         table.writerows(self.rows)
         try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
             Path(path).write_text(written.getvalue(), encoding="utf-8", newline="")
         except OSError as error:
             raise ScenarioError(f"{path}: cannot be written: {error}") from error

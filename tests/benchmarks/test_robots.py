@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import robots
 from benchmarks.output import default_config
-from benchmarks.robots_study.tables import FINDINGS, report, summarise
+from benchmarks.robots_study.tables import FINDINGS, report, summarise, tables
 from moc_opt.robots import available_robots
 
 TINY = """
@@ -97,7 +97,8 @@ def test_a_run_that_broke_off_is_counted_and_in_no_mean() -> None:
     assert found["findings"]["a"]["all_end"] is False
     assert found["no_start"] == {"a": 0, "b": 1}
     assert found["findings"]["b"] == dict.fromkeys(FINDINGS)
-    page = report(found, rows, {"seed": 0, "commit": "x"})
+    machine = {"cores": 2, "processor": "p", "load_1min": 0.0}
+    page = report(found, rows, {"seed": 0, "commit": "x", "machine": machine}, tables(found))
     assert "a" in page.figures
 
 

@@ -1,6 +1,7 @@
 """Paths and metrics of another package, and waypoints, from a scenario's file and from the command line."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ def package(tmp_path, monkeypatch):
     )
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(registry, "_LOADED", {})
+    monkeypatch.delitem(sys.modules, "own_things", raising=False)
     yield
     METRICS.pop("own_travel_rad", None)
 

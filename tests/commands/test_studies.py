@@ -72,3 +72,11 @@ def test_a_missing_package_is_named(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, studies.STUDIES, None)
     assert main(["solvers"]) == 2
     assert "'benchmarks' is not installed" in capsys.readouterr().err
+
+
+def test_a_comparison_that_no_run_survives_says_so(tmp_path, capsys):
+    file = tmp_path / "far.toml"
+    file.write_text("bound_samples = 0\n[guard]\ntip_error_m = 1e-6\ntip_error_s = 0.004\n", encoding="utf-8")
+    assert main(["compare", "exact", "--trials", "1", "--scenario", str(file)]) == 3
+    said = capsys.readouterr().err
+    assert "exact: no trial came to its end; the first was stopped" in said

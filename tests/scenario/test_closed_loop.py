@@ -75,7 +75,7 @@ def test_what_breaks_off_is_a_result(trial):
         found = run_one(Store(None), worker, variant(trial, "osqp", {"eps": -1.0}), "osqp", None)
     assert found.trace is None
     assert "SolverError" in found.error
-    counts = {"runs": 1, "broke_off": 1, "timed_runs": 0, "stopped": 0, "oscillated": 0}
+    counts = {"runs": 1, "broke_off": 1, "timed_runs": 0, "short_runs": 0, "stopped": 0, "oscillated": 0}
     assert combined([found]) == {**counts, "reason": found.error}
     assert found.row()["ended"] == "failed"
 

@@ -103,7 +103,9 @@ def load_plugins() -> dict[str, str]:
         _LOADED[points[0]] = ""
         try:
             found = plugins.load("metric", name, points, TraceError)
-            if not isinstance(found, Metric):
+            if isinstance(found, Metric):
+                METRICS.setdefault(found.name, found)
+            else:
                 if not callable(found):
                     raise TraceError(f"metric {name!r}: {plugins.in_words(points[0])} is no function")
                 _registered("1", found)

@@ -1,0 +1,24 @@
+"""Files that the command line reads and writes."""
+
+import pytest
+
+from moc_opt.__main__ import main
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "a.toml", "--trace", "a.toml"), ("run", "a.toml", "--trace", "b", "--report", "./b"),
+        ("report", "a.toml", "--out", "a.toml"), ("compare", "exact", "--scenario", "a.toml", "--out", "a.toml"),
+        ("plan", "a.toml", "--out", "a.toml"), ("map", "x", "a.toml", "--out", "x/../a.toml"),
+    ],
+)  # fmt: skip
+def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text("duration_s = 0.02\n", encoding="utf-8")
+    assert main(list(arguments)) == 2
+    said = capsys.readouterr().err
+    assert "give another name" in said
+    assert "--" in said
+    assert (tmp_path / "a.toml").read_text(encoding="utf-8") == "duration_s = 0.02\n"
+    assert [file.name for file in tmp_path.iterdir()] == ["a.toml"]
