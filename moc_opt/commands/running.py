@@ -65,6 +65,9 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         if getattr(given, "report", None) is not None:  # `plant` has none
             runs = {title: trace} if baseline is None else {"DCAC, same gains": baseline, title: trace}
             print(run_page(runs, {title: metrics}, scenario.robot.arm(), title).save(given.report), file=sys.stderr)
+    for name in scenario.metrics:
+        if name not in metrics:
+            print(f"{title}: metric {name}: not known of this run", file=sys.stderr)
     wanted = {name: metrics[name] for name in scenario.metrics if name in metrics} if scenario.metrics else metrics
     if given.json:
         print_json(run_json(trace, wanted))

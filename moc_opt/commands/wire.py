@@ -25,7 +25,8 @@ def run_plant(given: argparse.Namespace) -> int:
     except RunAway as error:
         trace = error.trace
     for name, value in trace.meta["wire"].items():
-        print(f"{title}: {name}: {value}", file=sys.stderr)
+        if value:
+            print(f"plant: {name}: {value}", file=sys.stderr)
     return show(scenario, title, trace, given)
 
 
@@ -38,6 +39,7 @@ def run_control(given: argparse.Namespace) -> int:
 
     (scenario, _), granted = read_scenario(given.scenario), dict[str, str]()
     key = read_key(given.key_file)
+    print(f"control: looks for a plant at {given.connect}, for {scenario.wire.wait_s:g} s", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
     print_json(asdict(found) | {"system": granted})
     return 0 if found.ended == "completed" else 3

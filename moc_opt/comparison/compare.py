@@ -120,7 +120,9 @@ class Comparison:
             "with the same gains on the same trials; times: of the middle trial; tip and RCM by the robot's own "
             "kinematics."
         )
-        return Table(f"{self.scenario.name}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
+        named = "name" in self.scenario.model_fields_set
+        title = self.scenario.name if named else self.scenario.task.path
+        return Table(f"{title}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw a metric over the trials as one box a solver: a plotly figure.

@@ -163,10 +163,13 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides; guard.position_margin_rad is one number for both"
     )
-    shaft_margin_m2: NotNegative = Field(
+    shaft_margin_m2: float = Field(
         default=0.025,
-        description="where mu_shaft, what motion that leaves the tip alone does to the shaft, is below this, the climb "
-        "leads away from losing the shaft; 0 as in the paper",
+        ge=0.0,
+        le=0.1,
+        allow_inf_nan=False,
+        description="climb = 'gradient': where mu_shaft, what motion that leaves the tip alone does to the shaft, is "
+        "below this, the climb leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"

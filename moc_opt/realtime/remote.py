@@ -228,5 +228,5 @@ class RemoteController(Filtered):
         for name, column in self._columns.items():
             if name in report and row < len(column):
                 value = report[name]
-                column[row] = bytes(value[()]).decode() if value.dtype.kind == "S" else value
+                column[row] = printable(bytes(value[()]).decode(errors="replace")) if value.dtype.kind == "S" else value
 

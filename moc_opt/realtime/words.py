@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from moc_opt.inputs.files import parse_json, to_json
@@ -44,7 +45,13 @@ def read_words(words: bytes) -> dict[str, Any]:
 
 
 def _fits(entry: Any, form: dict[str, Any]) -> bool:
-    return isinstance(entry, dict) and all(isinstance(entry.get(name), kind) for name, kind in form.items())
+    """Whether an entry has these keys and no others, each of its kind, and numbers that JSON can hold."""
+    return (
+        isinstance(entry, dict)
+        and set(entry) == set(form)
+        and all(isinstance(entry[name], kind) and not isinstance(entry[name], bool) for name, kind in form.items())
+        and all(math.isfinite(value) for value in entry.values() if isinstance(value, int | float))
+    )
 
 
 def printable(text: str) -> str:

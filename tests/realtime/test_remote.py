@@ -186,6 +186,15 @@ def test_reports_fill_their_own_row_whenever_they_come(peer):
     np.testing.assert_array_equal(peer.columns["solve_us"][:4], [np.nan, np.nan, 2.0, np.nan])
 
 
+def test_a_text_that_is_none_is_kept_as_marks(peer):
+    """A signed report may still be of another program: the key is public where none is given."""
+    peer.columns["status"] = peer.plant._columns["status"] = np.full(50, "", dtype="U16")
+    peer.start()
+    peer.say(Kind.REPORT, 0, status=b"\xff\xfe\x1b")
+    peer.tick()
+    assert set(str(peer.columns["status"][0])) == {"\ufffd"}
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -195,6 +204,9 @@ def test_reports_fill_their_own_row_whenever_they_come(peer):
             {"faults": {"late": {"count": 2, "first_at_s": 1.5, "first": "so"}}},
         ),
         (b'{"faults": {"late": {"count": "2", "first_at_s": 1.5, "first": "so"}}, "warnings": [3]}', {}),
+        (b'{"restarts": [{"at_s": 1e999, "reason": "so"}]}', {}),
+        (b'{"restarts": [{"at_s": true, "reason": "so"}]}', {}),
+        (b'{"restarts": [{"at_s": 1, "reason": "so", "more": 1}]}', {}),
         (b'{"faults": [], "restarts": []}', {}), (b"", {}), (b"{", {}), (b"[1]", {}), (b"\xff\xfe", {}),
         (b"[" * 3000, {}),
     ],
