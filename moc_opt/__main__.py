@@ -168,10 +168,10 @@ def draw_map(traces: Sequence[Path], out: Path, figures: bool) -> int:
 
 def export_c(path: Path | None, out: Path, main: str = "test") -> int:
     """Write the whole controller as C, with recorded ticks for its self-tests; say how long its longest step is."""
-    from moc_opt.scenario import Scenario
+    from moc_opt.commands.running import read_scenario
     from moc_opt.scenario.exported import export_scenario
 
-    scenario = Scenario() if path is None else Scenario.load(path)
+    scenario, _ = read_scenario(path)
     files, operations = export_scenario(scenario, out, udp=main == "udp")
     for file in files:
         print(file)

@@ -80,7 +80,8 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder(place):
         for line in served:
             serve(line, place)
     folder, _ = place
-    written = {"scenario.toml", "proxqp.parquet", "network.parquet", "report.html", "both.html", "replay.html", "map.html", "c"}
+    pages = {"report.html", "both.html", "replay.html", "map.html"}
+    written = {"scenario.toml", "proxqp.parquet", "network.parquet", "c", *pages}
     assert {file.name for file in folder.iterdir()} == written
     # There is something to see: MOC moves the elbow from its poor place, the network as printed does not.
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("proxqp", "network")}

@@ -1,5 +1,6 @@
-"""What `moc-opt` does beside running scenarios: lists of what there is, the scenario's keys, reports, comparisons.
+"""What `moc-opt` does: one module a kind of command, imported when it is asked for.
 
-``listing`` prints names, ``reference`` every key of a scenario, ``studies`` compares solvers and starts the benchmarks,
-``reports`` makes a page of saved runs. ``arguments`` has the arguments of all, for the parser of ``moc_opt.__main__``.
+``running`` runs a scenario, ``ahead`` plans it, ``wire`` runs plant and controller as two processes, ``listing``
+prints names, ``reference`` every key of a scenario, ``studies`` compares solvers and starts the benchmarks, and
+``reports`` makes a page of saved runs. ``arguments`` has the arguments of most, for the parser of ``moc_opt.__main__``.
 """

@@ -97,8 +97,6 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         scenario = scenario.change(control={"third_level": given.third_level})
     if given.solver is not None:
         scenario = scenario.change(solver={"name": given.solver, "settings": {}})
-    if given.third_level is not None:
-        scenario = scenario.change(control={"third_level": given.third_level})
     if given.task is not None:
         task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
         if Path(given.task).suffix.lower() in (".csv", ".txt"):

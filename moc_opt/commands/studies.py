@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from moc_opt.commands.running import read_scenario
 from moc_opt.errors import SolverError
 
 STUDIES = "benchmarks"
@@ -25,11 +26,10 @@ def compare_solvers(given: argparse.Namespace) -> int:
     from moc_opt.comparison.compare import compare
     from moc_opt.report.console import console, print_json, progress
     from moc_opt.report.document import check_out
-    from moc_opt.scenario import Scenario
 
     if given.out is not None:
         check_out(given.out, "table of runs")
-    scenario = Scenario() if given.scenario is None else Scenario.load(given.scenario)
+    scenario, _ = read_scenario(given.scenario)
     with progress("compare", given.trials * (len(given.solvers) + 1)) as bar:
 
         def watch(words: str) -> None:

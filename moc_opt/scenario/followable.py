@@ -7,7 +7,7 @@ import numpy as np
 from moc_opt.errors import ControlError
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.guided import SPEED_LEFT
+from moc_opt.scenario.guided import followed_share
 
 ROUNDING = 1e-6
 
@@ -35,7 +35,7 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
     moving = np.asarray(robot.moves.any(axis=0))
     fastest = np.abs(np.diff(course.q_rad, axis=0)).max(axis=0) / plan.targets.period_s
     shares = np.where(moving, fastest / robot.v_max, 0.0)
-    j, allowed = int(np.argmax(shares)), (1.0 - SPEED_LEFT) * settings.speed_fraction
+    j, allowed = int(np.argmax(shares)), followed_share(settings)
     if shares[j] > allowed + ROUNDING:
         found.append(
             f"the course turns {robot.data.joint_names[j]} at {shares[j]:.2f} of its speed limit, and the third level "

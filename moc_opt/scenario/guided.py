@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from moc_opt.control import ControlSettings
 from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError
 from moc_opt.model.robot_model import RobotModel
@@ -29,6 +30,11 @@ FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
 SMOOTHNESS = {"planned": 3e-3, "receding": 6e-3}
 """What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
+
+
+def followed_share(settings: ControlSettings) -> float:
+    """Return the share of the joint speeds that a course may use which the third level is to follow."""
+    return (1.0 - SPEED_LEFT) * settings.speed_fraction
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
@@ -56,7 +62,7 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     fine = _laid(robot, layout)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth = SMOOTHNESS["receding"]
-    found, share = map_of(robot, layout.q, path), (1.0 - SPEED_LEFT) * settings.speed_fraction
+    found, share = map_of(robot, layout.q, path), followed_share(settings)
     for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
         usual = float(np.nanmean(found.highest(margin)))
         to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
@@ -80,7 +86,7 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
     """The best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
-    share = (1.0 - SPEED_LEFT) * settings.speed_fraction
+    share = followed_share(settings)
     for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
         found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
         if found.from_start is not None:
