@@ -5,9 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +21,14 @@ from moc_opt.solvers.base import Solution, Status
 def hang(qp):
     while True:
         pass
+
+
+def ring_and_hang(qp):
+    """Send the bytes that say that there is an answer, without one, for as long as the process lives."""
+    bell = socket.socket(fileno=int(sys.argv[3]))
+    while True:
+        bell.send(b"\1")
+        time.sleep(0.05)
 
 
 def keep_the_lock(qp):

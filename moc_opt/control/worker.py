@@ -40,7 +40,7 @@ class Worker:
 
     def __init__(self, pickled: bytes, n: int) -> None:
         self.n, self.posted, self.first, self._since = n, 0, 1, monotonic_ns()
-        self._started = self.observes = False
+        self._answered, self._started, self.observes = 0, False, False
         fd = shared_file(pickled, n)
         self.exchange = Exchange(fd, n)
         self._bell, theirs = socket.socketpair()
@@ -73,7 +73,8 @@ class Worker:
 
     def post(self, command: int, row: Array, v: Array | None = None) -> int:
         """Ask; return the number of the request."""
-        if self.exchange.answered >= self.posted:
+        self._answered = self.exchange.answered
+        if self._answered >= self.posted:
             self._since = monotonic_ns()
         self.posted += 1
         if command == START:
@@ -119,7 +120,9 @@ class Worker:
             heard = self._bell.recv(4096)
         except OSError:
             return False
-        self._since = monotonic_ns()
+        # A byte alone is no sign of life: it may be the last answer's, which was read before its byte came.
+        if self.exchange.answered > self._answered:
+            self._answered, self._since = self.exchange.answered, monotonic_ns()
         return bool(heard)
 
     def _ending(self) -> str:

@@ -70,6 +70,7 @@ def test_a_solver_that_behaves_gives_the_same_trace(solver):
     ("act", "reason"),
     [
         (bad.hang, "no answer for 1 s"),
+        (bad.ring_and_hang, "no answer for 1 s"),
         (bad.keep_the_lock, "no answer for 1 s"),
         (bad.stop, "no answer for 1 s"),
         (bad.exit_3, "ended with status 3"),
