@@ -53,7 +53,7 @@ class Faulty:
             raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
 
     def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
-        """Which of the first answers of a session are spoilt, (ticks,)."""
+        """Fault mask: which of the first answers of a session are replaced, (ticks,)."""
         return draw(self.seed, self.rate, ticks)
 
     @property
@@ -76,7 +76,7 @@ def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
 
 
 class FaultySession:
-    """``faults`` counts the answers that were spoilt."""
+    """``faults`` counts the answers that were replaced."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner

@@ -76,7 +76,7 @@ class LibrarySession(ABC):
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
         self._factor = self.dual_sign / settings.cost_scale
-        self._choosy = bool(settings.needs)
+        self._refuses = bool(settings.needs)
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
@@ -112,7 +112,7 @@ class LibrarySession(ABC):
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
-        if self._choosy and self._settings.supports(qp) is not None:
+        if self._refuses and self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         self.update(qp)
         status, iterations, x, y = self._run()
