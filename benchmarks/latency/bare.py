@@ -14,11 +14,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
-
-Array = NDArray[np.float64]
 
 
 class Bare(Protocol):

@@ -49,7 +49,6 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     replaced; meshes are not looked at. Limits are left to `moc_opt.commissioning.limits`.
 
     Args:
-        path: the URDF.
         tip: the link that carries the tool; None: the end of the one chain there is, before the fingers.
         lock: joint -> the position [rad, m] at which it is fixed.
 

@@ -14,9 +14,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, SwivelMap, Trajectory
-
-Array = NDArray[np.float64]
 
 NEAR = 0.02
 """A trajectory is at the optimum where its mu is at most this fraction below the best."""
@@ -67,7 +66,6 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     """What the trajectory of one run amounts to.
 
     Args:
-        found: the map.
         name: of one of its trajectories.
     """
     trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
@@ -94,7 +92,6 @@ def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str
     """Trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
 
     Args:
-        found: the map.
         within_rad: two trajectories are alike where their swivels never lie farther apart at the same time.
     """
     kinds: dict[str, list[str]] = {}

@@ -58,7 +58,6 @@ def add_map(
     Of more than eight trajectories those that cannot be told apart are drawn as one.
 
     Args:
-        page: they are appended to it.
         found: of `manipulability_map`.
         name: of the figure's file.
         what: it is a map of, in a few words, for caption and table.
@@ -118,7 +117,6 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     """Say which runs are at the optimum, which are not, and why.
 
     Args:
-        readings: of the trajectories to speak of.
         titles: name -> what the figure calls it.
     """
     called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}

@@ -14,8 +14,6 @@ from moc_opt.solvers import checks
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.exact.solver import Exact
 
-Array = NDArray[np.float64]
-
 Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
 KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside", "rig", "malformed")
 

@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks.checks import Vector, direction3, vector3
-
-Array = NDArray[np.float64]
 
 _ORTHONORMAL = 1e-6
 

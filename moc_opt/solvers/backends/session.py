@@ -10,16 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
 from moc_opt.solvers.base import Session, Solution, Status, no_answer
 
-Array = NDArray[np.float64]
 Outcome = tuple[Status, int, Array, Array]
 
 _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)

@@ -22,16 +22,12 @@ from functools import lru_cache
 from typing import Any, ClassVar, Literal, Protocol
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.nlp.session import NLPSession
-
-Array = NDArray[np.float64]
 
 
 class Kinematics(Protocol):
