@@ -91,11 +91,8 @@ def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequen
     """Make the answer of a benchmark whose result is a list of goals: its table, missed goals first.
 
     Args:
-        text: the result in words.
-        title: of the table.
         columns: of the table; that of the key ``reached`` shows marks.
         goals: rows, ``reached`` as `reached` takes it.
-        pictures: what is drawn.
     """
     rows = [{**goal, "reached": reached(goal.get("reached"))} for goal in goals]
     rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 
-Array = NDArray[np.float64]
 TOOL = 0.38  # wrist to tip [m]
 
 

@@ -94,7 +94,6 @@ def run(
     """Parse the command line, work, write and print the results.
 
     Args:
-        options: the parser.
         work: given the parsed options, with the texts they came from as ``argv``; an integer is an exit status.
         arguments: of the command; None: those of this process.
         stopped: said after Ctrl-C; ``{out}`` in it stands for the folder of the results.

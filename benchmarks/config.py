@@ -58,7 +58,6 @@ def runnable(wanted: Literal["all"] | Sequence[str], *beside: str) -> list[str]:
     """Name the solvers of a benchmark; "all" are those that can run here.
 
     Args:
-        wanted: what the configuration asks for.
         beside: further names, such as that of a baseline.
 
     Raises:

@@ -66,9 +66,7 @@ def run_parallel(
 
     Args:
         work: a function of a module; items and results must pickle.
-        items: what to work on.
         processes: 1 works in this process.
-        done: called after each item.
 
     Raises:
         Crashed: a process died.

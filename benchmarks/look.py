@@ -39,12 +39,8 @@ def add_replay(
     """Write the replay beside the report, and link to it; the reason where there is none.
 
     Args:
-        page: the report.
         folder: that it will lie in.
-        robot: the arm of the runs.
         traces: name -> run, the baseline first.
-        title: of the replay.
-        styles: of the report's figures.
     """
     try:
         Replay(traces, robot, title=title, styles=styles).save(folder / REPLAY)

@@ -92,7 +92,6 @@ def close_page(
     """End a report: the rows with an ``error``, by these keys, and what made the page, on which machine.
 
     Args:
-        page: it is appended to.
         command: of ``python -m benchmarks.COMMAND``.
         environment: see `environment`.
         rows: of the benchmark; one that went wrong has a text as its ``error``.

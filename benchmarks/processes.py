@@ -99,7 +99,6 @@ class Worker:
 
         Args:
             make: a function of a module; arguments and results must pickle.
-            arguments: its arguments.
             patience_s: how long the next result or sign of life may take; None: for ever.
             first_s: how long the first one may take, on top of that.
             on_beat: called here for every `beat` there.

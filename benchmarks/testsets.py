@@ -27,11 +27,11 @@ from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
 from moc_opt.solvers.exact.solver import Exact
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 VERSION = 1

@@ -7,11 +7,9 @@ from time import perf_counter_ns
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.loop import no_collector
-
-Array = NDArray[np.float64]
 
 COLD = 5  # calls after another entry's turn that find its data in the caches
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99.9": 99.9}
@@ -35,9 +33,6 @@ def each_us(
     """Time ``call(item)`` one by one [us], without garbage-collection pauses.
 
     Args:
-        call: what is timed.
-        items: what it is called with.
-        results: its results are appended here, if given.
         prepare: called with each item before the clock starts.
     """
     times = []

@@ -75,7 +75,7 @@ ONLY = {
 ONLY_MODULES = {  # whoever has a subproblem or a trace needs numpy alone
     "moc_opt.qp.problem": {"numpy"}, "moc_opt.qp.residuals": {"numpy"}, "moc_opt.qp.extremes": {"numpy"},
     "moc_opt.qp.reduction": {"numpy"}, "moc_opt.qp.layout": set(),
-    "moc_opt.solvers.base": {"numpy"},
+    "moc_opt.solvers.base": {"numpy"}, "moc_opt.numerics.arrays": {"numpy"},
     "moc_opt.trace.trace": {"numpy", "pandas", "plotly", "xarray"},  # the others for their types alone
 }  # fmt: skip
 # Methods of public objects that hand them on: what they import upwards or from others lies inside a function.
@@ -88,6 +88,7 @@ NEVER = {
     "redundancy": {"mujoco", "osqp", "proxsuite", "qpsolvers"},
     "report": {"pinocchio", "mujoco", "casadi", "numba"},
 }
+EVERYWHERE = {"moc_opt.numerics.arrays"}  # the type of all numbers
 OUTSIDE = {"benchmarks", "tests", "examples"}  # imported by nothing in moc_opt
 
 
@@ -144,7 +145,7 @@ def breaches(source, module, package=False):
         elif top == "moc_opt":
             target = room_of(name)
             inner = ".".join(name.split(".")[1:3])
-            allowed = target == room or target in ALLOWED[room] or inner in ALLOWED[room]
+            allowed = target == room or {target, inner} & ALLOWED[room] or name in EVERYWHERE
             if not allowed and name not in VIEWS.get(module, ()) and name != GROUPS.get(module):
                 wrong.append(f"{where} ({target}): allowed are {sorted(ALLOWED[room])}")
         elif top not in sys.stdlib_module_names and (

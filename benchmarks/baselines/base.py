@@ -14,8 +14,7 @@ from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.manipulability_kernels import manipulability
 from moc_opt.model.place_kernels import point_in_world
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 CLIMB = 30.0
 """Joint velocity per gradient of the manipulability [1/m^3 rad^2/s]: c2/rho of the subproblem, here 1/0.033."""

@@ -9,13 +9,12 @@ import sys
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.baselines.base import Peer
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Reference, Trocar, make_path, shaft_distance
 
-Array = NDArray[np.float64]
 Inputs = tuple[Array, Array, Array, Array]
 """q, v, tip reference and trocar of one tick."""
 

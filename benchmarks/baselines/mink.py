@@ -9,13 +9,11 @@ from typing import Any, Literal
 
 import mink
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.baselines.base import CLIMB, STIFFNESS_PER_S, TipGradient
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.mjcf import build_spec, compile_model
-
-Array = NDArray[np.float64]
 
 SOLVER = "daqp"
 COST = 1e3  # of tip and shaft against a damping of one

@@ -6,14 +6,12 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from pink import Configuration, solve_ik
 from pink.tasks import FrameTask, ManipulabilityTask, Task
 
 from benchmarks.baselines.base import CLIMB, STIFFNESS_PER_S, TipGradient, wrist_reference
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 SOLVER = "daqp"
 RISE_PER_S = 0.05  # of the manipulability [m^3/s]

@@ -11,16 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks.baselines.base import CLIMB, TipGradient, wrist_reference
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 
 with warnings.catch_warnings():  # it registers two of its types twice, and says so
     warnings.simplefilter("ignore", RuntimeWarning)
     import tsid
-
-Array = NDArray[np.float64]
 
 STIFFNESS, DAMPING = 2500.0, 100.0  # [1/s^2], [1/s]: critically damped at 50 rad/s
 CLIMB_DAMPING = 20.0  # [1/s] of the velocity error along the gradient

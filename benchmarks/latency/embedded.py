@@ -8,7 +8,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.baselines.check import Inputs
 from benchmarks.latency.tick import spread
@@ -18,8 +17,6 @@ from moc_opt.embedded import NativeController, TickSpec, export, record
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario import make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
-
-Array = NDArray[np.float64]
 
 SOLVER = "exact"
 _SAID = re.compile(r"mean ([\d.]+) us; with the clock: median ([\d.]+) us, p99\.9 ([\d.]+) us, max ([\d.]+) us")

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import baselines as peers
 from benchmarks.latency import embedded, limit, setup, solve, tick
@@ -20,11 +19,11 @@ from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.embedded import NativeController
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.model.robot_model import load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Setup
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.solvers import available
 
-Array = NDArray[np.float64]
 Advance = Callable[[str], None]
 CHUNK = 100
 

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import baselines as peers
 from benchmarks.baselines.check import PERIOD_S, Inputs, Verdict, job, perform, verdict
@@ -21,14 +20,13 @@ from moc_opt.control.law import law_of
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.scenario import Setup, make_safety_filter, make_solver, make_stop
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import simulate
 from moc_opt.solvers.base import Solver
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 
 class Recording(NamedTuple):

@@ -14,15 +14,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.embedded import CompilerError
 from moc_opt.errors import MocOptError
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.exported import export_scenario
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 SPARE_S = 300.0
 """Beyond the run itself: starting both processes, judging and saving the trace."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import rcm, tick
@@ -19,13 +18,12 @@ from moc_opt.control.null_space import (
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.tip_impedance import task_inertia
 from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.dense import cholesky
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
 from moc_opt.tasks.trocar import shaft_distance
 from moc_opt.vision.board import BOARD_TASKS
-
-Array = NDArray[np.float64]
 
 POSES = 50
 PAPER = ControlSettings.paper()

@@ -2,7 +2,7 @@
 
 python -m benchmarks.mutation [CONFIG.toml] [--out DIR] [--seed N] [--sample N] [--module NAME ...] [--quick]
 
-Mutates the control law, its guard and supervisor, and the judge of answers one place at a time and runs the tests on
+Mutates the control law, its guard, supervisor and the residuals of answers one place at a time and runs the tests on
 each mutant. Nothing is written into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
 """
 

@@ -30,7 +30,6 @@ def answer(summary: Summary, groups: Sequence[str], drawn: Mapping[str, go.Figur
     """Make the first screen out of the summary.
 
     Args:
-        summary: of summary.json.
         groups: names, in the order of the report.
         drawn: every figure of the report by its file's name.
     """

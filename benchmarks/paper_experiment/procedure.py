@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control import Controller
@@ -21,6 +20,7 @@ from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_through
 from moc_opt.model.robot_model import load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.procedure.hands_on import HandsOn, HandsOnSettings, HandsOnStatus, guide_to
 from moc_opt.procedure.reachability import check_reachable
 from moc_opt.redundancy.self_motion import self_motion
@@ -39,8 +39,6 @@ from moc_opt.vision.augmented_reality import Augmented
 from moc_opt.vision.board import board_below, board_task
 from moc_opt.vision.image_source import pose_accuracy
 from moc_opt.vision.settings import BoardSettings, CameraSettings, TrackerSettings
-
-Array = NDArray[np.float64]
 
 METRICS = ("mu_mean", "tip_error_mean_mm", "rcm_error_mean_mm", "trocar_force_mean_N")
 

@@ -128,12 +128,12 @@ def interval_rows(
 
 
 def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
-    """Travelling and settled apart."""
+    """Transient and steady state apart."""
     drawn = interval_rows(rows, group, ("tip", "rcm", "force"), "_change_percent")
     return Table(
-        f"Group {group}: while an elbow travels, and once all have settled", PHASE, drawn,
-        "Settled: the ticks of a trial at which no controller with a third level has its elbow on the way to its "
-        "optimum; the same ticks for all controllers. A trial counts by its ticks.",
+        f"Group {group}: while an elbow travels, and in the steady state", PHASE, drawn,
+        "Steady (phase `settled`): the ticks of a trial at which no controller with a third level has its elbow on the "
+        "way to its optimum; the same ticks for all controllers. A trial counts by its ticks.",
     )  # fmt: skip
 
 

@@ -76,8 +76,8 @@ def pairs(
 ) -> tuple[list[float], list[float]]:
     """Return one number a trial for the MOC and for the baseline, the trials that have both, in the same order.
 
-    In a phase the number is the sum over its ticks: else a trial in which the elbow settled for a moment only would
-    count as much as one in which it did for seconds.
+    In a phase the number is the sum over its ticks: else a trial that is steady for a moment only would count as
+    much as one that is for seconds.
     """
 
     def by_trial(controller: str) -> dict[str, float]:
@@ -145,7 +145,7 @@ def goals(found: Sequence[Measurement], group: str, moc: str) -> list[dict[str, 
     for claim in CLAIMS[1:]:
         change = effect(found, group, moc, MATCHED, claim.metric, "settled")
         reached = change is not None and change.high <= MOST_CHANGE_PERCENT
-        text = f"settled: change of {claim.metric} [%], upper end at most"
+        text = f"steady: change of {claim.metric} [%], upper end at most"
         add(f"settled_{claim.name}", text, change, MOST_CHANGE_PERCENT, reached)
     for name, metric, limit in LIMITS:
         values = [m.metrics[metric] for m in _whole(found, group, moc)]

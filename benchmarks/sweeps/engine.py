@@ -31,7 +31,6 @@ def execute(table: Table, limit_s: float) -> dict[str, Any]:
     A process has one clock and one collector, so a worker with several threads still does one run at a time.
 
     Args:
-        table: of a Scenario.
         limit_s: the process ends itself when the run takes longer [s]; even where a library hangs.
 
     Returns:
@@ -96,7 +95,6 @@ def run_all(
         table_of: the scenario's table of an index.
         keep: called here, in this process, with an index and its {error, figures, wall_s, timing_shared}.
         limit_s: see :func:`execute`.
-        work: what a worker does.
 
     Returns:
         index -> why it has no result.

@@ -77,9 +77,7 @@ def page(summary: Summary, numeric: Mapping[str, list[float]], environment: Summ
     """Make the page.
 
     Args:
-        summary: of the sweep.
         numeric: the fields of the grid that are numbers, with their values.
-        environment: how it came about.
     """
     page = Page("Sweep", f"{summary['sweep']['runs']['all']} runs")
     page.headline(headline(summary))

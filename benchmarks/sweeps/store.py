@@ -80,7 +80,6 @@ class Store:
         """Keep a finished run, at once.
 
         Args:
-            index: in the plan.
             result: {error, figures, timing_shared, wall_s}.
 
         Raises:

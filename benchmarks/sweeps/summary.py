@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.sweeps.errors import StoreError, SweepError
 from benchmarks.sweeps.table import PLAN_KEY
 from moc_opt.errors import UnknownNameError
+from moc_opt.numerics.arrays import Array
 from moc_opt.trace.ending import Ending
 
 BATCH = 8192
@@ -31,8 +32,6 @@ QUANTILES = {"p05": 0.05, "p50": 0.50, "p95": 0.95}
 SHARED = "timing_shared"
 KEYS = ("index", "run", "solver", "seed", "ended", "error", SHARED)
 ENDINGS = (Ending.STOPPED.value, Ending.OSCILLATED.value)
-
-Array = NDArray[np.float64]
 
 _GAMMA = (1.0 + ACCURACY) / (1.0 - ACCURACY)
 _SMALLEST, _LARGEST = 1e-15, 1e9  # magnitudes between which a quantile is told apart from 0 and infinity
@@ -48,7 +47,6 @@ def summarise(
     Runs that were stopped are counted, and enter no metric: theirs are figures of a part.
 
     Args:
-        folder: of a finished sweep.
         by: columns whose values make the groups.
         table: "rows" or "clock".
         alone: only runs whose times were taken with no other run on the machine.
@@ -85,7 +83,6 @@ def errors(folder: Path, most: int = 20) -> dict[str, dict[str, int]]:
     """Return the errors of a finished sweep and how many runs each ended, the commonest first.
 
     Args:
-        folder: of the sweep.
         most: so many errors; of a sweep whose messages all differ only the first 1000 are told apart.
     """
     counted: Counter[str] = Counter()

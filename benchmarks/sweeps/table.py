@@ -97,8 +97,6 @@ def write_final(folder: Path, plan: Plan, blocks: Iterator[pa.Table]) -> None:
     """rows.parquet and clock.parquet, from blocks of records in order; both appear whole, or not at all.
 
     Args:
-        folder: of the sweep.
-        plan: of the sweep.
         blocks: tables of :func:`record_schema`, BLOCK rows each but the last, sorted by index.
 
     Raises:

@@ -22,7 +22,6 @@ def mend(root: ET.Element, notes: list[str]) -> None:
     - An inertia that no body has: the smallest sphere's inertia that makes it possible is added.
 
     Args:
-        root: links and joints.
         notes: what was done is appended.
     """
     frames = []

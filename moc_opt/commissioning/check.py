@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.commissioning.home import task_fault
 from moc_opt.commissioning.limits import FASTEST
@@ -20,7 +19,6 @@ from moc_opt.robots import urdf
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu
 
-Array = NDArray[np.float64]
 Verdict = Literal["ok", "care", "cannot"]
 REGULAR, SINGULAR = (0.1, 0.05), 1e-4
 """Singular values over the largest, of the tip's Jacobian and of A, below which to take care, and to refuse."""

@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.freedoms import freedoms, limit_shares
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import lay_out
 
-Array = NDArray[np.float64]
 DRAWS = 6000
 """Poses that are drawn; forward kinematics of one takes microseconds."""
 SHORTLIST = 60

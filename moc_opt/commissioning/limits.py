@@ -94,7 +94,6 @@ def choose_efforts(robot: RobotModel, weak: list[str]) -> dict[str, float]:
 
     Args:
         robot: the arm, with its tool.
-        weak: names of the joints.
 
     Returns:
         Joint -> effort, two digits, at least 5.

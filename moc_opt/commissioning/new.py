@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.commissioning.home import Home, search_home
 from moc_opt.commissioning.limits import choose_efforts, choose_limits
@@ -20,11 +19,11 @@ from moc_opt.commissioning.vendor import VendorArm, chain_joints, read_vendor
 from moc_opt.errors import RobotError
 from moc_opt.model.gains import derived_gains
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.robots import urdf
 from moc_opt.robots.numbers import as_text
 
-Array = NDArray[np.float64]
 _ROTOR, _SHARE, _MOST_FRICTION = 0.2, 0.008, 1.0
 
 
@@ -54,7 +53,6 @@ def new_robot(
         wrist_m: wrist point to mount along the shaft [m]; None: found.
         lock: joint -> position [rad, m] at which it is fixed.
         base_rpy: how the base stands: (pi, 0, 0) hangs from the ceiling [rad].
-        seed: of the search for a home pose.
 
     Raises:
         RobotError: a file that cannot be such an arm; no freedom is left; or a file is there already.

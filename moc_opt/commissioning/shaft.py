@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from moc_opt.commissioning.vendor import rpy_of
 from moc_opt.errors import RobotError
+from moc_opt.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 _SAME = 1e-6
 
 

@@ -23,8 +23,6 @@ def robot_toml(
 
     Args:
         name: of the robot; its URDF is ``name``.urdf beside it.
-        arm: the cleaned arm.
-        shaft: tool and wrist point.
         tool_m: mount to tip [m].
         drives: the keys of [joints], one number per joint.
         q: (n,) the home pose [rad, m].

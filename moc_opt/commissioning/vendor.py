@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
 from moc_opt.commissioning import bodies
 from moc_opt.commissioning.tree import LinkTree, end, moves
@@ -49,7 +50,6 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     replaced; meshes are not looked at. Limits are left to `moc_opt.commissioning.limits`.
 
     Args:
-        path: the URDF.
         tip: the link that carries the tool; None: the end of the one chain there is, before the fingers.
         lock: joint -> the position [rad, m] at which it is fixed.
 
@@ -232,38 +232,24 @@ def _shift(joint: ET.Element, value: float) -> None:
         return
     where = f"joint {joint.get('name')!r}"
     origin, given = joint.find("origin"), joint.find("axis")
-    R = _rotation(*triple(origin, "rpy", where, "rad"))
+    R = pin.rpy.rpyToMatrix(*triple(origin, "rpy", where, "rad"))
     axis = np.array(triple(given, "xyz", where, "1") if given is not None else (1.0, 0.0, 0.0))
     axis /= np.linalg.norm(axis)
     place = np.array(triple(origin, "xyz", where, "m"))
     if joint.get("type") == "prismatic":
         place = place + R @ (value * axis)
     else:
-        K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-        R = R @ (np.eye(3) + math.sin(value) * K + (1.0 - math.cos(value)) * K @ K)
+        R = R @ pin.exp3(value * axis)
     if origin is None:
         origin = ET.SubElement(joint, "origin")
     origin.set("xyz", as_text(*place))
     origin.set("rpy", as_text(*rpy_of(R)))
 
 
-def _rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
 def rpy_of(R: np.ndarray) -> tuple[float, float, float]:
     """Roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if abs(math.cos(pitch)) < 1e-9:
-        return math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0
-    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+    roll, pitch, yaw = pin.rpy.matrixToRpy(R).tolist()
+    return roll, pitch, yaw
 
 
 def chain_joints(arm: VendorArm) -> list[ET.Element]:

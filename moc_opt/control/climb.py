@@ -10,15 +10,13 @@ is small or flat the climb is slow, and on a sharp hump it is stiff.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import independent_rows
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, gram, solve_factored, times, transpose_times
-
-Array = NDArray[np.float64]
 
 RATE_PER_S = 5.0
 """k."""

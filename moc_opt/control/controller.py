@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numba import float64
-from numpy.typing import NDArray
 
 from moc_opt.control import tick
 from moc_opt.control.climb import ScaledClimb
@@ -22,13 +21,11 @@ from moc_opt.control.supervisor import Fault, Supervisor
 from moc_opt.errors import ControlError
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.layout import offsets
 from moc_opt.qp.problem import NullSpaceQP, row_length
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Solver
-
-Array = NDArray[np.float64]
 
 _DOUBLE, _ROWS = np.dtype(np.float64), (24, 8)
 

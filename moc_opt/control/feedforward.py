@@ -12,14 +12,12 @@ wrist is left out: at the straight elbow itself it would take an infinite torque
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control.rcm import shaft_turn
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import dot, forward_in_place
 from moc_opt.qp.equalities import directions_across
-
-Array = NDArray[np.float64]
 
 STRAIGHT = 1e-3
 """Mobility of the wrist in its harder direction over that in its easier one; about the elbow's angle [rad]."""

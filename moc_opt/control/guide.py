@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from moc_opt.model.robot_state import RobotState
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 class Guide(Protocol):

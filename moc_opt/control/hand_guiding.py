@@ -8,12 +8,11 @@ joint friction or a hand has to hold against them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel, RobotState
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 class HandGuiding:

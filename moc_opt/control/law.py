@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.control.null_space import box_limits
 from moc_opt.control.settings import PROJECTORS, ControlSettings, per_joint
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-
-Array = NDArray[np.float64]
 
 DYNAMIC, STATIC, AS_PUBLISHED = range(len(PROJECTORS))
 _SCALARS, _ROWS = 13, 6

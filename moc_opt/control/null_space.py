@@ -9,15 +9,13 @@ Su et al. 2019 print as [(Z M Z^T) Z M]^T).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import independent_rows
 from moc_opt.errors import ControlError
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, solve_in_place, times, transpose_times
 from moc_opt.qp.residuals import ranks
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

@@ -10,15 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 from numba import float64
-from numpy.typing import NDArray
 
 from moc_opt.errors import ControlError
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import VECTOR, CompiledKernel, borrowed
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

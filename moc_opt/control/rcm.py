@@ -9,12 +9,10 @@ The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant l
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, transpose_times
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

@@ -7,12 +7,8 @@ own velocities and with the model, so that no other sign of ``motion_kernels`` t
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-
-Array = NDArray[np.float64]
 
 SLOTS = 4096
 """Readings that are remembered, one a slot; a later one with the same slot takes its place."""

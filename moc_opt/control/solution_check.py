@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import int64
-from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import all_finite
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.numerics.dense import dot
@@ -14,8 +14,6 @@ from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.residuals import GRADIENT_ROUNDING, RANK_TOLERANCE
 from moc_opt.solvers.base import Solution, Status, no_answer
-
-Array = NDArray[np.float64]
 
 AT_BOUND = 1e-4  # a joint this near to a bound is at it [rad/s]
 SWEEPS = 200

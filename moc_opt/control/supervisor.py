@@ -113,7 +113,6 @@ class Supervisor:
     Args:
         settings: what is refused.
         fallback: what follows an infeasible subproblem: "damping", "hold" or "least-violation".
-        n: joints.
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
             repeated exactly; None: the clock decides. One that ends leaves the rest to the clock.
 
@@ -155,7 +154,6 @@ class Supervisor:
         """Ask the session, check its answer, and return one in any case.
 
         Args:
-            session: of the solver.
             qp: the subproblem; the session gets a copy.
             Z: (r, n) basis of ker A.
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.

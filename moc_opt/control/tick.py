@@ -6,7 +6,6 @@ X, N are tip and wrist, P_t the trocar; docs/method.md has the same equations in
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import desired_wrist_acceleration, motion_feedforward
 from moc_opt.control.law import DYNAMIC, STATIC, law_views
@@ -25,12 +24,11 @@ from moc_opt.control.rcm import (
 )
 from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
 from moc_opt.qp.equalities import offsets
-
-Array = NDArray[np.float64]
 
 SHAFT_PULL = 0.1
 """Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
@@ -43,7 +41,6 @@ def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, di
     """Compute levels 1 and 2 less the disturbance r: tau_tip + tau_rcm - r, (n,) [Nm].
 
     Args:
-        record: flat state record.
         law: packed constants, see ``law.Law``.
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         trocar: (2, 3) rows P_t, dP_t.

@@ -7,12 +7,10 @@ F_T = K_X (X_d - X) + D_X (dX_d - J_T v),   tau_tip = h + J_T^T F_T
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, solve_in_place
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

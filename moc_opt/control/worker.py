@@ -12,13 +12,9 @@ import sys
 import weakref
 from time import monotonic_ns
 
-import numpy as np
-from numpy.typing import NDArray
-
 from moc_opt.control.exchange import ANSWERED, OBSERVES, REFUSED, START, Answer, Exchange, shared_file
 from moc_opt.inputs.files import to_json
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 STARTING = "it has not started in time"
 
@@ -35,7 +31,6 @@ class Worker:
 
     Args:
         pickled: the solver.
-        n: joints.
     """
 
     def __init__(self, pickled: bytes, n: int) -> None:

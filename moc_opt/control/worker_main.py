@@ -39,7 +39,6 @@ def main(fd: int, bell: int, n: int, parent: int) -> None:
     Args:
         fd: of the shared file: the memory for n joints, then the pickled solver.
         bell: of a socket: a byte in says that there is a request, a byte out that there is an answer.
-        n: joints.
         parent: process that asks; this one is killed with it, even in the middle of a solve.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -9,8 +9,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 _DUST = 1e-14  # cos(pi/2) of a URDF angle is 6e-17: such numbers are meant to be zero or one
 

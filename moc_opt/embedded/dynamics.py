@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.embedded.arm import Arm
+from moc_opt.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 SX = Any
 
 _SINGULAR = 1e-14  # det(J J^T) relative to the cube of its mean diagonal, as in kinematics_kernels.manipulability

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
@@ -22,16 +21,14 @@ from moc_opt.embedded.support import TickSpec, check_safety_filter
 from moc_opt.embedded.symbolic import Tick, build_tick
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 
 def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Recording:
     """Record the Python controller's answers to k consecutive ticks.
 
     Args:
-        spec: what the tick is made from.
         q, v: (k,n) measured [rad], [rad/s].
         tip_ref: (k,3,3) rows X_d, dX_d, ddX_d; trocar: (k,2,3) rows P_t, dP_t.
     """
@@ -84,7 +81,6 @@ def export(
     """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.
 
     Args:
-        spec: what the tick is made from.
         recording: ticks that main.c compares the bare tick with.
         out: made if need be.
         guard: the limits that are compiled in.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
@@ -16,9 +16,8 @@ from moc_opt.embedded.export import safe_files
 from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 FAULTS = ("none", "infeasible", "failed", "not_finite", "outside", "lied", "late")
 """Labels of the faults in moc_supervisor.h, in its order: those of `control.supervisor.Fault`."""

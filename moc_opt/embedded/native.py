@@ -22,11 +22,10 @@ from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.kinematics_kernels import record_size, state_views
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
-
-Array = NDArray[np.float64]
 
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
 

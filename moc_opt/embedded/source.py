@@ -9,13 +9,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from numpy.typing import NDArray
 
 from moc_opt.embedded.layout import OBSERVED
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.inputs.names import in_comment
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 BAD_INPUT = 3
 """What moc_tick returns when an input is not finite; below it are the statuses of `solvers.exact`."""

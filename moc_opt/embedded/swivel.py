@@ -96,7 +96,6 @@ def solve(
         gradient: (n,) of mu; zero for the joints that are not active.
         box: for all n joints.
         active: the r + 1 joints that move the tool; the others rest, as near to zero as their box allows.
-        c2, rho: weights.
         tolerance: box violation that still counts as feasible [rad/s].
     """
     R, r, n = triangle.R, len(active) - 1, gradient.shape[0]

@@ -11,7 +11,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
@@ -21,11 +20,11 @@ from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
 from moc_opt.embedded.support import TickSpec, check_supported
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.solvers.base import Solver
 from moc_opt.solvers.exact.elimination import OK, STUCK
 from moc_opt.solvers.exact.solver import Exact
 
-Array = NDArray[np.float64]
 SX = Any
 
 

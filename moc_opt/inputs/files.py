@@ -45,8 +45,6 @@ def check_regular(path: Path_, what: str, error: Wrong, most: int = MOST_DATA) -
     Args:
         path: the file; links are followed.
         what: the kind of file, for messages.
-        error: raised where it is not.
-        most: bytes it may have.
     """
     try:
         found = os.stat(path)
@@ -155,7 +153,6 @@ def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
 
     Args:
         value: of a setting; numbers in lists and tables count.
-        most: largest integer.
     """
     for path, depth, entry in entries(value):
         if depth > DEEPEST:

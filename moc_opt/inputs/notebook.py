@@ -10,7 +10,6 @@ def table_html(title: str, rows: Mapping[str, object]) -> str:
     """Write a title and a table of names and values; every text is escaped.
 
     Args:
-        title: of the table.
         rows: name -> value, written by ``str``.
     """
     return grid_html(title, ((name, value) for name, value in rows.items()))

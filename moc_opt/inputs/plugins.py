@@ -37,8 +37,6 @@ def load(kind: str, name: str, points: list[EntryPoint], error: type[MocOptError
     """Import what an entry point names.
 
     Args:
-        kind: what it is, for messages: "solver".
-        name: of the entry point.
         points: all that claim this name.
         error: raised where it cannot be had.
     """

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.errors import MocOptError
 from moc_opt.model.robot_model import RobotModel, RobotState
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 BLEND_S = 0.1
 """Time constant in which the difference of two controllers' torques decays after an exchange."""

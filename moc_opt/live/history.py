@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 QUANTITIES = ("t_s", "mu", "mu_bound", "tip_error_m", "rcm_error_m", "force_N", "solve_us", "tick_us")
 

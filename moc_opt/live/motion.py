@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Reference, Trocar
-
-Array = NDArray[np.float64]
 
 SLOWLY_M_PER_S = 0.02
 """How fast the trocar follows what it is told: a jump would be a blow."""

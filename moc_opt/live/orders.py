@@ -7,13 +7,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
 from moc_opt.errors import RobotError, ScenarioError
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 DCAC = "none (DCAC)"
 MOST_OFFSET_M, MOST_BREATH_M, LEAST_PERIOD_S, MOST_PUSH_N, MOST_PUSH_S = 0.05, 0.03, 0.5, 60.0, 3.0

@@ -33,7 +33,6 @@ class LivePage:
         """Build the run, open the page, and let the clock go.
 
         Args:
-            scenario: what to run.
             host: where to listen; only this machine can reach the default.
             port: the next free one from here on; 0: any.
             public: the user knows that others can reach `host`.

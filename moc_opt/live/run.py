@@ -9,7 +9,6 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import Controller, ControlSettings
 from moc_opt.control.settings import Gains
@@ -28,13 +27,12 @@ from moc_opt.live.orders import (
     child_link,
 )
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.scenario import Scenario, Setup, make_solver
 from moc_opt.scenario.parts import isolated
 from moc_opt.tasks.trocar import shaft_distance
-
-Array = NDArray[np.float64]
 
 RAMP_S = 0.3
 """Least time in which the third level of a new controller fades in: it pulls so hard at first, and so shortly, that

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from moc_opt.live.orders import Moment
 from moc_opt.live.run import LiveRun
 from moc_opt.model.frames import link_frames
+from moc_opt.numerics.arrays import Array
 from moc_opt.report.replay.arm import BASE, arm_parts
 from moc_opt.report.replay.tracks import velocity_ellipsoids
-
-Array = NDArray[np.float64]
 
 SHELL, TOOL, JOINT, WALL, RIM, PATH = (
     (211, 216, 221),

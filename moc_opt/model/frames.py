@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.symbolic import Chain
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
     """Forward kinematics of many poses at once.
 
     Args:
-        chain: the arm.
         q: (k, n) [rad], of prismatic joints [m].
 
     Returns:

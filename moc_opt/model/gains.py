@@ -12,13 +12,13 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from moc_opt.numerics.arrays import Array
 
 if TYPE_CHECKING:
     from moc_opt.model.robot_model import RobotModel
     from moc_opt.model.robot_state import RobotState
 
-Array = NDArray[np.float64]
 Table = dict[str, float | tuple[float, ...]]
 
 JOINT_RATE = 12.0

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 _TOLERANCE_M = 1e-8
 _LONGEST_STEP = 0.25  # [rad]: beyond it the linearization is worth little
@@ -57,11 +56,9 @@ def solve_pose(
     how the arm's own redundancy is used. The search is local: that it fails proves nothing by itself.
 
     Args:
-        robot: the arm.
         q: (n,) where to begin [rad]; put inside the limits first.
         tip: (3,) [m].
         wrist: (3,) [m], at the tool's length from the tip; None leaves it free.
-        iterations: most steps.
     """
     pose = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
     damping, last = 1e-12, np.inf

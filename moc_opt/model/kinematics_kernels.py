@@ -11,15 +11,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.dynamics_kernels import energy_slope, gravity_torque
 from moc_opt.model.manipulability_kernels import manipulability, shaft_manipulability, yoshikawa
 from moc_opt.model.place_kernels import place_joints, point_in_world
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
-
-Array = NDArray[np.float64]
 
 OK, BAD_Q, BAD_V = 0, 1, 2
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-
-Array = NDArray[np.float64]
 
 # Below this det(J J^T), relative to the cube of the mean of its diagonal, mu is rounding noise.
 _SINGULAR = 1e-14
@@ -31,10 +29,19 @@ def gram(jacobian: Array) -> tuple[float, float, float, float, float, float]:
 
 
 @njit(cache=True)
+def adjugate(
+    a: float, b: float, c: float, d: float, e: float, f: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Compute the determinant of [[a, b, c], [b, d, e], [c, e, f]], and the adjugate, its inverse times that, alike."""
+    i, j, k = d * f - e * e, c * e - b * f, b * e - c * d
+    return a * i + b * j + c * k, i, j, k, a * f - c * c, b * c - a * e, a * d - b * b
+
+
+@njit(cache=True)
 def yoshikawa(jacobian: Array) -> float:
     """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
     a, b, c, d, e, f = gram(jacobian)
-    return math.sqrt(max(a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d), 0.0))
+    return math.sqrt(max(adjugate(a, b, c, d, e, f)[0], 0.0))
 
 
 @njit(cache=True)
@@ -47,9 +54,7 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
     """
     n = axes.shape[0]
     a, b, c, d, e, f = gram(jacobian)
-    i00, i01, i02 = d * f - e * e, c * e - b * f, b * e - c * d
-    i11, i12, i22 = a * f - c * c, b * c - a * e, a * d - b * b
-    det = a * i00 + b * i01 + c * i02
+    det, i00, i01, i02, i11, i12, i22 = adjugate(a, b, c, d, e, f)
     mean = (a + d + f) / 3.0
     mu = math.sqrt(max(det, 0.0))
     if det <= _SINGULAR * mean * mean * mean:
@@ -94,19 +99,17 @@ def shaft_manipulability(axes: Array, A: Array, u: Array, grad: Array) -> float:
     for k in range(n):
         grad[k] = 0.0
     T, W = A[0:3], A[3:6]
-    room = np.zeros((6, 3, 3))
-    tip, mixed, rest, inverse, K, C = room[0], room[1], room[2], room[3], room[4], room[5]
+    room = np.zeros((5, 3, 3))
+    mixed, rest, inverse, K, C = room[0], room[1], room[2], room[3], room[4]
     for j in range(n):
         for a in range(3):
             for b in range(3):
-                tip[a, b] += T[a, j] * T[b, j]
                 mixed[a, b] += W[a, j] * T[b, j]
                 rest[a, b] += W[a, j] * W[b, j]
-    det = _adjugate3(tip, inverse)
-    mean = (tip[0, 0] + tip[1, 1] + tip[2, 2]) / 3.0
-    if det <= _SINGULAR * mean * mean * mean:
+    xx, xy, xz, yy, yz, zz = gram(T)
+    mean = (xx + yy + zz) / 3.0
+    if _invert(xx, xy, xz, yy, yz, zz, inverse) <= _SINGULAR * mean * mean * mean:
         return 0.0
-    inverse /= det
     for a in range(3):
         for b in range(3):
             K[a, b] = mixed[a, 0] * inverse[0, b] + mixed[a, 1] * inverse[1, b] + mixed[a, 2] * inverse[2, b]
@@ -125,7 +128,7 @@ def shaft_manipulability(axes: Array, A: Array, u: Array, grad: Array) -> float:
     for a in range(3):
         for b in range(3):
             C[a, b] += size * u[a] * u[b]
-    inverse /= _adjugate3(C, inverse)
+    _invert(C[0, 0], C[0, 1], C[0, 2], C[1, 1], C[1, 2], C[2, 2], inverse)
     sums = np.zeros((7, 3))
     moved, P, turns, pulls = sums[0], sums[1:3], sums[3:5], sums[5:7]
     for k in range(n):
@@ -147,11 +150,12 @@ def shaft_manipulability(axes: Array, A: Array, u: Array, grad: Array) -> float:
 
 
 @njit(cache=True)
-def _adjugate3(S: Array, out: Array) -> float:
-    """Write the adjugate of a symmetric (3,3), its inverse times its determinant; returns the determinant."""
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        for d in range(3):
-            e, f = (d + 1) % 3, (d + 2) % 3
-            out[a, d] = S[b, e] * S[c, f] - S[b, f] * S[c, e]
-    return float(S[0, 0] * out[0, 0] + S[0, 1] * out[0, 1] + S[0, 2] * out[0, 2])
+def _invert(a: float, b: float, c: float, d: float, e: float, f: float, out: Array) -> float:
+    """Write the inverse (3,3) of [[a, b, c], [b, d, e], [c, e, f]], zeros if it has none; returns the determinant."""
+    det, i, j, k, m, o, p = adjugate(a, b, c, d, e, f)
+    scale = 1.0 / det if det != 0.0 else 0.0
+    out[0, 0], out[1, 1], out[2, 2] = i * scale, m * scale, p * scale
+    out[0, 1] = out[1, 0] = j * scale
+    out[0, 2] = out[2, 0] = k * scale
+    out[1, 2] = out[2, 1] = o * scale
+    return det

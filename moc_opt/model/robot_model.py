@@ -20,11 +20,10 @@ from moc_opt.model import place_kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
 from moc_opt.model.robot_state import RobotState
 from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.numerics.compiled import FLAGS, MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData, load_data
 
-Array = NDArray[np.float64]
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
 _FILL_STATE = CompiledKernel(

@@ -6,11 +6,9 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model import kinematics_kernels as kernels
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 @cache

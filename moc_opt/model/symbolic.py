@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
+
 if TYPE_CHECKING:
     import casadi
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Arrays that nobody may write into."""
+"""The one type of all numbers, and arrays that nobody may write into."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
 Given = TypeVar("Given", bound=NDArray[Any])
 
 
@@ -16,6 +17,6 @@ def read_only(array: Given) -> Given:
     return array
 
 
-def read_only_copy(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def read_only_copy(array: Array) -> Array:
     """Copy an array, read-only."""
     return read_only(array.copy())

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.pose_map import PoseMap
-
-Array = NDArray[np.float64]
 
 
 def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0) -> Array:
@@ -19,7 +18,6 @@ def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0
     goes uphill over neighbouring samples of its branch until mu falls, or a limit or the speed ends it.
 
     Args:
-        found: the map.
         step_rad: (n,) most that a joint turns in one period [rad].
         start: (n,) the pose to begin with [rad].
         margin_rad: from the joint limits.

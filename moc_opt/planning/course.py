@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.targets import Targets
 
-Array = NDArray[np.float64]
 Objective = Literal["mean", "worst", "log"]
 OBJECTIVES: tuple[Objective, ...] = ("mean", "worst", "log")
 MOST_VIOLATION = 1e-8

@@ -8,13 +8,11 @@ q_c is the course, k the gain on its error, s = 1 + D_N2/K_N2 makes up for what 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course
-
-Array = NDArray[np.float64]
 
 
 class Follower:

@@ -15,14 +15,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.refine import SETTLED_S, across_shafts
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
 
-Array = NDArray[np.float64]
 OPTIONS: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 6, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp",
@@ -42,7 +41,6 @@ class Horizon:
         """Write the program.
 
         Args:
-            robot: the arm.
             nodes: N, times after the start.
             mu: mu_0, what a pose is usually worth [m^3].
             margin_rad: from the joint limits.

@@ -10,16 +10,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.pose_map import spherical_map
 from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.ascent import ascend_all
 from moc_opt.redundancy.continuation import Constraint
-
-Array = NDArray[np.float64]
 
 SCANNED = "scanned, all branches"
 STARTS = 96
@@ -47,10 +45,8 @@ def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: i
     Never below mu of the poses themselves.
 
     Args:
-        robot: the arm.
         poses: (k, n), in the order of a path, as neighbours hand on their maxima [rad, m]; put inside the limits first.
         starts: random starts at the first point, for arms without closed form; an eighth of them at each later one.
-        seed: of those starts.
     """
     inside = np.clip(poses, robot.q_min, robot.q_max)
     own = robot.mu_along(inside)

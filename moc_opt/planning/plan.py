@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import TaskError
 from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course
 from moc_opt.planning.pose_map import PoseMap, spherical_map
@@ -21,8 +22,6 @@ from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.traced import traced_map
 from moc_opt.redundancy.arm_angle import Elbow
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -120,9 +119,7 @@ def make_plan(
     """Plan a path from one start.
 
     Args:
-        robot: the arm.
         q_start: (n,) with tip and wrist at the first target [rad].
-        targets: tip and wrist over time.
         objective: "mean", "worst" or "log".
         swivels: samples of one turn, of an arm with a closed form.
         margin_rad: that every joint keeps from its limits.

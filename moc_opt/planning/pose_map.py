@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning import spherical_kernels as kernels
 from moc_opt.planning.spherical import BRANCHES, Spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.arm_angle import Elbow
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 ROUNDING_RAD = 1e-9
@@ -132,9 +132,7 @@ def spherical_map(
     """Compute the closed form over the path.
 
     Args:
-        robot: the arm.
         arm: its normal form.
-        targets: tip and wrist over time.
         swivels: samples of one turn.
         start: (7,) [rad] a pose whose swivel is one of the samples, and where joint 7 stands; None: from -pi, and 0.
 

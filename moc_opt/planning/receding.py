@@ -11,17 +11,15 @@ import time
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import make_course
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import NEARBY_RAD, ToGo
-
-Array = NDArray[np.float64]
 
 NODES = 10
 """Times of the nonlinear program after the measured pose."""
@@ -63,8 +61,6 @@ class Receding:
 
         Args:
             to_go: V over the path.
-            horizon: the program.
-            robot: the arm.
             targets: tip and wrist over time, closely enough to interpolate between.
             q_start: (n,) at t = 0 [rad].
             period_s: of a tick [s].

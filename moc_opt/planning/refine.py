@@ -15,13 +15,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
 from moc_opt.planning.targets import Targets
-
-Array = NDArray[np.float64]
 
 OPTIONS: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
@@ -53,8 +51,6 @@ def refine(
     """Improve a course to a local optimum.
 
     Args:
-        robot: the arm.
-        targets: tip and wrist over time.
         course: that is to be improved; all times.
         guess: (k,n) poses to begin with in place of the course's; they may break constraints.
         objective: as for the search.

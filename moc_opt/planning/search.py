@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import LEAST_MU, Objective, weights
 from moc_opt.planning.pose_map import PoseMap
 from moc_opt.planning.search_kernels import advance
 
-Array = NDArray[np.float64]
 CURVED = 1.1
 """What half a cell holds beyond what its samples say: of a joint's way, and of the rise of mu."""
 
@@ -52,7 +52,6 @@ def search(
     """Find the best course.
 
     Args:
-        found: the map.
         step_rad: (n,) most that a joint turns in one period [rad].
         objective: "mean" mu, "worst" mu, or the mean of "log" mu. Of all courses with the largest worst mu (to
             rounding) the one with the best mean is taken.

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
-Array = NDArray[np.float64]
 TURN = 2.0 * math.pi
 STRAIGHT = 1e-9  # sine of joint 4 below which the elbow has no plane
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import TaskError
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Trocar
 from moc_opt.tasks.sequence import TipReference
-
-Array = NDArray[np.float64]
 
 SHALLOWEST_M = 0.002
 """Nearer to the trocar the shaft has no direction."""
@@ -47,11 +45,8 @@ def lay_targets(reference: TipReference, trocar: Trocar, span_m: float, duration
     """Sample the reference and the trocar at ``count`` times from 0 to the end.
 
     Args:
-        reference: of the tip.
-        trocar: that the shaft has to pass.
         span_m: wrist to tip [m].
         duration_s: end of the run [s].
-        count: number of times.
 
     Raises:
         TaskError: fewer than two times, or the trocar is not on the shaft at one of them.

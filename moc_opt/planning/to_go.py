@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.planning.course import weights
 from moc_opt.planning.pose_map import PoseMap
 from moc_opt.planning.search import half_cells
 
-Array = NDArray[np.float64]
 NEARBY_RAD = 0.2
 """Poses within this way of each other are one neighbourhood, in which V is a parabola."""
 KEPT = 64
@@ -54,7 +54,6 @@ class ToGo:
         """Go through the map from its end to its start.
 
         Args:
-            found: the map.
             step_rad: (n,) most that a joint turns in one period [rad].
             margin_rad: from the joint limits.
             price: c, of speed [m^3 s^2/rad^2].

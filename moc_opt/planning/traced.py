@@ -10,17 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.pose_map import Flags, PoseMap
 from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.arm_angle import nearest_turns, reach, without_limits
 from moc_opt.redundancy.self_motion import self_motion
-
-Array = NDArray[np.float64]
 
 STEP_RAD = 0.03
 """Spacing of the samples along a curve."""
@@ -55,8 +53,6 @@ def traced_map(
     """Scan the self-motions along the path.
 
     Args:
-        robot: the arm.
-        targets: tip and wrist over time.
         q_start: (n,) a pose for the first of them [rad]; its idle joints are kept.
         seeds: random starts of the inverse kinematics at the first time; a sixteenth of them at each later one.
         step_rad: spacing of the samples along a curve [rad].

@@ -8,7 +8,7 @@ from enum import Enum
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from moc_opt.control.hand_guiding import HandGuiding
@@ -18,12 +18,11 @@ from moc_opt.errors import MocOptError, TaskError
 from moc_opt.inputs.settings import Settings
 from moc_opt.model.inverse_kinematics import pose_with_tip
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.closed_loop import ClosedLoop, Stop
 from moc_opt.sim.hand import Hand, HandSettings
 from moc_opt.sim.plant import Plant
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 _NO_REFERENCE, _NO_TROCAR = np.zeros((3, 3)), np.zeros((2, 3))
 _SPEED_FILTER_Hz = 5.0  # the encoders' noise alone is some mm/s at the tip
@@ -106,7 +105,6 @@ def guide_to(
         incision: (3,) where the trocar truly is, base frame [m].
         plant: the simulated arm, reset to its start.
         robot: the model that the robot believes in.
-        settings: see HandsOnSettings.
         seed: of the registration error.
 
     Raises:

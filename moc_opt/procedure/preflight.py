@@ -7,14 +7,14 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError, ScenarioError
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.procedure.reachability import Reach, UnreachableError, check_reachable
 from moc_opt.tasks import Reference, Trocar
 
-Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
@@ -67,9 +67,7 @@ def check_path(
     """Check that the tip can follow the reference from q with the shaft through the registered trocar.
 
     Args:
-        robot: the arm.
         q: (n,) the start [rad].
-        reference: of the tip.
         registered: the trocar that the controller is told.
         until_s: end of the run [s]; what comes later is not driven.
 
@@ -100,8 +98,6 @@ def random_start(
     - the task cannot be done from it within joint limits and joint speeds.
 
     Args:
-        robot: the arm.
-        rng: what it is drawn from.
         swivelled: a pose -> the one that is begun with, of the same tip and wrist.
         lay_out: a pose -> the task from there, and how it is followed.
 

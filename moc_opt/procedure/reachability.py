@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError, TaskError
 from moc_opt.model.inverse_kinematics import Placed, solve_pose, wrist_through
 from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.tasks import Trocar
 from moc_opt.tasks.sequence import TipReference
-
-Array = NDArray[np.float64]
 
 _TIMES = 1500
 _SHALLOWEST_M = 0.002
@@ -29,8 +28,6 @@ class UnreachableError(TaskError):
         Args:
             field: the setting to change: "path", "trocar", "joint limits", "v_max", "start".
             arc_length_m: place on the path [m].
-            problem: what is wrong there.
-            cure: what to change.
         """
         super().__init__(f"{field}: at {1e3 * arc_length_m:.1f} mm along the path {problem}: {cure}")
         self.field, self.arc_length_m = field, arc_length_m
@@ -83,7 +80,6 @@ def check_reachable(
     refused here may still be possible along a way this search does not try; what is let through is possible.
 
     Args:
-        robot: the arm.
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
         reference: where the tip has to be, and when.
         trocar: where the shaft has to pass; a point (3,) [m] rests.

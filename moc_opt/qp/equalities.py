@@ -10,15 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.qp import layout, reduction
 from moc_opt.qp.layout import C0, C1, C2, RHO
 from moc_opt.qp.problem import NullSpaceQP
-
-Array = NDArray[np.float64]
 
 ROWS = (5, 6)
 _SIX = read_only(np.eye(6))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 MOST_CORNERS = 10_000  # candidates of one problem that are tried: 10 joints with 5 freedoms have 8064
 FAR = 1e3  # box widths: how long a proximal step is

@@ -14,13 +14,10 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.layout import offsets
 from moc_opt.qp.residuals import TIED
 
-Array = NDArray[np.float64]
 Record = Sequence[float] | Array
 
 

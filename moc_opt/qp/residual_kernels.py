@@ -9,14 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, CompiledKernel
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C0, C1, C2, RHO
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.qp.residuals import A_POINT, FEASIBLE, GRADIENT_ROUNDING, RANK_TOLERANCE, STILL, Residuals
-
-Array = NDArray[np.float64]
 
 # Between these shares of |A|_F no row's independent part may lie, or the rank is left to its singular values.
 INDEPENDENT, DEPENDENT = 1e-4, 1e-12

@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.extremes import extremes
-
-Array = NDArray[np.float64]
 
 # One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
 # TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and

@@ -8,8 +8,8 @@ from time import monotonic, perf_counter_ns
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import Link, Quality, Sequence
 from moc_opt.realtime.packets import (
@@ -29,8 +29,6 @@ from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.loop import no_collector
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 _REPEAT_S, _LINGER_S = 0.1, 0.3
 """HELLO and START are sent again after the one; the end is waited out for the other."""

@@ -84,7 +84,6 @@ class Link:
     """A socket, a key, and the packets that are expected.
 
     Args:
-        n: joints.
         key: of the check.
         expected: kinds that this end receives.
         listen: where; None: wherever the system likes.

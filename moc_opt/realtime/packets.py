@@ -85,7 +85,6 @@ class Packet:
 
     Args:
         kind: which.
-        n: joints.
         session: drawn by the plant when it is started; 0: not known yet.
         scenario: fingerprint of what both ends must agree on.
     """

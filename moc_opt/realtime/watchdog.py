@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.settings import WireSettings
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 
 class Watchdog:

@@ -10,14 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.frames import link_frames
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import SelfMotion
-
-Array = NDArray[np.float64]
 
 NO_LIMIT_RAD = 20.0
 REACHED_M = 1e-9
@@ -30,7 +28,6 @@ class Elbow:
         """Choose elbow and reference direction.
 
         Args:
-            robot: the arm.
             wrists: (k, 3) the wrist centres that will occur [m].
         """
         self._chain = robot.chain

@@ -7,15 +7,13 @@ their range held, then Newton's method back to tip and wrist. It ends at a local
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.manipulability_kernels import manipulability
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import cholesky, gram, solve_in_place, times, transpose_times
 from moc_opt.redundancy.continuation import TOLERANCE, Constraint, forward
-
-Array = NDArray[np.float64]
 
 LONGEST = 0.3  # of a step, in joint space [rad]
 SHORTEST = 1e-6  # below it an ascent has arrived: mu is flat there to its square

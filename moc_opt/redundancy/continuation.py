@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.manipulability_kernels import yoshikawa
 from moc_opt.model.place_kernels import place_joints, point_in_world
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-
-Array = NDArray[np.float64]
 
 TOLERANCE = 1e-10  # on tip and wrist [m]
 LIMIT, CLOSED, SINGULAR, LENGTH = range(4)

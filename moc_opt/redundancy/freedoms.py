@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-6
 """Of the largest singular value."""
 

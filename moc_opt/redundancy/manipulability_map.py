@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, unit, without_limits
 from moc_opt.redundancy.self_motion import parabola_peak, self_motion
 from moc_opt.redundancy.showable import check
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 UNREACHABLE, FEASIBLE = -1, 0
 TRAJECTORY_POINTS = 500
@@ -77,7 +75,6 @@ def manipulability_map(
     """Scan the self-motion along the path that the runs were given.
 
     Args:
-        robot: their arm.
         traces: name -> run; all on the same path.
         times, swivels: columns and rows of the map.
 

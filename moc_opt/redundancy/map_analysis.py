@@ -1,9 +1,9 @@
 """What the trajectories on a manipulability map amount to: how long each is at the optimum, what keeps it off.
 
 Where a trajectory ends off the optimum, the map is climbed from there at the time of the end: upwards in mu, swivel by
-swivel, poses beyond a joint limit included. A climb that stops close by, on a lower top or before a forbidden pose, is
-what holds the run; where the way up is open, only the run itself can tell why it is not there: a controller without
-third level, or the box of the third level, which closes before the joint limits that the map knows.
+swivel, poses beyond a joint limit included. A climb that stops close by, at a local maximum or at the edge of the
+feasible poses, is what holds the run; where the way up is open, only the run itself can tell why it is not there: a
+controller without third level, or the box of the third level, which closes before the joint limits that the map knows.
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, SwivelMap, Trajectory
-
-Array = NDArray[np.float64]
 
 NEAR = 0.02
 """A trajectory is at the optimum where its mu is at most this fraction below the best."""
 END = 0.2
 """The last part of a trajectory, as a fraction of its time: what it comes to."""
 CLOSE_RAD = np.radians(12.0)
-"""Nearer to a lower top or a forbidden pose than this, a trajectory is held by it."""
+"""Nearer to a local maximum or the edge of the feasible poses than this, a trajectory is held by it."""
 STILL_RAD_PER_S = np.radians(1.0)
 ALIKE_RAD = np.radians(3.0)
 
@@ -32,12 +31,12 @@ class End(StrEnum):
     """Where a trajectory is in the end."""
 
     OPTIMUM = "at the optimum"
-    LOWER = "on a lower top"
-    GREY = "before a forbidden pose"
-    STILL = "stays put, the map shows a way up"
-    RISING = "still going up"
-    FALLING = "goes down"
-    ELSEWHERE = "folded another way"
+    LOCAL_MAXIMUM = "at a local maximum"
+    FEASIBLE_EDGE = "at the edge of the feasible poses"
+    STILL = "at rest, though mu rises to one side"
+    RISING = "mu still rises"
+    FALLING = "mu falls"
+    OTHER_BRANCH = "on another branch"
     UNKNOWN = "nothing to compare with"
 
 
@@ -57,8 +56,8 @@ class Reading:
     end: End
     joint: int
     """The joint (from 1) whose limit it stands before; 0 where that is the arm's reach, or nothing."""
-    at_grey: float
-    """Share of the time in which it is in the grey, or no farther from it than a row of the map."""
+    at_edge: float
+    """Share of the time in which its pose is infeasible, or no farther from such a pose than a row of the map."""
     limits: tuple[int, ...]
     """Whose limits these are, joints from 1."""
 
@@ -67,7 +66,6 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     """What the trajectory of one run amounts to.
 
     Args:
-        found: the map.
         name: of one of its trajectories.
     """
     trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
@@ -76,8 +74,8 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     if not known.any():
         return Reading(name, nan, nan, travel, nan, End.UNKNOWN, 0, nan, ())
     if trajectory.gap_rad > OTHER_BRANCH_RAD:
-        return Reading(name, nan, nan, travel, nan, End.ELSEWHERE, 0, nan, ())
-    grey = _at_grey(found, trajectory)
+        return Reading(name, nan, nan, travel, nan, End.OTHER_BRANCH, 0, nan, ())
+    edge = _at_edge(found, trajectory)
     best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
     near = trajectory.mu >= (1.0 - NEAR) * best
     late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
@@ -85,16 +83,15 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     if np.median(trajectory.mu[late] / best[late]) >= 1.0 - NEAR:
         off = np.flatnonzero(~near)
         since = trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0]
-        return Reading(name, float(near.mean()), share, travel, float(since), End.OPTIMUM, 0, *grey)
+        return Reading(name, float(near.mean()), share, travel, float(since), End.OPTIMUM, 0, *edge)
     end, joint = _what_holds(found, trajectory, late)
-    return Reading(name, float(near.mean()), share, travel, nan, end, joint, *grey)
+    return Reading(name, float(near.mean()), share, travel, nan, end, joint, *edge)
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
     """Trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
 
     Args:
-        found: the map.
         within_rad: two trajectories are alike where their swivels never lie farther apart at the same time.
     """
     kinds: dict[str, list[str]] = {}
@@ -118,8 +115,8 @@ def _apart(one: Trajectory, two: Trajectory) -> float:
     return float(np.abs(_turned(there - one.swivel_rad)).max())
 
 
-def _at_grey(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int, ...]]:
-    """Share of the time beside or among forbidden poses, and the joints whose limits forbid them."""
+def _at_edge(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int, ...]]:
+    """Share of the time beside or among infeasible poses, and the joints whose limits make them so."""
     columns = np.abs(found.t_s[None] - trajectory.t_s[:, None]).argmin(axis=1)
     rows = np.abs(_turned(found.swivel_rad[None] - trajectory.swivel_rad[:, None])).argmin(axis=1)
     beside = found.limit[columns[:, None], (rows[:, None] + [-1, 0, 1]) % len(found.swivel_rad)]
@@ -144,9 +141,9 @@ def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_
     blocked = side != 0 and limit[(stop + side) % count] != FEASIBLE
     close = abs(float(away[stop])) <= CLOSE_RAD + 0.5 * step
     if close and blocked:
-        return End.GREY, max(int(limit[(stop + side) % count]), 0)
+        return End.FEASIBLE_EDGE, max(int(limit[(stop + side) % count]), 0)
     if close and mu[stop] < (1.0 - NEAR) * best:
-        return End.LOWER, 0
+        return End.LOCAL_MAXIMUM, 0
     t, swivel = trajectory.t_s[late], np.unwrap(trajectory.swivel_rad[late])
     speed = (swivel[-1] - swivel[0]) / max(t[-1] - t[0], 1e-9)
     if abs(speed) < STILL_RAD_PER_S:
@@ -162,7 +159,7 @@ def _last_known(found: SwivelMap, t: float) -> int:
 
 
 def _uphill(mu: Array, row: int) -> int:
-    """+1 or -1: to which side mu rises, poses beyond a limit included; 0 on a top."""
+    """+1 or -1: to which side mu rises, poses beyond a limit included; 0 at a maximum."""
     beside = np.array([mu[row - 1], mu[(row + 1) % len(mu)]])
     rise = np.where(np.isfinite(beside), beside - mu[row], -np.inf)
     if not (rise > 0.0).any():

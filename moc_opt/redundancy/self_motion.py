@@ -9,14 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.redundancy import continuation as kernels
-
-Array = NDArray[np.float64]
 
 _REASONS = {
     kernels.LIMIT: "limit",
@@ -114,7 +112,6 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
     left, the curve is one pose.
 
     Args:
-        robot: the arm.
         q: (n,) a pose inside the joint limits [rad].
         step: spacing of the samples in joint space [rad].
 

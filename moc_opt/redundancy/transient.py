@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import SelfMotion, parabola_peak, self_motion
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SAMPLES_PER_S = 25.0
@@ -71,7 +71,6 @@ def in_transient(
     """(N,) flags: the elbow is away from its moving optimum, and moves relative to it.
 
     Args:
-        robot: the arm.
         t_s: (N,) time of each tick [s].
         q_rad: (N, n) true joint positions [rad].
         samples_per_s: how often the self-motion is scanned [1/s].

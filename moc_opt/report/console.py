@@ -97,9 +97,7 @@ def progress(
     Where the output is not a terminal, a line every ten seconds.
 
     Args:
-        description: what is being done.
         total: steps in all; None where that is not known.
-        on: the console to draw on.
         patience_s: seconds without a bar; work that is done by then never shows one.
         below: what is drawn below it, asked for at each refresh.
     """

@@ -105,8 +105,6 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
 
     Args:
         path: of the file; its folder is made.
-        text: its content.
-        what: it is: "page".
         cure: what to do where it is too large; asked only then.
 
     Raises:

@@ -38,16 +38,16 @@ COLUMNS = (
     Column("mu_percent", "of the best mu", unit="%", format=".1f", better="high", help="mean over mean"),
     Column("travel", "elbow turns", unit="deg", format="+.0f", help="from its start to its end"),
     Column(
-        "at_grey", "at the grey", unit="%", format=".0f", better="low",
+        "at_edge", "at the feasible edge", unit="%", format=".0f", better="low",
         help="of the time: no farther than a row of the map from a pose that is not allowed",
     ),
     Column(
         "end", "in the end",
-        help=f"over the last {100 * END:.0f} % of the time; held by a lower top or a forbidden pose: less than "
-        f"{np.degrees(CLOSE_RAD):.0f} deg before it, climbing",
+        help=f"over the last {100 * END:.0f} % of the time; held by a local maximum or the feasible edge: less than "
+        f"{np.degrees(CLOSE_RAD):.0f} deg before it, mu rising",
     ),
 )  # fmt: skip
-PLURAL = {"touches": "touch", "is": "are", "ends": "end", "stays": "stay", "goes": "go", "folds": "fold"}
+PLURAL = {"touches": "touch", "is": "are", "ends": "end", "rests": "rest"}
 
 
 def add_map(
@@ -58,7 +58,6 @@ def add_map(
     Of more than eight trajectories those that cannot be told apart are drawn as one.
 
     Args:
-        page: they are appended to it.
         found: of `manipulability_map`.
         name: of the figure's file.
         what: it is a map of, in a few words, for caption and table.
@@ -118,7 +117,6 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     """Say which runs are at the optimum, which are not, and why.
 
     Args:
-        readings: of the trajectories to speak of.
         titles: name -> what the figure calls it.
     """
     called = {reading.name: (titles or {}).get(reading.name, reading.name) for reading in readings}
@@ -135,7 +133,7 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
     groups: dict[str, list[str]] = {}
     for reading in readings:
         never = "never gets there: it " if _never(reading) else ""
-        for words in (grey_in_words(reading), never + end_in_words(reading)):
+        for words in (edge_in_words(reading), never + end_in_words(reading)):
             groups.setdefault(words, []).append(called[reading.name])
     groups.pop("", None)
     for words, names in groups.items():
@@ -163,23 +161,23 @@ def end_in_words(reading: Reading) -> str:
     limit = f"the limit of joint {reading.joint}" if reading.joint else "the arm's reach"
     return {
         End.OPTIMUM: "ends at the optimum",
-        End.LOWER: "ends at a local maximum: to either side mu falls before it rises to the best",
-        End.GREY: f"ends before the grey: the way up leads beyond {limit}",
-        End.STILL: "stays put in the end, though the map shows a way up (joint limits are in it, the narrower "
+        End.LOCAL_MAXIMUM: "ends at a local maximum: to either side mu falls before it rises to the best",
+        End.FEASIBLE_EDGE: f"ends at the edge of the feasible poses: mu rises beyond {limit}",
+        End.STILL: "rests in the end, though mu rises to one side (joint limits are in the map, the narrower "
         "box of the third level is not)",
-        End.RISING: "is still going up when the run ends",
-        End.FALLING: "goes down when the run ends",
-        End.ELSEWHERE: "folds the arm another way: the map does not hold there",
+        End.RISING: "is still gaining mu when the run ends",
+        End.FALLING: "is losing mu when the run ends",
+        End.OTHER_BRANCH: "is on another branch of the inverse kinematics: the map does not hold there",
         End.UNKNOWN: "is nowhere on the map, where no pose is allowed",
     }[reading.end]
 
 
-def grey_in_words(reading: Reading) -> str:
-    """Return a verb in the singular and what follows it; nothing for a trajectory that keeps away from the grey."""
-    if not reading.at_grey > 0.0 or reading.end is End.GREY:
+def edge_in_words(reading: Reading) -> str:
+    """Return a verb in the singular and what follows it; nothing for one that keeps away from the feasible edge."""
+    if not reading.at_edge > 0.0 or reading.end is End.FEASIBLE_EDGE:
         return ""
     joints = [f"joint {joint}" for joint in reading.limits]
-    return f"touches the grey on the way ({_listed(joints) if joints else 'out of reach'})"
+    return f"touches the feasible edge on the way ({_listed(joints) if joints else 'out of reach'})"
 
 
 def trajectory_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequence[str]], what: str = "") -> Table:
@@ -191,7 +189,7 @@ def trajectory_table(readings: Mapping[str, Reading], kinds: Mapping[str, Sequen
             {
                 "name": first, "near": 100.0 * reading.near, "from_s": reading.from_s,
                 "mu_percent": 100.0 * reading.mu_share, "travel": np.degrees(reading.travel_rad),
-                "at_grey": 100.0 * reading.at_grey,
+                "at_edge": 100.0 * reading.at_edge,
                 "end": f"{reading.end}, joint {reading.joint}" if reading.joint else str(reading.end),
             }
         )  # fmt: skip

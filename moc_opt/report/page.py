@@ -77,8 +77,6 @@ class Page:
 
         Args:
             target: relative path of that file, such as "replay.html", or "replay.html#t=3".
-            text: of the link.
-            about: what follows it.
 
         Raises:
             ReportError: the target is not beside or below the page: no other host, scheme or folder above is allowed.
@@ -108,7 +106,6 @@ class Page:
 
         Args:
             values: nested mappings and lists of plain values; every mapping at the top is folded away.
-            title: of the section.
         """
         self.section(title)
         plain = {key: value for key, value in values.items() if not isinstance(value, Mapping)}

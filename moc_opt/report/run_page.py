@@ -25,7 +25,6 @@ def run_page(
     Args:
         traces: name -> run, of one arm; a baseline first.
         metrics: name -> metric -> number, of those runs that get a table.
-        robot: the arm.
         title: of the page; from the names if empty.
 
     Raises:

@@ -21,7 +21,6 @@ def draw(table: Table, number: int | None = None) -> Markup:
     """Draw the table as a fragment of a page, sortable there; every text is escaped.
 
     Args:
-        table: to draw.
         number: of the table on its page.
     """
     columns = {column: table.cells(column) for column in table.columns}

@@ -12,16 +12,15 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
 from moc_opt.inputs.files import read_text
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import urdf
 from moc_opt.robots.description import RobotDescription, Tool, read_description
 from moc_opt.robots.rebuild import rebuild
 
-Array = NDArray[np.float64]
 Gains = Mapping[str, float | tuple[float, ...]]
 _FOLDER = Path(__file__).parent
 

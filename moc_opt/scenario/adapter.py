@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import row_length
-
-Array = NDArray[np.float64]
 
 
 class ControllerAdapter:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning import largest
 from moc_opt.qp.residual_kernels import batch_residuals
 from moc_opt.qp.residuals import Residuals
@@ -17,7 +18,6 @@ from moc_opt.sim.plant import Plant
 from moc_opt.solvers.base import Status
 from moc_opt.tasks.trocar import shaft_distance
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 
 AT_ONCE = 5000
@@ -60,7 +60,6 @@ def largest_mu(poses: Array, robot: RobotModel, samples: int) -> tuple[Array, di
 
     Args:
         poses: (N, n) [rad].
-        robot: the arm.
         samples: ticks at which it is computed.
 
     Returns:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.embedded import TickSpec, check_supported, export, program, record
@@ -16,14 +15,13 @@ from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import SafeRecording
 from moc_opt.embedded.support import check_safety_filter
 from moc_opt.errors import ScenarioError
+from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.c_header import c_header
 from moc_opt.scenario import Scenario, Setup, make_safety_filter
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.wired import fingerprint
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 TICKS = 50
 """so many from the middle of the run for each self-test"""

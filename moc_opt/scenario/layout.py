@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError, ScenarioError
 from moc_opt.model.carried import carried
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.procedure import preflight
 from moc_opt.procedure.reachability import Reach
 from moc_opt.redundancy.self_motion import self_motion
@@ -18,8 +18,6 @@ from moc_opt.robots import available_robots
 from moc_opt.scenario.config import Scenario, TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.trace.parquet_file import MOST_ROWS
-
-Array = NDArray[np.float64]
 
 MOST_TICKS = MOST_ROWS
 """Of a run: almost three hours at 500 Hz. More would not fit into memory."""

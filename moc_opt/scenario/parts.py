@@ -58,7 +58,6 @@ def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None,
     """Put a solver into a process of its own where the scenario asks for that; the solver itself where it does not.
 
     Args:
-        solver: any.
         scenario: its ``[solver]`` table decides.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
         realtime: the loop runs against a wall clock, and does not wait while a process is replaced.

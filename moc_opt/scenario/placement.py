@@ -10,10 +10,10 @@ from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Objective, make_course
 from moc_opt.planning.placement import Placement
 from moc_opt.planning.plan import map_of
@@ -24,7 +24,6 @@ from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import layout_of, targets_of
 from moc_opt.tasks import Trocar
 
-Array = NDArray[np.float64]
 Movable = Literal["trocar", "base"]
 MOVABLE: tuple[Movable, ...] = get_args(Movable)
 
@@ -47,11 +46,9 @@ def place(
     """Search a cube for the place that serves the path best; the best first, the present place among them.
 
     Args:
-        scenario: what would be run.
         what: moves, in the world's axes: the "trocar", or the "base" without turning.
         box_m: half the edge of the cube about the present place [m].
         candidates: drawn evenly from the cube.
-        seed: of the draw.
         best: places that are planned on the finer grid and returned, besides the present one.
         objective, margin_rad, speed_share: as of `moc_opt.planning.plan.make_plan`.
 

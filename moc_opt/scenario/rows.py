@@ -8,13 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import ScenarioError, TraceError
 from moc_opt.inputs.memory import available_bytes
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario.config import Scenario
-
-Array = NDArray[np.float64]
 
 MEMORY_A_TICK, DISK_A_TICK = 4500, 1600
 """Bytes that a tick of a run takes at most: in memory while it is judged, and on the disk."""

@@ -49,7 +49,6 @@ class Setup:
         """Build and check everything before anything moves.
 
         Args:
-            scenario: the run.
             solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
             realtime: its controller is to run against a wall clock: a tick waits for an isolated solver at most half
                 its period where there is no budget, and never while the process is replaced.

@@ -6,12 +6,10 @@ from enum import Enum
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.inputs.notebook import table_html
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
-
-Array = NDArray[np.float64]
 
 
 class Status(Enum):

@@ -14,8 +14,6 @@ from moc_opt.solvers import checks
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.exact.solver import Exact
 
-Array = NDArray[np.float64]
-
 Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
 KINDS: tuple[Kind, ...] = ("fail", "nan", "lie", "raise", "outside", "rig", "malformed")
 
@@ -53,7 +51,7 @@ class Faulty:
             raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
 
     def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
-        """Which of the first answers of a session are spoilt, (ticks,)."""
+        """Fault mask: which of the first answers of a session are replaced, (ticks,)."""
         return draw(self.seed, self.rate, ticks)
 
     @property
@@ -76,7 +74,7 @@ def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
 
 
 class FaultySession:
-    """``faults`` counts the answers that were spoilt."""
+    """``faults`` counts the answers that were replaced."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner

@@ -65,7 +65,6 @@ def checked(solver: str, options: object) -> Mapping[str, Any]:
     """Return a frozen copy of a library's options, all of them allowed and each a flag or a number.
 
     Args:
-        solver: its name in the registry.
         options: option -> value, from a file or from Python.
 
     Raises:

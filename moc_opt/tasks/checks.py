@@ -17,10 +17,6 @@ TimeLike = float | ArrayLike
 def number(name: str, value: object) -> float:
     """Return a finite float.
 
-    Args:
-        name: what the number is, for the message.
-        value: what the user gave.
-
     Raises:
         TaskError: it is no number, or not finite.
     """
@@ -87,7 +83,6 @@ def sampled(name: str, value: TimeLike, rows: Callable[[float], Vector]) -> Vect
     afterwards for the whole run are then the same to the last bit. numpy's vector sine does not promise that.
 
     Args:
-        name: what the number is, for the message.
         value: a number, or a vector (k,).
         rows: number -> (m, 3).
 

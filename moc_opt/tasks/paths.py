@@ -19,7 +19,6 @@ class Path:
         """Place the curve.
 
         Args:
-            curve: its shape.
             start: where it begins, (3,) [m].
             normal: of its plane, (3,), any length above zero. "To the left" is seen from its tip.
             heading: the curve's first axis, (3,); its part along the normal is taken out.

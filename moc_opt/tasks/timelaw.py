@@ -32,7 +32,6 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
     max g = 10/sqrt(3).
 
     Args:
-        path: the path.
         v_max: largest speed [m/s].
         a_max: largest acceleration [m/s^2], tangential and centripetal together.
 

@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TaskError
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks.checks import Vector, positive, vector3
 from moc_opt.tasks.sequence import TipReference
-
-Array = NDArray[np.float64]
 
 
 class WaitingReference:
@@ -40,7 +39,6 @@ class WaitingReference:
         """Stand at the start.
 
         Args:
-            reference: what to play.
             period_s: time from tick to tick [s].
             brake_m_per_s2: what stopping and starting again may add to the acceleration [m/s^2]; None: as much
                 as the reference itself may use.

@@ -34,7 +34,6 @@ def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any
     """Write a trace, all or nothing.
 
     Args:
-        path: the file.
         columns: name -> (N,) or (N, k) numbers or flags, or (N,) texts.
         meta: JSON values.
 
@@ -48,7 +47,6 @@ def join(path: str | os.PathLike[str], blocks: Iterable[Columns], types: Types, 
     """Write blocks of rows one after the other, a row group each, all or nothing.
 
     Args:
-        path: the file.
         blocks: the same columns in each.
         types: name -> type in the file, which holds that of every block.
         meta: JSON values.

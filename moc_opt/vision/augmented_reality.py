@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Path
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import BoardTask
@@ -25,7 +26,6 @@ from moc_opt.vision.pose import Pose
 from moc_opt.vision.settings import BoardSettings, CameraSettings, TrackerSettings
 from moc_opt.vision.tracking import BoardTracker, Sighting, Tracked
 
-Array = NDArray[np.float64]
 Poses = Callable[[float], "Array | None"]
 
 _SEARCH_S = 2.0
@@ -82,9 +82,6 @@ class Augmented:
         Args:
             robot: for the tool in the picture.
             phantom_in_base: true pose of the phantom's board, around which the camera is placed.
-            camera: see CameraSettings.
-            board: see BoardSettings.
-            tracker: see TrackerSettings.
             seed: of noise, calibration error and of which markers are hidden.
 
         Raises:
@@ -212,7 +209,6 @@ class Augmented:
         Args:
             file: .webm, .mp4 or .avi, or a folder for numbered PNG.
             trace: the run, with t_s, q_rad, tip_m and tip_ref_m.
-            path: the task in the base frame.
             trocar: (3,) as registered, base frame [m].
 
         Returns:

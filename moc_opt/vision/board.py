@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError, UnknownNameError
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks import Path, make_path
 from moc_opt.tasks.checks import Vector, direction3, number, positive, vector3
 from moc_opt.vision.pose import Pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.vision.pose import Pose, looking_at, rotation_from
 from moc_opt.vision.settings import CameraSettings
 
-Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 

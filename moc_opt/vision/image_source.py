@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.vision.board import Board
 from moc_opt.vision.camera import Camera, Scene, View, hide
 from moc_opt.vision.markers import BoardFinder
 from moc_opt.vision.pinhole import DrawnView
 from moc_opt.vision.pose import Pose, rotation_from
 from moc_opt.vision.settings import BoardSettings, CameraSettings
-
-Array = NDArray[np.float64]
 
 
 def make_view(robot: RobotModel, camera: Camera, board: Board, *, seed: int = 0) -> tuple[View, str | None]:

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.vision.board import Board
 from moc_opt.vision.camera import Camera, Picture
 from moc_opt.vision.pose import Pose, rotation_from, rotation_vector
 from moc_opt.vision.tracking import Sighting
-
-Array = NDArray[np.float64]
 
 _MARKER_BITS = 6  # 4 x 4 bits and a black frame around them
 _OUTLIER, _CLEAN_PX = 4.0, 0.6  # a corner this many medians off is left out, unless it is this near anyway
@@ -25,7 +24,6 @@ def board_picture(board: Board, cell_px: int = 16) -> NDArray[np.uint8]:
     """Draw the board as it is printed (H, W), grey levels.
 
     Args:
-        board: the board.
         cell_px: pixels along one cell of a marker, which is a sixth of its side.
     """
     side = _MARKER_BITS * cell_px

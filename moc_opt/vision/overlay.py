@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.vision.camera import Camera, Picture
 
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 TASK, DONE, TIP, TROCAR, TEXT = (80, 220, 60), (200, 140, 20), (0, 215, 255), (255, 120, 240), (255, 255, 255)

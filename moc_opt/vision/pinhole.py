@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.vision.board import Board
 from moc_opt.vision.camera import Camera, Picture, Scene, Sensor
 from moc_opt.vision.markers import board_picture, texture_matrix
 
-Array = NDArray[np.float64]
 Shaft = Callable[[Array], tuple[Array, Array]]
 
 TISSUE, COVER, STEEL = (92, 100, 178), (70, 60, 150), (150, 148, 145)  # blue, green, red
@@ -30,10 +29,8 @@ class DrawnView:
 
         Args:
             camera: the true camera.
-            board: what it looks at.
             shaft: pose q (n,) of the arm -> tip (3,) and another point (3,) of its shaft, base frame [m];
                 None: the tool is not drawn.
-            seed: of the sensor's noise.
         """
         self._camera, self._board, self._shaft = camera, board, shaft
         self._page = cv2.cvtColor(board_picture(board), cv2.COLOR_GRAY2BGR)

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import pinocchio as pin
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
+from moc_opt.numerics.arrays import Array
 from moc_opt.tasks.checks import Vector, direction3, vector3
-
-Array = NDArray[np.float64]
 
 _ORTHONORMAL = 1e-6
 
@@ -108,33 +108,13 @@ def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
 
 
 def rotation_from(vector: ArrayLike) -> Array:
-    """Return the rotation (3, 3) about `vector` (3,) by its length [rad]: Rodrigues' formula."""
-    w = np.asarray(vector, dtype=np.float64)
-    angle = math.sqrt(float(w @ w))
-    if angle < 1e-12:
-        return np.eye(3) + _skew(w)
-    k = _skew(w / angle)
-    return np.asarray(np.eye(3) + math.sin(angle) * k + (1.0 - math.cos(angle)) * (k @ k))
+    """Return the rotation (3, 3) about `vector` (3,) by its length [rad]."""
+    return np.asarray(pin.exp3(np.array(vector, dtype=np.float64)))
 
 
 def rotation_vector(rotation: ArrayLike) -> Vector:
     """Axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
-    r = np.asarray(rotation, dtype=np.float64)
-    twice_sine = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    sine = 0.5 * math.sqrt(float(twice_sine @ twice_sine))
-    angle = math.atan2(sine, 0.5 * (float(np.trace(r)) - 1.0))
-    if sine > 1e-6:
-        return np.asarray(0.5 * angle / sine * twice_sine)
-    if angle < 1.0:
-        return np.asarray(0.5 * twice_sine)
-    # Half a turn: R + I = 2 a a^T, the axis is its largest column.
-    both = r + np.eye(3)
-    axis = both[:, int(np.argmax(np.diag(both)))]
-    return np.asarray(angle * axis / math.sqrt(float(axis @ axis)))
-
-
-def _skew(w: Array) -> Array:
-    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
 
 
 def _orthonormal(rotation: Array) -> Array:

@@ -11,7 +11,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.robots import RobotData
@@ -20,8 +19,6 @@ from moc_opt.vision.board import Board
 from moc_opt.vision.camera import Camera, Picture, Scene, Sensor
 from moc_opt.vision.markers import board_picture
 from moc_opt.vision.pinhole import COVER, SHAFT_RADIUS_M, STEEL, TISSUE, cover_radius
-
-Array = NDArray[np.float64]
 
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 _THIN = 1e-4  # half the thickness of the board and of the covers [m]
@@ -60,10 +57,7 @@ class RenderedView:
         """Build the scene and its GL context.
 
         Args:
-            data: the robot.
             camera: the true camera.
-            board: what it looks at.
-            seed: of the sensor's noise.
 
         Raises:
             PlantError: no GL library is there or it cannot be used, or MuJoCo refuses the model.

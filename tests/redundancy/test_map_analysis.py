@@ -81,35 +81,35 @@ def test_a_local_maximum_holds_a_course() -> None:
     def two(swivel: Any) -> Any:
         return hill(60.0, 0.3, 30.0)(swivel) + hill(-60.0, 0.25, 30.0)(swivel)
 
-    assert read(two, {"run": ramp(-100.0, -60.0, 6.0)}).end is End.LOWER
-    assert read(two, {"run": -60.0 - 0.7 * np.degrees(CLOSE_RAD)}).end is End.LOWER
+    assert read(two, {"run": ramp(-100.0, -60.0, 6.0)}).end is End.LOCAL_MAXIMUM
+    assert read(two, {"run": -60.0 - 0.7 * np.degrees(CLOSE_RAD)}).end is End.LOCAL_MAXIMUM
     assert read(two, {"run": -60.0 - 2.0 * np.degrees(CLOSE_RAD)}).end is End.STILL, "the way up is open"
 
 
-@pytest.mark.parametrize(("place", "end"), [(-4.0, End.GREY), (-10.0, End.GREY), (-40.0, End.STILL)])
+@pytest.mark.parametrize(("place", "end"), [(-4.0, End.FEASIBLE_EDGE), (-10.0, End.FEASIBLE_EDGE), (-40.0, End.STILL)])
 def test_a_limit_on_the_way_up_holds_a_course(place: float, end: End) -> None:
     found = read(hill(60.0, 0.3), {"run": place}, (0.0, 20.0, 4))
-    assert (found.end, found.joint) == (end, 4 if end is End.GREY else 0)
+    assert (found.end, found.joint) == (end, 4 if end is End.FEASIBLE_EDGE else 0)
 
 
 def test_time_at_the_grey_is_counted_with_its_joint() -> None:
     found = read(hill(60.0, 0.3), {"run": ramp(-50.0, 50.0)}, (-4.0, 20.0, 4))
-    assert found.at_grey == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
+    assert found.at_edge == pytest.approx((20.0 + 3.0 + 4.0 + 3.0) / 100.0, abs=0.04)
     assert found.limits == (4,)
     away = read(hill(60.0, 0.3), {"run": -40.0}, (-4.0, 20.0, 4))
-    assert (away.at_grey, away.limits) == (0.0, ())
+    assert (away.at_edge, away.limits) == (0.0, ())
 
 
 def test_the_reach_holds_a_trajectory_too() -> None:
     found = read(hill(60.0, 0.3), {"run": -4.0}, (0.0, 20.0, UNREACHABLE))
     # mu is not known where there is no pose, so that nobody can say that the way up leads there.
     assert found.joint == 0
-    assert found.end in (End.GREY, End.LOWER, End.STILL)
+    assert found.end in (End.FEASIBLE_EDGE, End.LOCAL_MAXIMUM, End.STILL)
 
 
 def test_a_optimum_at_a_limit_is_a_optimum() -> None:
     """The best pose of all that are allowed lies at the limit; a run stops a little before it."""
-    assert read(hill(60.0, 0.3), {"run": -5.0}, (0.0, 140.0, 2)).end is End.GREY
+    assert read(hill(60.0, 0.3), {"run": -5.0}, (0.0, 140.0, 2)).end is End.FEASIBLE_EDGE
     assert read(hill(60.0, 0.3, 200.0), {"run": -4.0}, (0.0, 140.0, 2)).end is End.OPTIMUM
 
 
@@ -127,12 +127,12 @@ def test_the_climb_crosses_the_cut_of_the_map() -> None:
     def two(swivel: Any) -> Any:
         return hill(178.0, 0.25, 30.0)(swivel) + hill(0.0, 0.3, 30.0)(swivel)
 
-    assert read(two, {"run": -176.0}).end is End.LOWER
+    assert read(two, {"run": -176.0}).end is End.LOCAL_MAXIMUM
 
 
 def test_what_cannot_be_judged_is_said() -> None:
     elsewhere = read(hill(60.0, 0.3), {"run": 60.0}, gap_rad=2.0)
-    assert elsewhere.end is End.ELSEWHERE
+    assert elsewhere.end is End.OTHER_BRANCH
     assert np.isnan([elsewhere.near, elsewhere.mu_share, elsewhere.from_s]).all()
     nowhere = read(hill(60.0, 0.3), {"run": 60.0}, (-180.0, 180.0, 1))
     assert nowhere.end is End.UNKNOWN

@@ -29,34 +29,34 @@ NAN = float("nan")
 
 
 def reading(name: str, near: float, end: End, *, joint: int = 0, from_s: float = NAN, **more: Any) -> Reading:
-    return Reading(name, near, 0.9, 0.1, from_s, end, joint, **{"at_grey": 0.0, "limits": (), **more})
+    return Reading(name, near, 0.9, 0.1, from_s, end, joint, **{"at_edge": 0.0, "limits": (), **more})
 
 
 def test_words_follow_from_the_readings() -> None:
     given = [
         reading("dcac", 0.0, End.STILL),
         reading("exact", 0.71, End.OPTIMUM, from_s=2.3),
-        reading("rnn", 0.2, End.GREY, joint=4),
+        reading("rnn", 0.2, End.FEASIBLE_EDGE, joint=4),
     ]
     words = in_words(given, {"exact": "exact and 3 more"})
     assert "exact and 3 more for 71 % (from 2.3 s on for good); rnn for 20 %." in words
-    assert "dcac never gets there: it stays put in the end, though the map shows a way up (joint" in words
-    assert "rnn ends before the grey: the way up leads beyond the limit of joint 4." in words
+    assert "dcac never gets there: it rests in the end, though mu rises to one side (joint" in words
+    assert "rnn ends at the edge of the feasible poses: mu rises beyond the limit of joint 4." in words
     two = in_words([reading("a", 1.0, End.OPTIMUM, from_s=0.0), reading("b", 1.0, End.OPTIMUM, from_s=0.0)])
     assert "a for 100 %; b for 100 %." in two
     assert two.endswith("a and b end at the optimum.")
     assert (
-        in_words([reading("a", NAN, End.ELSEWHERE)])
-        == "a folds the arm another way: the map does not hold there."
+        in_words([reading("a", NAN, End.OTHER_BRANCH)])
+        == "a is on another branch of the inverse kinematics: the map does not hold there."
     )
 
 
-def test_what_touches_the_grey_is_said_to() -> None:
-    touching = {"at_grey": 0.1, "limits": (2, 6)}
+def test_what_touches_the_feasible_edge_is_said_to() -> None:
+    touching = {"at_edge": 0.1, "limits": (2, 6)}
     words = in_words([reading("a", 0.5, End.STILL, **touching), reading("b", 0.5, End.STILL, **touching)])
-    assert "a and b touch the grey on its way" not in words
-    assert "a and b touch the grey on the way (joint 2 and joint 6)." in words
-    alone = in_words([reading("a", 0.5, End.GREY, joint=2, **touching)])
+    assert "a and b touch the feasible edge on its way" not in words
+    assert "a and b touch the feasible edge on the way (joint 2 and joint 6)." in words
+    alone = in_words([reading("a", 0.5, End.FEASIBLE_EDGE, joint=2, **touching)])
     assert "touch" not in alone, "its end says it already"
 
 
@@ -78,7 +78,7 @@ def test_a_few_trajectories_are_all_drawn_and_spoken_of() -> None:
         "one line in three colours"
     )
     html = page.html()
-    assert "a, b and d never get there: they stay put" in html
+    assert "a, b and d never get there: they rest" in html
     assert "21 by 120 poses" in html
 
 
@@ -93,7 +93,7 @@ def test_of_many_trajectories_one_of_each_kind_is_drawn() -> None:
         "s0 and 8 more": "solid", "c": "solid",
     }  # fmt: skip
     assert "s0 stands for s1, s2, s3" in page.html(), "the table names those that are not drawn"
-    assert "s0 and 8 more never get there: they stay put" in page.html()
+    assert "s0 and 8 more never get there: they rest" in page.html()
     apart = made(hill(60.0, 0.3), {str(k): 10.0 * k for k in range(12)})
     assert len(lines(apart)) == MOST_LINES
     page = Page("Many")
@@ -102,12 +102,12 @@ def test_of_many_trajectories_one_of_each_kind_is_drawn() -> None:
 
 
 def test_the_table_says_what_is_missing_and_why() -> None:
-    given = {"a": reading("a", 0.7, End.OPTIMUM, from_s=1.0), "b": reading("b", 0.1, End.GREY, joint=2)}
+    given = {"a": reading("a", 0.7, End.OPTIMUM, from_s=1.0), "b": reading("b", 0.1, End.FEASIBLE_EDGE, joint=2)}
     table = trajectory_table(given, {"a": [], "b": []})
     keys = [column.key for column in table.columns]
     assert table.caption == ""
     assert all(set(row) >= set(keys) for row in table.rows)
-    assert [row["end"] for row in table.rows] == ["at the optimum", "before a forbidden pose, joint 2"]
+    assert [row["end"] for row in table.rows] == ["at the optimum", "at the edge of the feasible poses, joint 2"]
     assert "not there in the end" in str(draw(table, 1))
 
 

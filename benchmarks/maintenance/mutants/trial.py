@@ -111,12 +111,9 @@ def run_tests(
     """Run tests against a mutated module, at most ``limit_s``.
 
     Args:
-        root: of the tree.
-        module: dotted name of the module.
         source: its text; None: as it is.
         plain: modules whose kernels run as plain Python.
         tests: files or single tests, as pytest names them; they run in this order.
-        limit_s: seconds.
         keep_going: run all of them, also after one that failed.
     """
     begin = time.monotonic()

@@ -132,7 +132,6 @@ def log_axis(
     Args:
         drawn: the figure, changed in place.
         axis: "x" or "y".
-        title: with the unit.
         values: what it must show, positive: all values drawn, limits among them.
         powers: label it in powers of ten, for residuals; else in plain numbers, for times.
         margin: kept free at each end, as a fraction of the whole.

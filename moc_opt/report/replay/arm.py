@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 Profile = list[tuple[float, float]]
 """(radius, height) [m], from below to above"""

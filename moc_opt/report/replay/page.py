@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError
 from moc_opt.model.robot_model import RobotModel
@@ -22,8 +21,6 @@ from moc_opt.report.replay.arm import arm_parts
 from moc_opt.report.replay.tracks import Block, frame_times, run_track
 from moc_opt.report.runs import load_runs
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 MOST_RUNS = 4
 

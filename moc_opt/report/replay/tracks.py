@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from moc_opt.model.frames import link_frames
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.report.figures.series import PANELS, envelope
 from moc_opt.trace.trace import Trace
-
-Array = NDArray[np.float64]
 
 FRAMES_PER_S = 30.0
 FRAMES_IN_ALL = 9000

@@ -9,14 +9,12 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sparse
 from numba import float64, int64, typeof
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.qp.equalities import assemble, assembled, offsets
 from moc_opt.qp.problem import NullSpaceQP
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

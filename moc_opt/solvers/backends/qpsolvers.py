@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import qpsolvers
-from numpy.typing import NDArray
 from qpsolvers.exceptions import QPError
 
 from moc_opt.errors import SolverError, UnknownNameError, describe
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
@@ -26,7 +26,6 @@ from moc_opt.solvers.backends.session import refuse_semidefinite
 from moc_opt.solvers.base import Solution, Status, no_answer
 from moc_opt.solvers.options import checked
 
-Array = NDArray[np.float64]
 PREFIX = "qpsolvers:"
 
 

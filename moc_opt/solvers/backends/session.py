@@ -10,16 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
 from moc_opt.solvers.base import Session, Solution, Status, no_answer
 
-Array = NDArray[np.float64]
 Outcome = tuple[Status, int, Array, Array]
 
 _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
@@ -76,7 +73,7 @@ class LibrarySession(ABC):
     def __init__(self, settings: Any, qp: NullSpaceQP) -> None:
         self._settings = settings
         self._factor = self.dual_sign / settings.cost_scale
-        self._choosy = bool(settings.needs)
+        self._refuses = bool(settings.needs)
         self._build(qp)
 
     def _build(self, qp: NullSpaceQP) -> None:
@@ -112,7 +109,7 @@ class LibrarySession(ABC):
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem."""
-        if self._choosy and self._settings.supports(qp) is not None:
+        if self._refuses and self._settings.supports(qp) is not None:
             return no_answer(qp.n, Status.UNSUPPORTED)
         self.update(qp)
         status, iterations, x, y = self._run()

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
 from moc_opt.qp.residuals import RANK_TOLERANCE, TIED
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 inlined = njit(

@@ -15,8 +15,8 @@ as in ``moc_opt.solvers.exact.elimination``; the proximal point iteration is not
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.layout import C2, RHO
@@ -40,8 +40,6 @@ from moc_opt.solvers.exact.projector import (
     projector,
     sweep,
 )
-
-Array = NDArray[np.float64]
 
 NEAR = 10.0  # box widths within which the way to the optimum leaves no rounding worth taking out
 FAR = 1e3  # box widths beyond which the unconstrained optimum is approached in proximal steps

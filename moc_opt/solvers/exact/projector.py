@@ -6,12 +6,8 @@ Below the rows that are named here come Pi (n rows from PI on) and an orthogonal
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from moc_opt.numerics.arrays import Array
 from moc_opt.solvers.exact.elimination import inlined
-
-Array = NDArray[np.float64]
 
 S, LOW, HIGH, PULL = 0, 1, 2, 3  # s and its bounds [rad/s]; c2 Pi g
 SIDE, FORCE = 4, 5  # +1 at an active lower bound, -1 at an upper one, 0 elsewhere; multiplier of that bound

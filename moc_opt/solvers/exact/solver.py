@@ -19,6 +19,7 @@ from numba import float64, int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel, borrowed
 from moc_opt.qp.equalities import offsets
@@ -43,8 +44,6 @@ from moc_opt.solvers.exact.elimination import (
     direction,
 )
 from moc_opt.solvers.exact.polytope import maximise_over_box
-
-Array = NDArray[np.float64]
 
 ROUNDING = 1e-9  # of the largest entry of grad_mu
 ANOTHER_SIZE = 3
@@ -233,7 +232,6 @@ class Exact:
         x and y are NaN where the status is not SOLVED.
 
         Args:
-            rows: the records.
             threads: how many share the work; None: one a core.
 
         Raises:

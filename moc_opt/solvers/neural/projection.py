@@ -16,16 +16,15 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import SolverError
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.base import Solution, Status, no_answer
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

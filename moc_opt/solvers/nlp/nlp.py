@@ -11,7 +11,7 @@ This is the null-space subproblem only in the limit T -> 0. At T = 2 ms and join
 curvature of the kinematics puts an optimal answer 8e-4 m/s (median of random problems, at most 6e-3) off
 A x = b, at a self-motion loss of 7e-4 (at most 0.1, near singularities); all of it shrinks in proportion
 to T. ``residuals().verified()`` with its default of 1e-6 is therefore False for a correct answer here:
-judge with looser tolerances.
+check with looser tolerances.
 """
 
 from __future__ import annotations
@@ -22,16 +22,12 @@ from functools import lru_cache
 from typing import Any, ClassVar, Literal, Protocol
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import SolverError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.nlp.session import NLPSession
-
-Array = NDArray[np.float64]
 
 
 class Kinematics(Protocol):

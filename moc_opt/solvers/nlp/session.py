@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solution, Status, no_answer
-
-Array = NDArray[np.float64]
 
 # The rest (sqpmethod's "Search_Direction_Becomes_Too_Small", which is also its answer to an infeasible
 # problem) proves nothing.
