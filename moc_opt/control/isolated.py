@@ -159,7 +159,9 @@ class IsolatedSession:
             self._lose(f"it had {grown_MB:.0f} MB of memory, and {settings.memory_MB:g} MB are allowed")
         if found.kind == ANSWERED:
             return found.solution
-        raise Unanswered(Fault.MALFORMED if found.kind == MALFORMED else Fault.RAISED, found.text)
+        if found.kind == MALFORMED:  # the claim stands, as without a process: an answer of no form is no optimum
+            raise Unanswered(Fault.MALFORMED, found.text, found.solution.status)
+        raise Unanswered(Fault.RAISED, found.text)
 
     def _ready(self, qp: NullSpaceQP) -> Worker:
         """The process that takes this tick's subproblem, its session started."""
