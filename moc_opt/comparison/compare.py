@@ -211,7 +211,7 @@ def compare(
         UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
-    base = Scenario.given(scenario)
+    base = Scenario() if scenario is None else Scenario.given(scenario)
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
             raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")

@@ -127,7 +127,8 @@ class IsolatedSession:
         wrong = self._workers[0].start(self._settings.start_s)
         if wrong:
             self._workers.pop().kill()
-            raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}")
+            cure = f"; raise [solver.process] start_s = {self._settings.start_s:g}" if wrong == STARTING else ""
+            raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}{cure}")
         if self._workers[0].observes:
             self.observe = self._observe  # the controller looks for it
         self._keep_a_spare(qp)

@@ -255,13 +255,13 @@ class Scenario(Settings):
 
     @classmethod
     def given(cls, scenario: object) -> Self:
-        """Return what a caller gave as a scenario: one as it is, the file of a path, for None the default one.
+        """Return what a caller gave as a scenario: one as it is, of a path that of the file.
 
         Raises:
-            ScenarioError: it is nothing of these; or as `load`.
+            ScenarioError: it is neither; or as `load`.
         """
-        if scenario is None or isinstance(scenario, cls):
-            return cls() if scenario is None else scenario
+        if isinstance(scenario, cls):
+            return scenario
         if isinstance(scenario, str | os.PathLike):
             return cls.load(scenario)
         raise ScenarioError(f"scenario = {shown(scenario)}: give a Scenario, or the path of a scenario's file")
