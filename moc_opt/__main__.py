@@ -51,43 +51,52 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     ahead.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
     ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
-    ahead.add_argument("--margin", type=float, default=0.0, help="that joints keep from their limits [rad]")
-    ahead.add_argument("--speed-share", type=float, default=1.0, help="of the joints' speed limits that may be used")
-    ahead.add_argument("--acceleration", type=float, default=float("inf"), help="most of any joint [rad/s^2]")
+    ahead.add_argument(
+        "--margin", type=float,
+        help="that every joint keeps from its limits [rad, m]; default 0, or what a third level that follows a course "
+        "keeps",
+    )  # fmt: skip
+    ahead.add_argument(
+        "--speed-share", type=float,
+        help="of the joints' speed limits that may be used, above 0 to 1; default 1, or what that level follows",
+    )
+    ahead.add_argument(
+        "--acceleration", type=float, default=float("inf"), help="most of any joint [rad/s^2]; default: no limit"
+    )
     ahead.add_argument("--place", choices=("trocar", "base"), help="also search for the place of it that serves best")
-    ahead.add_argument("--box", type=float, default=0.05, help="of the search: half the edge of its cube [m]")
-    ahead.add_argument("--candidates", type=int, default=40, help="of the search")
-    ahead.add_argument("--out", type=Path, help="the course goes here (Parquet)")
+    ahead.add_argument("--box", type=float, help="with --place: half the edge of the cube searched [m]; default 0.05")
+    ahead.add_argument("--candidates", type=int, help="with --place: places that are tried; default 40")
+    ahead.add_argument("--out", type=Path, metavar="FILE.parquet", help="the course to follow goes here")
     ahead.add_argument("--json", action="store_true", help="print JSON")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")
     replay.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
-    replay.add_argument("--out", type=Path, default=Path("replay.html"))
+    replay.add_argument("--out", type=Path, default=Path("replay.html"), help="default replay.html")
     chart = commands.add_parser("map", help="saved traces of one path on the manipulability map, as one HTML file")
     chart.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes")
-    chart.add_argument("--out", type=Path, default=Path("map.html"))
+    chart.add_argument("--out", type=Path, default=Path("map.html"), help="default map.html")
     chart.add_argument("--figures", action="store_true", help="also as SVG and PDF, in a folder beside it")
     live = commands.add_parser("live", help="a scenario in real time, on a page of this machine")
     live.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
-    live.add_argument("--host", default="127.0.0.1", help="a loopback address")
-    live.add_argument("--port", type=int, default=8642)
+    live.add_argument("--host", default="127.0.0.1", help="a loopback address; default 127.0.0.1")
+    live.add_argument("--port", type=int, default=8642, help="0 to 65535, 0: any that is free; default 8642")
     live.add_argument("--i-know-this-is-public", action="store_true", dest="public", help="allow any other host")
     plant = commands.add_parser(
         "plant", help="the plant of a scenario in real time, for a controller at the other end of a wire",
         epilog="Exit status as of `run`. docs/realtime.md describes the wire.",
     )  # fmt: skip
-    plant.add_argument("--listen", metavar="HOST:PORT", default="127.0.0.1:30200")
+    plant.add_argument("--listen", metavar="HOST:PORT", default="127.0.0.1:30200", help="default 127.0.0.1:30200")
     plant.add_argument("--lock-step", action="store_true", help="wait for each command instead of keeping the time")
     plant.add_argument("--trace", type=Path, help="the trace goes here (Parquet)")
-    plant.add_argument("--json", action="store_true", help="print JSON")
     control = commands.add_parser(
         "control", help="the controller of a scenario, for a plant at the other end of a wire",
         epilog="Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or "
         "the plant fell silent.",
     )  # fmt: skip
-    control.add_argument("--connect", metavar="HOST:PORT", default="127.0.0.1:30200")
+    control.add_argument("--connect", metavar="HOST:PORT", default="127.0.0.1:30200", help="default 127.0.0.1:30200")
     for end in (plant, control):
         end.add_argument("scenario", nargs="?", type=Path, help="TOML, the same at both ends; without it the default")
         end.add_argument("--key-file", type=Path, help="one line of 16 to 32 bytes; else MOC_OPT_WIRE_KEY")
+        end.add_argument("--json", action="store_true", help="print JSON")
     robot_commands(commands)
     more.add_commands(commands)
     given, rest = parser.parse_known_args(arguments)

@@ -113,7 +113,7 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
                 raise RealtimeError(f"the plant did not start: {first}{plant.stderr.read()}"[:1000])
             host, port = first.split()[-1].split(":")
             if program is None:
-                control = _start("control", str(file), "--connect", f"{host}:{port}")
+                control = _start("control", str(file), "--connect", f"{host}:{port}", "--json")
             else:
                 control = _popen(str(program), host, port, str(program.parent / "reference.bin"))
             said, errors = control.communicate(timeout=limit_s)

@@ -23,12 +23,15 @@ def add_commands(commands: Any) -> None:
     one.add_argument("solvers", nargs="+", metavar="SOLVER", help="of `moc-opt solvers --list`")
     one.add_argument("--scenario", type=Path, metavar="FILE.toml", help="without it the default scenario")
     one.add_argument("--trials", type=int, default=15, help="from poses and swivels that the seed draws; default 15")
-    one.add_argument("--seed", type=int, default=0, help="of the first trial")
+    one.add_argument("--seed", type=int, default=0, help="of the first trial; default 0")
+    one.add_argument(
+        "--keep-start", action="store_true", help="every trial starts as the scenario's [start] says, not at random"
+    )
     one.add_argument("--out", type=Path, metavar="FILE.csv", help="one row a run goes here")
     one.add_argument("--json", action="store_true", help="print JSON")
     made = commands.add_parser("report", help="saved traces as one HTML file: metrics, curves, manipulability map")
     made.add_argument("traces", nargs="+", type=Path, help="Parquet, as `run --trace` writes; a baseline first")
-    made.add_argument("--out", type=Path, default=Path("report.html"))
+    made.add_argument("--out", type=Path, default=Path("report.html"), help="default report.html")
     study = commands.add_parser(
         "solvers", add_help=False,
         help="--list: which solvers there are; else the whole study of them, with the options of benchmarks.solvers",
@@ -39,7 +42,7 @@ def add_commands(commands: Any) -> None:
         commands.add_parser(name, help=about).add_argument("--json", action="store_true", help="print JSON")
     keys = commands.add_parser("keys", help="every key of a scenario: type, unit, default, meaning")
     keys.add_argument("table", nargs="?", help="of one table: task, control, control.supervisor, plant, ...")
-    keys.add_argument("--markdown", action="store_true", help="print docs/scenario.md")
+    keys.add_argument("--markdown", action="store_true", help="print docs/scenario.md, or its part on that table")
 
 
 def check_paths(given: argparse.Namespace) -> None:

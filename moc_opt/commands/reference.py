@@ -15,7 +15,7 @@ from moc_opt.report.console import console
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
 
-_UNIT = r"(?:N?m|Ns?|rad|s|us|Hz|kg|deg)"
+_UNIT = r"(?:N?m|Ns?|rad|s|us|Hz|kg|deg|MB)"
 _SUFFIX = re.compile(rf"_((?:{_UNIT}_)*{_UNIT}[2]?(?:_per_{_UNIT}2?)*|per_{_UNIT}2?)$")
 _HEAD = """# The keys of a scenario
 
@@ -41,12 +41,12 @@ def print_keys(given: argparse.Namespace) -> int:
     Raises:
         UnknownNameError: no such table.
     """
-    if given.markdown:
-        print(markdown(), end="")
-        return 0
     found = {name or "scenario": (about, keys) for name, about, keys in tables()}
     if given.table is not None and given.table not in found:
         raise UnknownNameError("table of a scenario", given.table, found)
+    if given.markdown:
+        print(markdown(given.table), end="")
+        return 0
     screen = console()
     for name in found if given.table is None else [given.table]:
         for piece in _drawn(name, found[name][1]).fitted(screen.width):
@@ -84,16 +84,18 @@ def unit(name: str, meaning: str = "") -> str:
     return "/".join([(top or "1").replace("_", " ").replace("Ns", "N s"), *over])
 
 
-def markdown() -> str:
-    """Write docs/scenario.md."""
-    parts = [_HEAD]
+def markdown(only: str | None = None) -> str:
+    """Write docs/scenario.md, or what it says of one table."""
+    parts = [_HEAD] if only is None else []
     for name, about, keys in tables():
+        if only not in (None, name or "scenario"):
+            continue
         parts.append(f"\n## {f'`[{name}]`' if name else 'At the top of the file'}\n\n{about}\n")
         parts.append("\n| key | type | unit | default | meaning |\n|---|---|---|---|---|\n")
         for key in keys:
             cells = (f"`{key.name}`", key.kind, key.unit, f"`{key.default}`", key.meaning)
             parts.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n")
-    return "".join(parts)
+    return "".join(parts).lstrip("\n")
 
 
 def _drawn(name: str, keys: list[Key]) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -84,8 +85,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     Raises:
         MocOptError: there is no such path, metric or file of waypoints.
     """
-    from moc_opt.errors import ScenarioError, UnknownNameError
-    from moc_opt.inputs.files import read_text
+    from moc_opt.errors import UnknownNameError
     from moc_opt.trace.metrics import METRICS
     from moc_opt.trace.metrics.registry import load_plugins
 
@@ -100,9 +100,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.task is not None:
         task: dict[str, object] = {"path": given.task, "sizes": {}, "waypoints_m": None}
         if Path(given.task).suffix.lower() in (".csv", ".txt"):
-            lines = read_text(given.task, "waypoints", ScenarioError).splitlines()
-            points = [tuple(line.replace(",", " ").split()) for line in lines if line.strip() and line[0] != "#"]
-            task |= {"path": "waypoints", "waypoints_m": points}
+            task |= {"path": "waypoints", "waypoints_m": read_waypoints(given.task)}
         scenario = scenario.change(task=task)
     if given.metric:
         scenario = scenario.change(metrics=tuple(given.metric))
@@ -111,6 +109,34 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         if name not in METRICS:
             raise UnknownNameError("metric", name, METRICS)
     return scenario
+
+
+def read_waypoints(path: str) -> list[tuple[float, ...]]:
+    """Read points x, y, z [m], one a line, split by commas or spaces; lines that begin with # are left out.
+
+    Raises:
+        ScenarioError: a line is no point, named with file and number, or there is none.
+    """
+    from moc_opt.errors import ScenarioError, shown
+    from moc_opt.inputs.files import read_text
+
+    points: list[tuple[float, ...]] = []
+    for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            point = tuple(float(part) for part in line.replace(",", " ").split())
+        except ValueError:
+            point = ()  # refused below
+        if len(point) != 3 or not all(math.isfinite(x) for x in point):
+            raise ScenarioError(
+                f"waypoints {path!r}, line {number}: {shown(line.strip(), 60)}: give x, y, z [m]; a line "
+                "that is none, such as a heading, begins with #"
+            )
+        points.append(point)
+    if not points:
+        raise ScenarioError(f"waypoints {path!r}: there is no point in it: give x, y, z [m], one point a line")
+    return points
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import asdict
+from typing import Any
 
 from moc_opt.commands.running import read_scenario, show
+from moc_opt.inputs.files import to_json
+from moc_opt.report.tables import Column, Table
 
 
 def run_plant(given: argparse.Namespace) -> int:
@@ -27,19 +30,37 @@ def run_plant(given: argparse.Namespace) -> int:
     for name, value in trace.meta["wire"].items():
         if value:
             print(f"plant: {name}: {value}", file=sys.stderr)
-    return show(scenario, title, trace, given)
+    return show(scenario, f"{title}, plant", trace, given)
 
 
 def run_control(given: argparse.Namespace) -> int:
     """Answer a plant until its run ends; print how."""
     from moc_opt.realtime.clock import ask_for_realtime
     from moc_opt.realtime.key import read_key
-    from moc_opt.report.console import print_json
+    from moc_opt.report.console import console, print_json
     from moc_opt.scenario.wired import answer
 
-    (scenario, _), granted = read_scenario(given.scenario), dict[str, str]()
+    (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     key = read_key(given.key_file)
     print(f"control: looks for a plant at {given.connect}, for {scenario.wire.wait_s:g} s", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
-    print_json(asdict(found) | {"system": granted})
+    if given.json:
+        print_json(asdict(found) | {"system": granted})
+    else:
+        console().print(_ending_table(title, asdict(found) | {"system": granted}).to_rich())
     return 0 if found.ended == "completed" else 3
+
+
+def _ending_table(title: str, found: dict[str, Any]) -> Table:
+    """How the run looked from the controller's end, a row a figure; counts of zero are left out."""
+    rows = []
+    for name, value in found.items():
+        if isinstance(value, dict):
+            rows += [{"what": f"{name}: {key}", "value": _words(entry)} for key, entry in value.items() if entry]
+        elif value:
+            rows.append({"what": name, "value": _words(value)})
+    return Table(f"Controller of {title}", [Column("what", "what"), Column("value", "value")], rows)
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else to_json(value, indent=None)

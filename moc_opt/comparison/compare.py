@@ -14,11 +14,13 @@ import numpy as np
 
 from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relative_change
 from moc_opt.comparison.trials import BASELINE, placed, variant
-from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
+from moc_opt.errors import ScenarioError, SolverError, UnknownNameError, describe, shown
+from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.notebook import grid_html
 from moc_opt.report.machine import busy
 from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import RunAway, Scenario, make_solver, run
+from moc_opt.scenario.parts import check_solver
 from moc_opt.solvers.base import Solver
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS, summarize
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from plotly.graph_objects import Figure
 
 Solvers = Sequence[str | Solver] | Mapping[str, str | Solver]
+Row = dict[str, Any]
 
 CHANGES = {"mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "rcm_error_model_mean_mm": "rcm_change"}
 """Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
@@ -39,10 +42,11 @@ class Comparison:
     """What `compare` found; a notebook shows its table.
 
     Attributes:
-        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric.
+        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric; of a run
+            that could not be made `ended` is "failed: " and why, and there is no metric.
         solvers: their names in the table, the baseline first.
         scenario: from which the trials were made.
-        note: that the machine was busy when the times were taken; empty where it was not.
+        note: from where the trials start, and that the machine was busy where it was.
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -88,11 +92,12 @@ class Comparison:
             "trials": sum(Ending.of(row["ended"]).whole for row in rows), "of": len(rows),
             "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
         }  # fmt: skip
-        if asked and all("verified_solved" in row for row in rows):
-            found["verified"] = 100.0 * sum(row["verified_solved"] for row in rows) / asked
-            found["silently_wrong"] = sum(row["silently_wrong"] for row in rows)
-        if asked:
-            found |= {key: float(np.median([row[key] for row in rows])) for key in ("solve_p50_us", "solve_p99_us")}
+        answered = [row for row in rows if row["asked"]]
+        if answered and all("verified_solved" in row for row in answered):
+            found["verified"] = 100.0 * sum(row["verified_solved"] for row in answered) / asked
+            found["silently_wrong"] = sum(row["silently_wrong"] for row in answered)
+        if answered:
+            found |= {key: float(np.median([row[key] for row in answered])) for key in ("solve_p50_us", "solve_p99_us")}
         for metric, change in CHANGES.items():
             found[metric] = self.mean(name, metric)
             if name != BASELINE:
@@ -122,7 +127,19 @@ class Comparison:
         )
         named = "name" in self.scenario.model_fields_set
         title = self.scenario.name if named else self.scenario.task.path
-        return Table(f"{title}: solvers on the same trials", used, rows, f"{caption} {self.note}".strip())
+        about = " ".join(filter(None, [caption, self.note, *self._failures()]))
+        return Table(f"{title}: solvers on the same trials", used, rows, about)
+
+    def _failures(self) -> list[str]:
+        """One sentence a solver of which runs could not be made: how many, and why the first."""
+        said = []
+        for name in self.solvers:
+            failed = [
+                row["ended"] for row in self.rows if row["solver"] == name and Ending.of(row["ended"]) is Ending.FAILED
+            ]
+            if failed:
+                said.append(f"{name} failed in {len(failed)}: {failed[0].partition(': ')[2]}.")
+        return said
 
     def plot(self, metric: str = "mu_mean") -> Figure:
         """Draw a metric over the trials as one box a solver: a plotly figure.
@@ -175,45 +192,73 @@ class Comparison:
 
 
 def compare(
-    solvers: Solvers, scenario: Scenario | None = None, trials: int = 15, *, seed: int = 0, random_start: bool = True,
-    watch: Callable[[str], None] | None = None,
+    solvers: Solvers, scenario: Scenario | str | os.PathLike[str] | None = None, trials: int = 15, *, seed: int = 0,
+    random_start: bool = True, watch: Callable[[str], None] | None = None,
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
+    A solver that cannot be started, or that breaks a run off with an error, has rows that say so; the others go on.
+
     Args:
         solvers: names, or solvers made by `solvers.create` or of one's own; a mapping gives them names of their own.
-        scenario: of every trial; None: the default one.
+        scenario: of every trial, or the path of its file; None: the default one.
         trials: how many; trial k has the seed ``seed + k``, which draws start, mismatch and noise.
         seed: of the first trial.
-        random_start: whether pose and swivel are drawn too; False keeps those of the scenario.
+        random_start: whether pose and swivel are drawn too, in place of the scenario's `[start]`; False keeps that.
         watch: called with a few words before each run.
 
     Raises:
         UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
-        ScenarioError: no trial is asked for, or the scenario has no third level.
+        ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
     """
-    base = scenario or Scenario()
-    if not isinstance(trials, int) or trials < 1:
-        raise ScenarioError(f"trials = {trials!r}: give one trial or more")
+    base = Scenario() if scenario is None else Scenario.given(scenario)
+    for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= LARGEST_INTEGER:
+            raise ScenarioError(f"{argument} = {shown(value)}: give an integer of {least} or more")
+    if not isinstance(random_start, bool):
+        raise ScenarioError(f"random_start = {shown(random_start)}: give True or False")
+    if watch is not None and not callable(watch):
+        raise ScenarioError(f"watch = {shown(watch)}: give a function of one text, or None")
     if base.control.law != "moc":
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
-    chosen, note, rows = _named(solvers, base), busy(), []
-    baseline: Trace | None
+    chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
     for k in range(seed, seed + trials):
         trial, baseline = placed(base.change(seed=k, start=start)), None
         for name, solver in chosen.items():
             if watch is not None:
                 watch(f"trial {k - seed + 1} of {trials}, {name}")
-            named = solver if isinstance(solver, str) else None
-            case = trial if named is None else variant(trial, named, _settings(base, named))
-            trace = _run(case, None if isinstance(solver, str) else solver)
-            same_length = baseline is not None and len(trace) == len(baseline)
-            row = {"solver": name, "seed": k, "ended": (ended := str(trace.meta["ended"])), "asked": _asked(trace)}
-            rows.append(row | summarize(trace, baseline if same_length else None))
-            if name == BASELINE and Ending.of(ended).whole:
+            row, trace = _row(trial, base, name, solver, baseline)
+            rows.append({"solver": name, "seed": k, **row})
+            if name == BASELINE and Ending.of(row["ended"]).whole:
                 baseline = trace
     return Comparison(rows, list(chosen), base, note)
+
+
+def _row(
+    trial: Scenario, base: Scenario, name: str, solver: str | Solver, baseline: Trace | None
+) -> tuple[Row, Trace | None]:
+    """Run one solver on a trial: how it ended, its ticks with a subproblem, its metrics; and its trace, if any."""
+    named = solver if isinstance(solver, str) else None
+    case = trial if named is None else variant(trial, named, _settings(base, named))
+    try:
+        trace = _run(case, None if isinstance(solver, str) else solver)
+    except Exception as error:
+        if name == BASELINE or isinstance(error, MemoryError):
+            raise  # no solver is at fault
+        return {"ended": f"{Ending.FAILED.value}: {describe(error)}", "asked": 0}, None
+    found = {"ended": str(trace.meta["ended"]), "asked": _asked(trace)}
+    same_length = baseline is not None and len(trace) == len(baseline)
+    return found | summarize(trace, baseline if same_length else None), trace
+
+
+def _starts(base: Scenario, random_start: bool) -> str:
+    """From where the trials start, where that is not what the scenario says, or the same for all."""
+    if not random_start:
+        fixed = base.start.pose != "random" and base.start.swivel != "random"
+        return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
+    said = base.start.model_fields_set - {"check_path"}
+    return "Starts are drawn at random: the scenario's [start] is not used (random_start keeps it)." if said else ""
 
 
 def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
@@ -237,6 +282,8 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     """Name -> solver, the baseline first; every name is made once, so that a wrong one is found now."""
     if isinstance(solvers, str):
         raise SolverError(f"solvers = {solvers!r} is one text: give a list, [{solvers!r}]")
+    if not isinstance(solvers, Mapping | Sequence):
+        raise SolverError(f"solvers = {shown(solvers)}: give a list of names or solvers, such as ['exact', 'osqp']")
     pairs = solvers.items() if isinstance(solvers, Mapping) else [(_name(one), one) for one in solvers]
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
     for name, solver in pairs:
@@ -246,8 +293,8 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
             raise SolverError(f"two solvers are called {name!r}: give a mapping, {{'one name': ..., 'another': ...}}")
         if isinstance(solver, str):
             make_solver(solver, robot, **_settings(base, solver))
-        elif not isinstance(solver, Solver):
-            raise SolverError(f"{name}: {solver!r:.80} is no solver: it needs a name, supports(qp) and start(qp)")
+        else:
+            check_solver(solver)
         chosen[name] = solver
     if len(chosen) == 1:
         raise SolverError("no solver to compare: give one name or more, such as ['exact', 'osqp']")

@@ -127,7 +127,8 @@ class IsolatedSession:
         wrong = self._workers[0].start(self._settings.start_s)
         if wrong:
             self._workers.pop().kill()
-            raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}")
+            cure = f"; raise [solver.process] start_s = {self._settings.start_s:g}" if wrong == STARTING else ""
+            raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}{cure}")
         if self._workers[0].observes:
             self.observe = self._observe  # the controller looks for it
         self._keep_a_spare(qp)
@@ -159,7 +160,9 @@ class IsolatedSession:
             self._lose(f"it had {grown_MB:.0f} MB of memory, and {settings.memory_MB:g} MB are allowed")
         if found.kind == ANSWERED:
             return found.solution
-        raise Unanswered(Fault.MALFORMED if found.kind == MALFORMED else Fault.RAISED, found.text)
+        if found.kind == MALFORMED:  # the claim stands, as without a process: an answer of no form is no optimum
+            raise Unanswered(Fault.MALFORMED, found.text, found.solution.status)
+        raise Unanswered(Fault.RAISED, found.text)
 
     def _ready(self, qp: NullSpaceQP) -> Worker:
         """The process that takes this tick's subproblem, its session started."""

@@ -55,11 +55,15 @@ class Fault(Enum):
 
 
 class Unanswered(Exception):
-    """Raised by a session in another process that has no answer: which fault that is, and what is known of it."""
+    """Raised by a session in another process that has no answer: which fault that is, and what is known of it.
 
-    def __init__(self, fault: Fault, text: str) -> None:
+    ``status`` is what the solver claimed, where it claimed anything.
+    """
+
+    def __init__(self, fault: Fault, text: str, status: Status | None = None) -> None:
         super().__init__(text)
         self.fault, self.text = fault, text
+        self.status = status or (Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL)
 
 
 class First(NamedTuple):
@@ -176,7 +180,9 @@ class Supervisor:
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
         """The answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
-        shown, given, fault, text = qp.copy(), None, None, ""
+        shown, given, text = qp.copy(), None, ""
+        fault: Fault | None = None
+        status = Status.NUMERICAL
         begin = perf_counter_ns()
         try:
             try:
@@ -189,14 +195,14 @@ class Supervisor:
         except KeyboardInterrupt:  # a user's Ctrl-C
             raise
         except Unanswered as error:
-            fault, text = error.fault, error.text
+            fault, text, status = error.fault, error.text, error.status
         except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
             fault, text = Fault.RAISED, describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
             self.solve_us = next(self._times, self.solve_us)
         if fault is not None:
-            return no_answer(qp.n, Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL), fault, text
+            return no_answer(qp.n, status), fault, text
         try:
             solution, wrong = received(given, qp.n)
             if self._stop_late and self._late and not wrong:

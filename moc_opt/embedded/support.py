@@ -77,7 +77,9 @@ def check_supported(spec: TickSpec) -> None:
         raise ControlError(f"[solver] name = {name!r}: generated C contains 'exact' only; take that one")
     if not moc and solver is not None:
         raise ControlError(f"law: 'dcac' takes no solver, given {solver.name!r}; leave it out")
-    _refuse_unknown(settings, OBEYED)
+    # What a law never reads cannot be left out of its C.
+    unread = set[str]() if moc and settings.third_level != "local" else {"horizon_s", "replan_per_s"}
+    _refuse_unknown(settings, OBEYED | unread | (set() if moc else {"climb"}))
     _refuse_unknown(settings.supervisor, SUPERVISED)
     if not 0.0 <= settings.observer_gain_per_s * period < 1.0:
         raise ControlError(

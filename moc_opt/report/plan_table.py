@@ -47,8 +47,14 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def plan_tables(name: str, plan: Plan) -> list[Table]:
-    """Make the tables of the verdict and of the courses; both fit 80 columns."""
+def plan_tables(name: str, plan: Plan, margin: float = 0.0, speed_share: float = 1.0) -> list[Table]:
+    """Make the tables of the verdict and of the courses; both fit 80 columns.
+
+    Args:
+        name: of the scenario.
+        plan: of it.
+        margin, speed_share: within which it was made.
+    """
     rows: list[dict[str, Any]] = [
         {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
     ]
@@ -57,8 +63,10 @@ def plan_tables(name: str, plan: Plan) -> list[Table]:
         point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
         rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
-    rows.append({"what": "start swivel", "value": _degrees(plan.start_swivel_rad)})
-    rows.append({"what": "start swivel proposed", "value": _degrees(plan.best_swivel_rad)})
+    within = "the joint limits" if margin == 0.0 else f"{margin:g} rad (m) from the joint limits"
+    rows.append({"what": "planned within", "value": f"{within}, {speed_share:.3g} of their speed limits"})
+    rows.append({"what": "arm angle at the start", "value": _degrees(plan.start_swivel_rad)})
+    rows.append({"what": "arm angle proposed", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
             rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})
@@ -83,16 +91,14 @@ def place_json(places: Sequence[Placement]) -> list[dict[str, Any]]:
 
 
 def place_table(title: str, candidates: int, box_m: float, took_s: float, places: Sequence[Placement]) -> Table:
-    """Make the table of the places, the best first; the pose that serves the first one stands below."""
+    """Make the table of the places, the best first."""
     rows = []
     for found, row in zip(places, place_json(places), strict=True):
         x, y, z = row["shift_mm"]
         here = " (as it is)" if not any(found.shift_m) else ""
         rows.append({**row, "shift": f"{x:+.0f}, {y:+.0f}, {z:+.0f}{here}", "depth_mm": 1e3 * found.depth_m})
-    first = rows[0]["q_rad"]
-    told = "" if first is None else f" The first: [trocar] depth_m = {rows[0]['depth_m']:.6f}, [start] q_rad = {first}"
     about = f"{candidates} places drawn from a cube of +-{1e3 * box_m:.0f} mm, planned in {took_s:.0f} s."
-    return Table(title, PLACES, rows, about + told)
+    return Table(title, PLACES, rows, about)
 
 
 def _unit(plan: Plan) -> str:

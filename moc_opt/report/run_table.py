@@ -7,6 +7,7 @@ from typing import Any
 
 from moc_opt.report.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
+from moc_opt.trace.ending import Ending
 from moc_opt.trace.trace import Trace
 
 WHOLE_RUN = ("completed", "share_of_run")
@@ -15,7 +16,9 @@ METHOD = "mu_bound_method"
 
 
 def part(trace: Trace) -> str:
-    """ " (first 0.6 s of 8.0 s)" where the run was broken off; empty where it is whole."""
+    """ " (first 0.6 s of 8.0 s)" where the run was broken off, " (a part)" of a cut trace; empty where it is whole."""
+    if Ending.of(str(trace.meta.get("ended"))) is Ending.PART:
+        return " (a part)"
     ticks, planned = (trace.meta.get(name) for name in ("ticks", "ticks_planned"))
     period = trace.meta.get("period_s")
     if ticks is None or planned is None or period is None or ticks >= planned:

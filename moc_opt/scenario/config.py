@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 from moc_opt.control import ControlSettings
 from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
 from moc_opt.inputs.notebook import table_html
 from moc_opt.inputs.settings import Name, Settings
@@ -252,6 +252,19 @@ class Scenario(Settings):
         except MocOptError as error:
             error.args = (f"{file}: {error}",)  # of whichever kind it is
             raise
+
+    @classmethod
+    def given(cls, scenario: object) -> Self:
+        """Return what a caller gave as a scenario: one as it is, of a path that of the file.
+
+        Raises:
+            ScenarioError: it is neither; or as `load`.
+        """
+        if isinstance(scenario, cls):
+            return scenario
+        if isinstance(scenario, str | os.PathLike):
+            return cls.load(scenario)
+        raise ScenarioError(f"scenario = {shown(scenario)}: give a Scenario, or the path of a scenario's file")
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the TOML that `load` reads as this scenario: what differs from the defaults.

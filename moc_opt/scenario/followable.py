@@ -37,17 +37,18 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
     j, allowed = int(np.argmax(shares)), followed_share(settings)
     if shares[j] > allowed + ROUNDING:
         found.append(
-            f"the course turns {robot.data.joint_names[j]} at {shares[j]:.2f} of its speed limit, and the third level "
-            f"follows up to {allowed:.2f} (speed_fraction = {settings.speed_fraction:g}, a fifth for the feedback): "
-            f"plan with --speed-share {allowed:.2f}, as third_level = 'planned' does"
+            f"the course moves {robot.data.joint_names[j]} at {shares[j]:.2f} of its speed limit; the third level "
+            f"follows up to {allowed:.2f} (of [control] speed_fraction = {settings.speed_fraction:g} it leaves a fifth "
+            f"to the feedback): plan with --speed-share {allowed:.2f}, or raise speed_fraction"
         )
     margins = settings.limit_margins(robot.chain.prismatic)
     room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
     short = np.where(moving, margins - room, -1.0)
     j = int(np.argmax(short))
+    unit = "m" if robot.chain.prismatic[j] else "rad"
     if short[j] > ROUNDING:
         found.append(
-            f"the course comes to {room[j]:.3f} of the limit of {robot.data.joint_names[j]}; the third level's box "
-            f"closes at {margins[j]:g}: plan with --margin {margins[j]:g}, or lower limit_margin_rad"
+            f"the course takes {robot.data.joint_names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
+            f"level keeps {margins[j]:g} {unit}: plan with --margin {margins[j]:g}, or lower limit_margin_{unit}"
         )
     return found

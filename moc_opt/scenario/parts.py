@@ -9,7 +9,7 @@ import numpy as np
 from moc_opt import solvers
 from moc_opt.control.isolated import Isolated
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import ScenarioError, SolverError, shown
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario.config import Scenario
@@ -45,6 +45,21 @@ def recorded_times(scenario: Scenario) -> list[float] | None:
             f"[solver] replay_us: shape {times.shape}: give one time of 0 us or more a tick, at least one"
         )
     return [float(time) for time in times]
+
+
+def check_solver(given: object) -> None:
+    """Refuse what cannot be asked as a solver: a name, a class that has not been called, any other object.
+
+    Raises:
+        SolverError: shows it, and the cure.
+    """
+    if isinstance(given, type):
+        raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
+    if not isinstance(given, Solver):
+        cure = "name it in [solver], or take solvers.create(name)" if isinstance(given, str) else (
+            "it needs a name, supports(qp) and start(qp)"
+        )  # fmt: skip
+        raise SolverError(f"{shown(given, 80)} is no solver: {cure}")
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:

@@ -58,10 +58,11 @@ def place(
     """
     if what not in MOVABLE:
         raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
-    if not 0.0 < box_m <= 1.0 or candidates < 1 or best < 1:
-        raise ScenarioError(
-            f"box_m = {box_m!r}, candidates = {candidates!r}, best = {best!r}: give above 0 to 1 m, and 1 or more"
-        )
+    if not 0.0 < box_m <= 1.0:
+        raise ScenarioError(f"box_m = {box_m!r}: give half the edge of a cube, above 0 to 1 m")
+    for name, count in (("candidates", candidates), ("best", best)):
+        if count < 1:
+            raise ScenarioError(f"{name} = {count!r}: give 1 or more")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
     shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])

@@ -22,7 +22,7 @@ MOST_TIMES = 1000
 
 
 def plan(
-    scenario: Scenario,
+    scenario: Scenario | str | os.PathLike[str],
     *,
     objective: Objective = "mean",
     times: int | None = None,
@@ -38,6 +38,7 @@ def plan(
     tick to the last. A random start is drawn as the run draws it.
 
     Args:
+        scenario: what would be run, or the path of its file.
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         swivels, margin_rad, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
@@ -45,8 +46,7 @@ def plan(
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
     """
-    if not isinstance(scenario, Scenario):
-        raise ScenarioError(f"plan({scenario!r:.80}): give a Scenario, such as Scenario.load(path)")
+    scenario = Scenario.given(scenario)
     if times is not None and not 2 <= times <= 100_000:
         raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()

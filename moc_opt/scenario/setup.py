@@ -23,7 +23,14 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
 from moc_opt.scenario.guided import guides
 from moc_opt.scenario.layout import breathing, described, lay_out, seeds_of
-from moc_opt.scenario.parts import isolated, make_safety_filter, make_solver, make_stop, recorded_times
+from moc_opt.scenario.parts import (
+    check_solver,
+    isolated,
+    make_safety_filter,
+    make_solver,
+    make_stop,
+    recorded_times,
+)
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.closed_loop import ClosedLoop
@@ -57,6 +64,8 @@ class Setup:
             MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
                 start and the path.
         """
+        if solver is not None:
+            check_solver(solver)
         self.scenario, self._given, self.realtime = scenario, solver, realtime
         start_seed, plant_seed, fault_seed = seeds_of(scenario)
         self.robot = scenario.robot.arm()
@@ -266,12 +275,12 @@ class Setup:
 
 
 def run(
-    scenario: Scenario, watch: Callable[[int], None] | None = None, to: str | os.PathLike[str] | None = None, *,
-    solver: Solver | None = None,
+    scenario: Scenario | str | os.PathLike[str], watch: Callable[[int], None] | None = None,
+    to: str | os.PathLike[str] | None = None, *, solver: Solver | None = None,
 ) -> Trace:  # fmt: skip
-    """Run one scenario; arguments as `Setup` and `Setup.trace`.
+    """Run one scenario, or that of a file; arguments as `Setup` and `Setup.trace`.
 
     Raises:
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
     """
-    return Setup(scenario, solver).trace(watch, to)
+    return Setup(Scenario.given(scenario), solver).trace(watch, to)

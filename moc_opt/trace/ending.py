@@ -13,6 +13,8 @@ class Ending(StrEnum):
     STOPPED = "stopped"
     RAN_AWAY = "ran away"
     FAILED = "failed"
+    PART = "part"
+    """Some of the ticks of a run: what follows says how the run ended."""
 
     @classmethod
     def of(cls, ended: str) -> Ending:

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.errors import TraceError
+from moc_opt.errors import TraceError, shown
 from moc_opt.trace import parquet as trace_file
 from moc_opt.trace import views
 from moc_opt.trace import writer as trace_writer
 from moc_opt.trace.columns import COLUMNS, Column, check_column, column
+from moc_opt.trace.ending import Ending
 
 if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
@@ -112,6 +113,8 @@ class Trace:
     def select(self, ticks: ArrayLike) -> Trace:
         """Return the trace of some of the ticks; its column `tick` keeps their numbers.
 
+        Its ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended.
+
         Args:
             ticks: (N,) flags.
 
@@ -122,17 +125,21 @@ class Trace:
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
         columns = {"tick": np.arange(len(self)), **self.columns}
-        return Trace({name: array[mask] for name, array in columns.items()}, self.meta)
+        chosen = {name: array[mask] for name, array in columns.items()}
+        return Trace(chosen, self.meta)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
-        """Return the trace of the ticks with start_s <= t_s < stop_s; its column `tick` keeps their numbers.
+        """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
 
         Pieces that meet share no tick: ``between(0, 2)`` and ``between(2, 4)`` make ``between(0, 4)``.
 
         Raises:
-            TraceError: there is no such tick.
+            TraceError: a time is no number, or no tick lies there.
             MissingDataError: the trace has no `t_s`.
         """
+        for name, limit in (("start_s", start_s), ("stop_s", stop_s)):
+            if isinstance(limit, bool) or not isinstance(limit, int | float | np.number):
+                raise TraceError(f"between: {name} = {shown(limit)}: give a time in seconds, inf for no limit")
         time = np.asarray(self.t_s)
         inside = (time >= start_s) & (time < stop_s)
         if not inside.any():
@@ -149,9 +156,11 @@ class Trace:
             beside: a second run, drawn as "baseline".
 
         Raises:
-            ReportError: the trace has none of the columns.
+            ReportError: ``columns`` is empty, no list of names, or names one that no run has or that holds no numbers.
             MissingDataError: it has no `t_s`.
         """
+        if beside is not None and not isinstance(beside, Trace):
+            raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
         runs = {name: self} if beside is None else {"baseline": beside, name: self}
         return views.figure(runs, columns)
 
@@ -174,13 +183,31 @@ class Trace:
         return views.dataset(self)
 
     def head(self, ticks: int) -> Trace:
-        """Return the trace of the first ticks."""
+        """Return the trace of the first ticks, all where it has no more; ``meta`` as of `select`.
+
+        Raises:
+            TraceError: ``ticks`` is no number of ticks.
+        """
+        if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
+            raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
         columns: Mapping[str, NDArray[Any]]
         if isinstance(self.columns, trace_file.Stored):
             columns = self.columns.head(ticks)
         else:
             columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
-        return self._of(columns, self.meta)
+        return self._of(columns, self.meta)._as_part_of(self)
+
+    def _as_part_of(self, run: Trace) -> Trace:
+        """Say in ``meta`` that these are some of the run's ticks, where they are not all."""
+        if len(self) == len(run):
+            return self
+        told: dict[str, Any] = {"ticks": len(self)} if "ticks" in self.meta else {}
+        if "ended" in self.meta:
+            told["run_ended"] = self.meta.get("run_ended", self.meta["ended"])
+            t = np.asarray(self.columns.get("t_s", ()), dtype=np.float64)
+            extent = f"{t[0]:.3f} to {t[-1]:.3f} s" if t.size else f"{len(self)} ticks"
+            told["ended"] = f"{Ending.PART.value}: {extent} of a run, which ended: {told['run_ended']}"
+        return self.with_meta(**told)
 
     def with_meta(self, **values: Any) -> Trace:
         """Return the same columns with entries of meta added or replaced.

@@ -99,8 +99,14 @@ def test_waypoints_and_another_path_exclude_each_other(tmp_path, capsys):
         mo.Scenario(task={"path": "spiral", "waypoints_m": POINTS})
     with pytest.raises(ScenarioError, match=r"path = 'waypoints': give waypoints_m"):
         mo.Scenario(task={"path": "waypoints"})
-    (tmp_path / "bad.csv").write_text("0.1, 0.2\n", encoding="utf-8")
+    for text, line, shown in (
+        ("0.1, 0.2\n", 1, "'0.1, 0.2'"), ("# x\n0 0 0\n\nx,y,z\n", 4, "'x,y,z'"), ("0 0 0\n1 2 nan\n", 2, "'1 2 nan'"),
+    ):  # fmt: skip
+        (tmp_path / "bad.csv").write_text(text, encoding="utf-8")
+        assert main(["run", "--task", str(tmp_path / "bad.csv")]) == 2
+        assert f"bad.csv', line {line}: {shown}: give x, y, z [m]" in capsys.readouterr().err
+    (tmp_path / "bad.csv").write_text("# nothing\n", encoding="utf-8")
     assert main(["run", "--task", str(tmp_path / "bad.csv")]) == 2
-    assert "[task] waypoints_m.0" in capsys.readouterr().err
+    assert "bad.csv': there is no point in it" in capsys.readouterr().err
     assert main(["run", "--task", "spirla"]) == 2
     assert "did you mean 'spiral'" in capsys.readouterr().err

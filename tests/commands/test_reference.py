@@ -52,5 +52,10 @@ def test_units_are_read_off_the_names(name, meaning, expected):
 def test_the_command_prints_a_table_and_names_those_there_are(capsys):
     assert main(["keys", "control.supervisor"]) == 0
     assert "hold_ticks" in capsys.readouterr().out
+    assert main(["keys", "control.supervisor", "--markdown"]) == 0
+    part = capsys.readouterr().out
+    assert part.startswith("## `[control.supervisor]`")
+    assert part in markdown()
+    assert part.count("## ") == 1
     assert main(["keys", "contrl"]) == 2
     assert "did you mean 'control'" in capsys.readouterr().err

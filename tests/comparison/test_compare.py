@@ -27,7 +27,24 @@ class Standing:
         return Solution(np.zeros(len(qp.lower)), None, Status.SOLVED)
 
 
+@dataclasses.dataclass(frozen=True)
+class Broken:
+    """Its session cannot be started."""
+
+    name = "broken"
+
+    def supports(self, qp):
+        return None
+
+    def start(self, qp):
+        raise RuntimeError("no licence here")
+
+    def solve(self, qp):
+        raise AssertionError("never started")
+
+
 SHORT = mo.Scenario(duration_s=0.3, bound_samples=0)
+BRIEF = mo.Scenario(duration_s=0.02, bound_samples=0)
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +139,18 @@ def test_runs_that_broke_off_are_counted_and_enter_no_mean():
         ([], {}, SolverError, "no solver to compare"),
         ([Standing(), Standing()], {}, SolverError, "two solvers are called 'standing': give a mapping"),
         ([object()], {}, SolverError, "is no solver: it needs a name"),
-        (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give one trial or more"),
+        ([Standing], {}, SolverError, r"is a class, no solver: call it, as in Standing\(\)"),
+        (None, {}, SolverError, r"solvers = None: give a list of names or solvers"),
+        (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),
+        (["exact"], {"trials": 0}, ScenarioError, "trials = 0: give an integer of 1 or more"),
+        (["exact"], {"trials": True}, ScenarioError, "trials = True: give an integer"),
+        (["exact"], {"trials": "3"}, ScenarioError, "trials = '3': give an integer"),
+        (["exact"], {"seed": 1.5}, ScenarioError, "seed = 1.5: give an integer of 0 or more"),
+        (["exact"], {"seed": -1}, ScenarioError, "seed = -1: give an integer of 0 or more"),
+        (["exact"], {"scenario": "none.toml"}, ScenarioError, "none.toml': no such file"),
+        (["exact"], {"scenario": 7}, ScenarioError, "scenario = 7: give a Scenario, or the path"),
+        (["exact"], {"random_start": "no"}, ScenarioError, "random_start = 'no': give True or False"),
+        (["exact"], {"watch": "no"}, ScenarioError, "watch = 'no': give a function"),
         (["exact"], {"scenario": mo.Scenario(control={"law": "dcac"})}, ScenarioError, "law = 'dcac' asks no solver"),
     ],
 )
@@ -132,5 +160,44 @@ def test_what_cannot_be_compared_is_said_before_anything_runs(solvers, more, err
 
 
 def test_a_mapping_names_its_solvers():
-    found = mo.compare({"own": Standing(), "other": "exact"}, mo.Scenario(duration_s=0.02, bound_samples=0), trials=1)
+    found = mo.compare({"own": Standing(), "other": "exact"}, BRIEF, trials=1)
     assert found.solvers == ["dcac", "own", "other"]
+
+
+def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
+    found = mo.compare([Broken(), "exact"], BRIEF, trials=2)
+    assert [(row["solver"], row["seed"]) for row in found.rows] == [
+        (name, seed) for seed in (0, 1) for name in ("dcac", "broken", "exact")
+    ]
+    assert {row["ended"] for row in found.rows if row["solver"] == "broken"} == {
+        "failed: ControlError: solver 'broken' cannot run in this controller: RuntimeError: no licence here"
+    }
+    assert found.mean("broken", "mu_mean") is None
+    assert found.change("broken", "mu_mean") is None
+    assert found.mean("exact", "mu_mean").samples == 2
+    assert [row["trials"] for row in found.table.rows] == ["2", "0 of 2", "2"]
+    assert "broken failed in 2: ControlError: solver 'broken'" in repr(found)
+    assert len(found.to_pandas()) == 6
+
+
+def test_one_run_that_fails_leaves_the_figures_of_the_others():
+    rows = [
+        {"solver": "exact", "seed": 0, "ended": "failed: MemoryError", "asked": 0},
+        {"solver": "exact", "seed": 1, "ended": "completed", "asked": 4, "verified_solved": 4, "silently_wrong": 0,
+         "solve_p50_us": 1.0, "solve_p99_us": 2.0, "mu_mean": 0.3},
+    ]  # fmt: skip
+    summary = Comparison(rows, ["dcac", "exact"], BRIEF).summary()["exact"]
+    assert (summary["verified"], summary["solve_p50_us"], summary["trials"], summary["of"]) == (100.0, 1.0, 1, 2)
+
+
+def test_where_the_trials_start_is_said(tmp_path):
+    file = tmp_path / "s.toml"
+    BRIEF.change(start={"swivel": 0.2}).save(file)
+    drawn = mo.compare(["exact"], file, trials=1)  # the path of a file is a scenario, too
+    assert "[start] is not used" in repr(drawn)
+    kept = mo.compare(["exact"], str(file), trials=1, random_start=False)
+    assert "start as the scenario's [start] says, from one pose" in repr(kept)
+    own = mo.summarize(mo.run(file))  # the trial of seed 0
+    (row,) = (row for row in kept.rows if row["solver"] == "exact")
+    assert row["mu_mean"] == pytest.approx(own["mu_mean"], rel=1e-6)
+    assert "[start]" not in repr(mo.compare(["exact"], BRIEF, trials=1))

@@ -14,6 +14,7 @@ from moc_opt.errors import ControlError, ScenarioError
 from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.scenario.exported import export_scenario
+from moc_opt.trace.metrics import summarize
 from tests import isolated_solvers as bad
 from tests.broken_solvers import install
 from tests.problems import random_problem
@@ -117,6 +118,20 @@ def test_an_answer_that_is_none_costs_no_process(qp, act, fault, text):
     assert wrong.value.fault is fault
     assert session.solve(qp).iterations == 3  # of the same session
     assert session.restarts == []
+
+
+def test_a_claim_of_no_form_is_counted_in_one_way(qp):
+    ways = [
+        run(Scenario(solver={"isolation": way}, duration_s=0.02, bound_samples=0), solver=bad.Misbehaving(bad.huge, 3))
+        for way in ("none", "process")
+    ]
+    inside, isolated = (summarize(trace) for trace in ways)
+    for name in ("claimed_solved", "silently_wrong", "verified_solved"):
+        assert inside[name] == isolated[name]
+    assert inside["silently_wrong"] == 1.0  # it says "solved" of an x that is none
+    for trace in ways:
+        assert trace.fault[2] == "malformed"
+        np.testing.assert_array_equal(trace.status, ways[0].status)
 
 
 def test_a_process_that_grows_is_replaced_before_the_machine_is_full(qp):

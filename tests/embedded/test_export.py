@@ -230,6 +230,12 @@ def test_every_control_setting_is_either_obeyed_or_refused(robot: RobotModel) ->
         build_tick(TickSpec(robot, ControlSettings(third_level="planned"), Exact(), PERIOD))
     with pytest.raises(ControlError, match=r"climb = 'scaled' is not known"):
         build_tick(TickSpec(robot, ControlSettings(climb="scaled"), Exact(), PERIOD))
+    unread = [
+        ControlSettings(law="dcac", climb="scaled", horizon_s=0.5, replan_per_s=40.0),
+        ControlSettings(horizon_s=0.5, replan_per_s=40.0),  # of third_level 'receding' alone
+    ]
+    for control in unread:  # what is never read is no reason to refuse
+        build_tick(TickSpec(robot, control, None if control.law == "dcac" else Exact(), PERIOD))
     with pytest.raises(ControlError, match=r"sharpness = 2.0 is not known"):
         build_tick(TickSpec(robot, Later(sharpness=2.0), Exact(), PERIOD))
 

@@ -109,13 +109,57 @@ def test_a_path_that_cannot_be_executed_exits_with_three(
 
 def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["plan", "--speed-share", "2"]) == 2
-    assert "speed_share = 2.0" in capsys.readouterr().err
+    assert "--speed-share 2.0: give a share" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("given", ["scenario.toml", None, 3])
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--margin", "-1"], "--margin -1.0: give zero or more"),
+        (["--acceleration", "0"], "--acceleration 0.0: give above 0"),
+        (["--box", "0.1"], "--box 0.1: without --place nothing is searched"),
+        (["--candidates", "3"], "--candidates 3: without --place nothing is searched"),
+        (["--place", "base", "--candidates", "0"], "--candidates 0: give 1 or more"),
+        (["--place", "base", "--box", "2"], "--box 2.0: give half the edge"),
+    ],
+)
+def test_a_wrong_option_is_named_as_it_was_typed(tmp_path, capsys, arguments, message):
+    file = scenario_file(tmp_path, "duration_s = 0.1\n")
+    assert main(["plan", file, *arguments]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_what_it_proposes_can_be_pasted_into_the_scenario(tmp_path, capsys):
+    text = "duration_s = 1.0\nseed = 3\n"
+    file = scenario_file(tmp_path, text + "[start]\nswivel = 0.15\n")
+    found = plan(mo.Scenario.load(file))
+    assert main(["plan", file]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""  # its third level climbs: nobody is to follow the course
+    assert max(len(line.rstrip()) for line in said.out.splitlines()) <= 80
+    begun = scenario_file(tmp_path, text + said.out[said.out.index("\n[start]\n") :])
+    again = plan(mo.Scenario.load(begun))
+    assert again.from_start is not None
+    assert again.from_start.mu_mean == pytest.approx(found.best.mu_mean, rel=1e-3)
+    assert again.from_start.mu_mean > 1.02 * found.from_start.mu_mean
+
+
+def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, capsys):
+    file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
+    assert main(["plan", file, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["within"] == {"margin": 0.15, "speed_share": pytest.approx(0.4)}
+    assert told["warnings"] == []
+    assert main(["plan", file, "--json", "--speed-share", "1", "--margin", "0"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["within"] == {"margin": 0.0, "speed_share": 1.0}
+
+
+@pytest.mark.parametrize("given", [None, 3])
 def test_what_is_no_scenario_is_refused(given):
-    with pytest.raises(ScenarioError, match="give a Scenario"):
-        mo.plan(given)
+    for call in (mo.plan, mo.run):
+        with pytest.raises(ScenarioError, match=r"give a Scenario, or the path"):
+            call(given)
 
 
 def test_the_third_level_is_chosen_from_the_command_line(tmp_path: Path) -> None:

@@ -166,7 +166,8 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     assert plant.stderr is not None
     address = plant.stderr.readline().split()[-1]
     control = subprocess.run(
-        [sys.executable, "-m", "moc_opt", "control", str(file), "--connect", address, "--key-file", str(key)],
+        [sys.executable, "-m", "moc_opt", "control", str(file), "--connect", address, "--key-file", str(key),
+         "--json"],
         capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     said, errors = plant.communicate(timeout=120)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.errors import TraceError
+from moc_opt.errors import MocOptError, TraceError
+from moc_opt.report.run_table import run_table
 from moc_opt.trace.trace import MissingDataError, Trace
 
 ROWS = 40
@@ -71,7 +72,58 @@ def test_pieces_that_meet_make_the_whole(trace):
     assert len(first) + len(second) == len(trace)
     assert np.array_equal(np.concatenate([first.tick, second.tick]), np.arange(ROWS))
     assert first.t_s[-1] < 2.0 <= second.t_s[0]
-    assert dict(first.meta) == dict(trace.meta)
+    assert {**first.meta, "ended": trace.meta["ended"]} == {**trace.meta, "run_ended": "completed"}
+
+
+def test_a_part_of_a_run_says_so(trace):
+    whole = trace.with_meta(ticks=ROWS, ticks_planned=ROWS)
+    assert mo.summarize(whole)["completed"] == 1.0
+    for part in (whole.between(1.0, 2.0), whole.head(10), whole.select(np.arange(ROWS) < 10)):
+        assert "completed" not in mo.summarize(part)  # nor is it said that it was not
+        assert mo.summarize(part)["share_of_run"] == 0.25
+        assert part.meta["run_ended"] == "completed"
+    part = whole.between(1.0, 2.0).head(3)  # a part of a part
+    assert part.meta["ended"] == "part: 1.000 to 1.200 s of a run, which ended: completed"
+    assert "part: 1.000 to 1.200 s" in repr(part)
+    assert run_table("x", part, mo.summarize(part)).title == "x (a part)"
+    for all_of_it in (whole.between(0.0, np.inf), whole.head(ROWS), whole.select(np.ones(ROWS, dtype=bool))):
+        assert dict(all_of_it.meta) == dict(whole.meta)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda t: t.between(None, None), "between: start_s = None: give a time in seconds"),
+        (lambda t: t.between(0.0, "1"), "between: stop_s = '1': give a time"),
+        (lambda t: t.between(0.0, True), "between: stop_s = True: give a time"),
+        (lambda t: t.head(None), "head: ticks = None: give an integer"),
+        (lambda t: t.head(-1), "head: ticks = -1: give an integer"),
+        (lambda t: t.head(1.5), "head: ticks = 1.5: give an integer"),
+        (lambda t: t.plot([]), r"columns = \[\]: give a list of names"),
+        (lambda t: t.plot("mu"), r"columns = 'mu': give a list of names, such as \['mu'"),
+        (lambda t: t.plot(7), "columns = 7: give a list of names"),
+        (lambda t: t.plot(["status"]), "column 'status' holds texts: name columns of numbers, such as"),
+        (lambda t: t.plot(["mu", "mue"]), "column 'mue' is in no run: .* such as mu"),
+        (lambda t: t.plot([None]), "column None is in no run"),
+        (lambda t: t.plot(beside="a.parquet"), "beside = 'a.parquet': give a Trace"),
+        (lambda t: mo.summarize("a.parquet"), "the trace is 'a.parquet': give a Trace"),
+        (lambda t: mo.summarize(None), "the trace is None: give a Trace"),
+        (lambda t: mo.summarize(t, 3), "the baseline is 3: give a Trace"),
+    ],
+)
+def test_a_wrong_argument_is_named_with_its_cure(trace, call, message):
+    with pytest.raises(MocOptError, match=message):
+        call(trace)
+
+
+def test_a_baseline_of_another_time_is_refused(trace):
+    for baseline, words in (
+        (trace.head(20), "20 ticks from 0.000 to 1.900 s where the trace has 40 ticks from 0.000 to 3.900 s"),
+        (trace.with_columns(t_s=trace.t_s + 0.1), "from 0.100 to 4.000 s where"),
+    ):
+        with pytest.raises(TraceError, match=words):
+            mo.summarize(trace, baseline)
+    assert "mu_gain_percent" in mo.summarize(trace.between(1.0, 2.0), trace.between(1.0, 2.0))
 
 
 def test_a_slice_without_ticks_says_where_they_are(trace):

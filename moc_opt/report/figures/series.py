@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 from plotly.subplots import make_subplots
 
-from moc_opt.errors import ReportError
+from moc_opt.errors import ReportError, shown
 from moc_opt.report.figures.style import TEMPLATE, Styles, label, legend_height
 from moc_opt.trace.trace import Trace
 
@@ -42,11 +43,11 @@ def time_series(
         points: at most so many per line.
 
     Raises:
-        ReportError: no run has any of the columns.
+        ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts.
         MissingDataError: a run has no `t_s`.
     """
     styles = styles or Styles(runs)
-    panels = _panels(runs) if panels is None else panels
+    panels = _panels(runs) if panels is None else _checked(panels, runs)
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
     named: set[str] = set()
     for row, column in enumerate(panels, start=1):
@@ -125,6 +126,21 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
 def _lengths(values: NDArray[np.float64]) -> Floats:
     """Of a column of vectors, their lengths."""
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
+
+
+def _checked(panels: object, runs: Mapping[str, Trace]) -> list[str]:
+    """The columns that were asked for, each one of numbers in a run at least."""
+    if isinstance(panels, str) or not isinstance(panels, Sequence) or not panels:
+        raise ReportError(f"columns = {shown(panels)}: give a list of names, such as ['mu', 'tip_error_m']")
+    drawable = sorted({
+        name for run in runs.values() for name, array in run.columns.items() if array.dtype.kind in "fiub"
+    })  # fmt: skip
+    for name in panels:
+        if name not in drawable:
+            kind = "holds texts" if any(name in run.columns for run in runs.values()) else "is in no run"
+            near = difflib.get_close_matches(str(name), drawable, n=3) or drawable
+            raise ReportError(f"column {shown(name)} {kind}: name columns of numbers, such as {', '.join(near)}")
+    return list(panels)
 
 
 def _panels(runs: Mapping[str, Trace]) -> list[str]:

@@ -12,7 +12,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.errors import TraceError, UnknownNameError, shown
 from moc_opt.inputs import plugins
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -119,7 +119,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
     """Compute every metric that the trace has the data for.
 
     Args:
-        baseline: the run to compare with: DCAC with the same gains on the same trial.
+        baseline: the run to compare with: DCAC with the same gains on the same trial, over the same time.
         phase: only the ticks while the elbow is "travelling" to its optimum, or has "settled", by the trace's
             column `travelling`; the baseline is then read at the same ticks.
 
@@ -128,23 +128,25 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         run has no tick in that phase.
 
     Raises:
-        TraceError: the trace or the baseline is empty; a phase is asked for and the trace has no column
-            `travelling`, or the baseline has not the same number of ticks.
+        TraceError: the trace or the baseline is none, or empty; they are not of the same time; a phase is asked for
+            and the trace has no column `travelling`.
         UnknownNameError: no such phase.
     """
     load_plugins()
     for role, run in (("trace", trace), ("baseline", baseline)):
+        if not isinstance(run, Trace) and (run is not None or role == "trace"):
+            raise TraceError(f"the {role} is {shown(run)}: give a Trace, such as load_trace(path)")
         if run is not None and len(run) == 0:
             raise TraceError(f"the {role} is empty: run the scenario for at least one tick")
+    if baseline is not None and not _same_ticks(trace, baseline):
+        raise TraceError(
+            f"the baseline has {_extent(baseline)} where the trace has {_extent(trace)}: they are compared tick by "
+            "tick; cut the longer one with head(ticks) or between(start_s, stop_s)"
+        )
     if phase is not None:
         if phase not in PHASES:
-            raise UnknownNameError("phase", phase, PHASES)
+            raise UnknownNameError("phase", str(phase), PHASES)
         ticks = trace.travelling if phase == "travelling" else ~trace.travelling
-        if baseline is not None and len(baseline) != len(trace):
-            raise TraceError(
-                f"the baseline has {len(baseline)} ticks where the trace has {len(trace)}: "
-                f"a phase is compared at the same ticks, give a baseline of the same trial"
-            )
         if not ticks.any():
             return {}
         trace, baseline = trace.select(ticks), None if baseline is None else baseline.select(ticks)
@@ -156,6 +158,19 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
             # By contract: a metric without its data has no number, and no key.
             continue
     return summary
+
+
+def _same_ticks(trace: Trace, baseline: Trace) -> bool:
+    """Whether the runs have equally many ticks, at the same times where both say when."""
+    if len(trace) != len(baseline) or "t_s" not in trace.columns or "t_s" not in baseline.columns:
+        return len(trace) == len(baseline)
+    return bool(np.allclose(trace.t_s, baseline.t_s, rtol=0.0, atol=1e-6))
+
+
+def _extent(trace: Trace) -> str:
+    """How many ticks, and from when to when where the trace has times."""
+    times = trace.columns.get("t_s")
+    return f"{len(trace)} ticks" + ("" if times is None else f" from {times[0]:.3f} to {times[-1]:.3f} s")
 
 
 def floats(trace: Trace, column: str) -> Floats:
