@@ -98,7 +98,7 @@ def each_tick(columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def finish(
-    trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, travel: bool, begin_s: float = np.inf
+    trial: Scenario, baseline: Mapping[str, Array] | None, poses: bool, whole: bool, begin_s: float = np.inf
 ) -> Iterator[Part]:
     """Run and summarise, in a worker; a run that breaks off is a result, with its reason.
 
@@ -106,7 +106,7 @@ def finish(
         trial: the whole scenario.
         baseline: columns of the run that mu is compared with.
         poses: keep where arm and trocar were.
-        travel: find the ticks at which the elbow is on its way.
+        whole: keep columns, and find the ticks at which the elbow is on its way; else the metrics alone.
         begin_s: summarise the ticks before this time apart too.
     """
     last = perf_counter()
@@ -137,8 +137,9 @@ def finish(
         metrics |= {f"fault_{name}": float(count) for name, count in zip(names, counts, strict=True)}
         metrics["infeasible_percent"] = 100.0 * float(np.mean(trace.status == "infeasible"))
     metrics["ticks"] = float(len(trace))
-    arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in KEPT if name in trace.columns}
-    if travel:
+    kept = [name for name in (KEPT if whole else KEPT[:1]) if name in trace.columns]
+    arrays = {name: np.asarray(trace.columns[name], dtype=float) for name in kept}
+    if whole:
         flags = in_transient(
             trial.robot.arm(), trace.t_s, trace.q_rad, samples_per_s=SCANS_PER_S, window_s=2.0 / SCANS_PER_S
         )
@@ -153,7 +154,7 @@ def finish(
 
 def run_one(
     store: Store, worker: Worker, trial: Scenario, label: str, baseline: Run | None, *, timed: bool = True,
-    travel: bool = True, begin_s: float = np.inf,
+    whole: bool = True, begin_s: float = np.inf,
 ) -> Run:
     """Run one scenario in the worker, or take its run from the store.
 
@@ -164,19 +165,19 @@ def run_one(
         label: the controller's name in tables.
         baseline: the run that mu is compared with.
         timed: whether its times mean anything: nothing else ran meanwhile.
-        travel: whether the ticks are found at which the elbow is on its way: `with_steady_errors` needs them.
+        whole: keep columns, and find the ticks at which the elbow is on its way: `with_steady_errors` needs them.
         begin_s: summarise the ticks before this time apart too.
     """
     reference = each_tick(baseline.columns) if baseline is not None and baseline.columns else None
     key = store.key(
-        part="closed loop", scenario=trial.model_dump(mode="json"), timed=timed, travel=travel,
+        part="closed loop", scenario=trial.model_dump(mode="json"), timed=timed, whole=whole,
         baseline=None if reference is None else reference["mu"], begin_s=begin_s if np.isfinite(begin_s) else None,
     )  # fmt: skip
     part = store.get(key)
     if part is None:
         try:
             # Of the many runs whose times are not taken none is drawn: their poses would only fill the disk.
-            asked = (finish, trial, reference, timed, travel, begin_s)
+            asked = (finish, trial, reference, timed, whole, begin_s)
             (part,) = list(worker.stream(*asked, patience_s=PATIENCE_S, first_s=PATIENCE_S))
         except WorkerError as error:
             word = HUNG if isinstance(error, Hung) else type(error).__name__.lower()

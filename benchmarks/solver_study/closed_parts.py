@@ -12,8 +12,8 @@ from benchmarks.crew import spread
 from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
 from benchmarks.solver_study.answers import Data, Limits, asked, recorded
+from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.solver_study.cases import trials as draw_trials
-from benchmarks.solver_study.cases import variant
 from benchmarks.solver_study.cells import Cell
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import ClosedLoop, Sweeps
@@ -33,7 +33,7 @@ def controllers(study: Study, so_far: Findings) -> Findings:
     """Run every solver in the controller, and the baseline, on every trial."""
     part = study.config.closed_loop
     runs = closed_loop.run_all(
-        cases(study, part), {s.solver: s.options for s in study.controllers}, study.advance, study.store,
+        cases(study, part), {s.solver: s.options for s in study.recommended}, study.advance, study.store,
         timed=part.timed, processes=study.config.processes, short=part.short, short_s=part.short_s,
         show=lambda runs: study.show({"closed_loop": combine.summary(runs)}),
     )  # fmt: skip
@@ -47,7 +47,7 @@ def chosen_sweeps(study: Study) -> list[Sweep]:
     """Return the sweeps over accuracy, damping and box whose solvers can run here."""
     values = study.config.sweeps.values
     many = values == "many"
-    found = [*sweeps.accuracy_sweeps(many), sweeps.damping_sweep(), sweeps.box_sweep(many)]
+    found = [*sweeps.accuracy_sweeps(many), sweeps.damping_sweep(many), sweeps.box_sweep(many)]
     if values == "few":
         found = [replace(sweep, points=sweep.points[::3]) for sweep in found]
     return [sweep for sweep in found if sweep.needs in study.names]
@@ -56,16 +56,21 @@ def chosen_sweeps(study: Study) -> list[Sweep]:
 def all_sweeps(study: Study, so_far: Findings) -> Findings:
     """Sweep accuracy, damping, box and deadlines; the accuracy sweeps' points in open loop too."""
     store, processes = study.store, study.config.processes
-    trials = cases(study, study.config.sweeps)
-    done = spread(list(trials.values()), lambda w, trial: sweeps.run_baseline(store, w, trial), processes)
-    baselines = dict(zip(trials, done, strict=True))
-    chosen = [*chosen_sweeps(study), *_deadlines(study, trials, baselines)]
+    # A sweep compares its points with each other: the best course, planned anew in every process, is left out.
+    trials = {name: trial.change(best_courses=False) for name, trial in cases(study, study.config.sweeps).items()}
+    known = _known(study, so_far)
+    baselines = known.get(BASELINE, {})
+    if not set(trials) <= set(baselines):
+        done = spread(list(trials.values()), lambda w, trial: sweeps.run_baseline(store, w, trial), processes)
+        baselines = dict(zip(trials, done, strict=True))
+    chosen = [*chosen_sweeps(study), *_deadlines(study, trials, baselines, known)]
+    default = {} if study.config.settings.get("exact") else known.get("exact", {})
     jobs = [(sweep, point) for sweep in chosen for point in sweep.points]
     limits, data = study.config.testsets.limits(), recorded("recorded", so_far.sequence)
 
     def work(worker: Worker, job: tuple[Sweep, Point]) -> tuple[dict[str, Any], Cell | None]:
         sweep, point = job
-        metrics = sweeps.run_sweep(store, worker, sweep, point, trials, baselines)
+        metrics = sweeps.run_sweep(store, worker, sweep, point, trials, baselines, default)
         cell = _in_open_loop(study, worker, point, data, limits)
         study.advance(f"sweep {sweep.name} {point.label}")
         return metrics, cell
@@ -77,9 +82,11 @@ def all_sweeps(study: Study, so_far: Findings) -> Findings:
         if cell is not None and not cell.refused:
             name = f"{sweep.name.partition('.')[0]} {point.label}{sweep.suffix}"
             opened[name], closed[name] = cell.summary(), metrics
-    if study.config.sweeps.duration_s == study.config.closed_loop.duration_s:
-        for name, (metrics, mine) in _recommended(so_far, set(trials)).items():
-            opened[name], closed[name] = metrics, mine
+    for name, metrics in so_far.summary.get("open_loop_warm", {}).items():
+        mine = known.get(name, {})
+        if set(trials) <= set(mine) and not any(run.short for run in mine.values()):
+            opened[f"{name} as recommended"] = metrics
+            closed[f"{name} as recommended"] = combine.combined([mine[trial] for trial in trials])
     found.add(prediction(opened, closed, len(trials)))
     begins = {
         sweep.name: sweeps.beginning_of_cost(found.summary[f"sweep {sweep.name}"])
@@ -98,29 +105,32 @@ def _in_open_loop(study: Study, worker: Worker, point: Point, data: Data, limits
     return Cell(point.setting, data, asked(study.store, worker, point.setting, data, limits))
 
 
-def _deadlines(study: Study, trials: Mapping[str, Scenario], baselines: Mapping[str, Run]) -> list[Sweep]:
-    """Sweeps over recorded times; one run at a time makes the recording, and it is kept as a file."""
+def _known(study: Study, so_far: Findings) -> dict[str, dict[str, Run]]:
+    """Controller -> trial -> its run in the part before, if that has trials of the same length."""
+    found: dict[str, dict[str, Run]] = {}
+    if study.config.sweeps.duration_s == study.config.closed_loop.duration_s:
+        for run in so_far.runs:
+            found.setdefault(run.controller, {})[run.trial] = run
+    return found
+
+
+def _deadlines(
+    study: Study, trials: Mapping[str, Scenario], baselines: Mapping[str, Run], known: Mapping[str, Mapping[str, Run]]
+) -> list[Sweep]:
+    """Sweeps over recorded times; a run with nothing beside it makes the recording, and it is kept as a file."""
     found, first = [], next(iter(trials.values()))
     with Worker() as worker:
         for name in study.deadline_solvers:
-            trial = variant(first, name, study.config.settings.get(name, {}))
-            run = closed_loop.run_one(study.store, worker, trial, name, baselines[first.name])
+            run = known.get(name, {}).get(first.name)
+            if run is None or not run.timed or run.short:
+                trial = variant(first, name, study.config.settings.get(name, {}))
+                run = closed_loop.run_one(study.store, worker, trial, name, baselines[first.name])
             if not run.columns:
                 continue
             times = run.columns["solve_us"]
             study.out.mkdir(parents=True, exist_ok=True)
             np.save(study.out / f"solve_us_{file_stem(name)}.npy", times)
             found.append(sweeps.deadline_sweep(name, times, study.config.sweeps.late_percent))
-    return found
-
-
-def _recommended(so_far: Findings, trials: set[str]) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
-    """The recommended settings in open and in closed loop, of the solvers that ran on all these trials."""
-    found = {}
-    for name, metrics in so_far.summary.get("open_loop_warm", {}).items():
-        mine = [run for run in so_far.runs if run.controller == name and run.trial in trials]
-        if {run.trial for run in mine} == trials and not any(run.short for run in mine):
-            found[f"{name} as recommended"] = metrics, combine.combined(mine)
     return found
 
 
@@ -148,7 +158,7 @@ JOBS: dict[str, Part] = {
 
 
 SECONDS = {
-    "open_loop": 12.0, "testsets": 55.0, "closed_loop": 50.0, "sweeps": 75.0, "growth": 18.0, "duals": 2.0,
+    "open_loop": 9.0, "testsets": 35.0, "closed_loop": 50.0, "sweeps": 70.0, "growth": 5.0, "duals": 1.0,
     "qpbenchmark": 10.0,
 }  # fmt: skip
 """That each part takes, roughly, on two cores: what its steps weigh in the time that is left."""
@@ -167,6 +177,6 @@ def steps(study: Study) -> dict[str, int]:
     trials = len(config.closed_loop.tasks) * config.closed_loop.seeds
     return {
         "open_loop": 2 * len(study.recommended), "testsets": 2 * len(study.settings), "growth": len(study.growing),
-        "closed_loop": trials * (1 + len(study.controllers)), "sweeps": points, "duals": len(study.with_duals),
+        "closed_loop": trials * (1 + len(study.recommended)), "sweeps": points, "duals": len(study.with_duals),
         "qpbenchmark": 1,
     }  # fmt: skip

@@ -17,6 +17,7 @@ Parts = Literal["open_loop", "testsets", "growth", "closed_loop", "sweeps", "dua
 PARTS: tuple[Parts, ...] = (
     "open_loop", "testsets", "growth", "closed_loop", "sweeps", "duals", "qpbenchmark",
 )  # fmt: skip
+USUAL: tuple[Parts, ...] = PARTS[:-1]  # qpbenchmark's ranking of the same libraries decides no verdict
 
 SLOW = ("nlp-ipopt", "nlp-fatrop", "qpsolvers:highs", "qpsolvers:scs")
 TASKS = ("circle", "sinusoid", "spiral")  # the paper's
@@ -41,7 +42,6 @@ class ClosedLoop(Settings):
     duration_s: Level = Field(4.0, description="of a trial; inf: the whole task")
     short: list[str] = Field(list(SLOW), description="solvers whose runs are short: they take a millisecond a tick")
     short_s: float = Field(1.0, gt=0.0, description="of each of their trials; compared with the same ticks of others")
-    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
 
 
 class TestSets(Settings):
@@ -51,7 +51,11 @@ class TestSets(Settings):
 
     KIND: ClassVar[str] = "[testsets]"
     names: Literal["all"] | list[str] = "all"
-    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under default and tight settings too")
+    timed: list[str] = Field(["circle", "circle-rho0", "random"], description="under every setting")
+    timed_too: list[str] = Field(
+        ["infeasible", "joint-limits", "jumps", "near-singular", "inconsistent-1e-6"],
+        description="under the recommended settings",
+    )
     every: int = Field(1, ge=1, description="take each every-th problem")
     every_other: int = Field(4, ge=1, description="under default and tight settings, and of nlp-*, each so many-th")
     rounds: int = Field(8, ge=1)
@@ -60,7 +64,7 @@ class TestSets(Settings):
     setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
     cold: int = Field(16, ge=1)
 
-    @field_validator("names", "timed")
+    @field_validator("names", "timed", "timed_too")
     @classmethod
     def _exist(cls, value: Any) -> Any:
         for name in [] if value == "all" else value:
@@ -71,6 +75,10 @@ class TestSets(Settings):
     def chosen(self) -> list[str]:
         """Return the names of the sets, in the order of their recipes."""
         return [name for name in RECIPES if self.names == "all" or name in self.names]
+
+    def times(self, recommended: bool) -> list[str]:
+        """Return the names of the sets that are timed."""
+        return [*self.timed, *self.timed_too] if recommended else self.timed
 
     def limits(self) -> Limits:
         """Return the limits of time and number of solves."""
@@ -90,10 +98,10 @@ class Sweeps(Settings):
 
     KIND: ClassVar[str] = "[sweeps]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(2, ge=1, description="trials per task, the first ones of [closed_loop]")
+    seeds: int = Field(5, ge=1, description="trials per task, the first ones of [closed_loop]")
     duration_s: Level = Field(4.0, description="of a trial; as in [closed_loop], its runs count in the prediction too")
     values: Literal["few", "usual", "many"] = "usual"
-    deadline_solvers: list[str] = Field(["osqp", "piqp", "clarabel"])
+    deadline_solvers: list[str] = Field(["osqp", "piqp"])
     late_percent: list[float] = Field([1.0, 20.0], description="of the recorded times, above the budget")
 
 
@@ -103,7 +111,8 @@ class Config(Configuration):
     KIND: ClassVar[str] = "configuration:"
     seed: int = Field(0, ge=0)
     solvers: Literal["all"] | list[str] = "all"
-    parts: list[Parts] = Field(list(PARTS))
+    twice: bool = Field(False, description="qpsolvers:NAME too where NAME has an adapter of its own")
+    parts: list[Parts] = Field(list(USUAL))
     processes: int = Field(2, ge=1, description="at a time, where no times are measured")
     open_loop: OpenLoop = OpenLoop()
     testsets: TestSets = TestSets()
@@ -116,8 +125,8 @@ class Config(Configuration):
     def quick(self) -> Self:
         """Return the same study on less data: for a first look and for the tests."""
         few = {
-            "names": ["circle", "infeasible", "jumps"], "timed": [], "every": 8, "every_other": 1, "rounds": 2,
-            "cold": 4, "seconds": 0.02, "setup_s": 6.0,
+            "names": ["circle", "infeasible", "jumps"], "timed": [], "timed_too": ["circle", "infeasible", "jumps"],
+            "every": 8, "every_other": 1, "rounds": 2, "cold": 4, "seconds": 0.02, "setup_s": 6.0,
         }  # fmt: skip
         return self._with(
             open_loop={"ticks": 200, "cold": 10},
@@ -128,23 +137,24 @@ class Config(Configuration):
                 "tasks": self.sweeps.tasks[:1], "seeds": 1, "duration_s": 0.7, "values": "few",
                 "deadline_solvers": ["osqp"], "late_percent": [5.0],
             },
-            parts=[part for part in self.parts if part not in ("qpbenchmark", "growth")],
+            parts=[part for part in self.parts if part != "growth"],
         )  # fmt: skip
 
     def full(self) -> Self:
         """Return the study with more of everything, for figures to be cited: an hour or two."""
         return self._with(
+            twice=True,
+            parts=list(PARTS),
             open_loop={"ticks": 4000, "cold": 400},
             testsets={
-                "timed": list(RECIPES), "every_other": 1, "rounds": 100, "seconds": 10.0, "cold": 128,
+                "timed": list(RECIPES), "timed_too": [], "every_other": 1, "rounds": 100, "seconds": 10.0, "cold": 128,
                 "patience_s": 10.0,
             },
             growth={"joints": list(range(7, 15)), "nonlinear": True},
-            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "short": [],
-                         "twice": True},
+            closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "short": []},
             sweeps={
                 "tasks": list(TASKS), "seeds": 5, "duration_s": None, "values": "many",
-                "late_percent": [0.1, 1.0, 5.0, 20.0],
+                "deadline_solvers": ["osqp", "piqp", "clarabel"], "late_percent": [0.1, 1.0, 5.0, 20.0],
             },
         )  # fmt: skip
 
@@ -156,8 +166,7 @@ class Config(Configuration):
         """
         changes: dict[str, Any] = {} if parts is None else {"parts": parts}
         if sets is not None:
-            timed = [name for name in self.testsets.timed if name in sets]
-            changes["testsets"] = TestSets(**{**self.testsets.model_dump(), "names": sets, "timed": timed})
+            changes["testsets"] = TestSets(**{**self.testsets.model_dump(), "names": sets, "timed_too": sets})
         return self._with(**{k: v.model_dump() if isinstance(v, TestSets) else v for k, v in changes.items()})
 
     def _with(self, **changes: Any) -> Self:

@@ -83,7 +83,7 @@ def certified_sets(study: Study, so_far: Findings) -> Findings:
             measured = {
                 cell.data.name: timed(study.store, worker, setting, cell.data, limits, cell.complete)
                 for cell in cells
-                if not cell.refused and (recommended or cell.data.name in table.timed)
+                if not cell.refused and cell.data.name in table.times(recommended)
             }
             for cell in cells:
                 part = found.summary.setdefault(f"testset {cell.data.name}", {})

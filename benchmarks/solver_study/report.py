@@ -33,7 +33,7 @@ def sentences(study: Study, found: Findings) -> list[str]:
     """Return what stands below the first screen in the terminal."""
     said = []
     if found.summary["not_run"]:
-        said.append(f"{len(found.summary['not_run'])} solvers could not run here: the report says why.")
+        said.append(f"{len(found.summary['not_run'])} solvers were not run: the report says why.")
     if study.store.reused:
         said.append(f"{study.store.reused} parts are those of an earlier run in {study.out}/parts")
     return said

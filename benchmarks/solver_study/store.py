@@ -74,7 +74,7 @@ class Store:
         if path is not None:
             buffer = io.BytesIO()
             meta = np.array(to_json(part.values, indent=None))
-            np.savez_compressed(buffer, **{META: meta}, **part.arrays)  # type: ignore[arg-type]
+            np.savez(buffer, **{META: meta}, **part.arrays)  # type: ignore[arg-type]
             data = buffer.getvalue()
             write_atomically(path, data + hashlib.sha256(data).digest())
         return part

@@ -13,7 +13,7 @@ from benchmarks.solver_study import open_loop
 from benchmarks.solver_study.cases import trials
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import Config
-from benchmarks.solver_study.settings import QPSOLVERS, RECOMMENDED, SolverSetting, solver_settings
+from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, solver_settings
 from benchmarks.solver_study.store import Store
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.registry import accepts
@@ -64,12 +64,6 @@ class Study:
         """Those whose times are taken for arms with more joints."""
         nonlinear = self.config.growth.nonlinear
         return [s for s in self.recommended if nonlinear or not s.solver.startswith(NONLINEAR)]
-
-    @property
-    def controllers(self) -> list[SolverSetting]:
-        """Those that run in closed loop; without the libraries that run there through an adapter of their own."""
-        native = {f"{QPSOLVERS}{name}" for name in self.names}
-        return [s for s in self.recommended if self.config.closed_loop.twice or s.solver not in native]
 
     @property
     def with_duals(self) -> list[str]:

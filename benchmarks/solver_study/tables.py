@@ -107,7 +107,7 @@ def tables(summary: Summary) -> dict[str, Table]:
     if told:
         columns = [SOLVER, Column("part", "part"), Column("trouble", "first time")]
         found["troubles"] = Table("What solvers raised, and which gave no answer in time", columns, told)
-    add("not_run", "What could not run here", [Column("solver", "not run"), Column("reason", "reason")])
+    add("not_run", "What was not run", [Column("solver", "not run"), Column("reason", "reason")])
     return found
 
 

@@ -12,11 +12,10 @@ from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study import tables as study_tables
 from benchmarks.solver_study.answers import ask
 from benchmarks.solver_study.cells import Cell, costs_of, load, totals
-from benchmarks.solver_study.config import PARTS, ClosedLoop, Config, TestSets
+from benchmarks.solver_study.config import PARTS, Config, TestSets
 from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Part
-from benchmarks.solver_study.study import Study
 from benchmarks.solver_study.tables import tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario
@@ -230,29 +229,30 @@ def test_wrong_input_is_refused_with_the_nearest(tmp_path, capsys):
 def test_the_shipped_configuration_is_that_of_the_program():
     config = Config.load(default_config("solvers"))
     assert config == Config()
-    assert set(config.parts) == set(PARTS)
+    assert set(config.parts) == {*PARTS} - {"qpbenchmark"}
     assert config.quick().testsets.every > 1
     full = config.full()
     assert full.testsets.rounds > config.testsets.rounds
     assert full.growth.joints == list(range(7, 15))
-    assert full.closed_loop.twice
+    assert full.twice
+    assert set(full.parts) == set(PARTS)
     assert len(config.closed_loop.tasks) * config.closed_loop.seeds >= 15
+    assert len(config.sweeps.tasks) * config.sweeps.seeds >= 15
     long = Config.load(default_config("solvers-long"))
+    assert long.twice
+    assert set(long.parts) == set(PARTS)
+    assert set(long.testsets.times(recommended=True)) == set(long.testsets.chosen())
     assert long.closed_loop.short == []
     assert long.testsets.every_other == 1
     assert long.sweeps.duration_s == long.closed_loop.duration_s
     assert long.sweeps.seeds * len(long.sweeps.tasks) >= 15
 
 
-def test_a_library_is_in_the_loop_once(tmp_path):
-    names = ["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"]
-
-    def controllers(**table):
-        study = Study(Config(closed_loop=ClosedLoop(**table)), names, tmp_path, print)
-        return [setting.solver for setting in study.controllers]
-
-    assert controllers() == ["exact", "daqp", "qpsolvers:scs"]
-    assert controllers(twice=True) == names
+def test_a_library_is_asked_once():
+    names, left_out = solvers.once(["exact", "daqp", "qpsolvers:daqp", "qpsolvers:scs"])
+    assert names == ["exact", "daqp", "qpsolvers:scs"]
+    assert list(left_out) == ["qpsolvers:daqp"]
+    assert "`daqp`" in left_out["qpsolvers:daqp"]
 
 
 def test_slow_solvers_run_the_beginning_and_are_compared_with_the_same_ticks():
