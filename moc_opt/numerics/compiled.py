@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar
 
+from llvmlite import ir
 from numba import bool_, float64, int64, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
@@ -65,3 +66,18 @@ def borrowed(array: Lent) -> Lent:
 @overload(borrowed, strict=False)
 def _borrowed(array: Any) -> Callable[..., Any] | None:
     return (lambda array: _lend(array)) if isinstance(array, types.Array) else None
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call(typing_context: Any, function: Any, first: Any, second: Any) -> Any:
+    """Call the C function ``void f(void *, void *)`` inside a kernel; all three are addresses (int64).
+
+    Both objects have to outlive the call: an address keeps nothing alive.
+    """
+
+    def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 2)
+        builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), emit

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import int64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
-def _admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) -> bool:
+@njit(cache=True, nogil=True)
+def admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) -> bool:
+    """Cut a command (n,) at the limits (n,) [Nm] and put the one that is due on the joints; False: not finite.
+
+    ``queue`` (delay, n) holds those on their way, the one that is due in row ``slot``.
+    """
     for i in range(tau.size):
         if not np.isfinite(tau[i]):
             return False
@@ -27,11 +29,12 @@ def _admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) ->
     return True
 
 
-_ADMIT = CompiledKernel(_admit, VECTOR, VECTOR, MATRIX, int64, VECTOR)
-
-
 class Drives:
-    """Torque drives without dynamics: saturation, and a delay of whole control periods as a ring buffer."""
+    """Torque drives without dynamics: saturation, and a delay of whole control periods as a ring buffer.
+
+    Attributes:
+        limit, queue, slot, applied: as ``admit`` takes them.
+    """
 
     def __init__(self, tau_max: Array, delay_ticks: int, applied: Array) -> None:
         """Build them.
@@ -41,32 +44,36 @@ class Drives:
             delay_ticks: periods from command to torque, 0 or more.
             applied: (n,) written at each command: the plant's own torque vector [Nm].
         """
-        self._admit = _ADMIT.code
-        self._limit, self._applied = tau_max.copy(), applied
-        self._delay, self._queue = delay_ticks, np.zeros((delay_ticks, tau_max.size))
-        self._tau, self._slot = np.zeros(tau_max.size), 0
+        self.limit, self.applied = tau_max.copy(), applied
+        self.queue, self.slot = np.zeros((delay_ticks, tau_max.size)), 0
+        self._turns, self._tau = max(1, delay_ticks), np.zeros(tau_max.size)
 
     def start(self, tau: Array) -> None:
         """Fill the delay with one torque (n,), as if it had been commanded for long."""
-        np.clip(tau, -self._limit, self._limit, out=self._applied)
-        self._queue[:] = self._applied
-        self._slot = 0
+        np.clip(tau, -self.limit, self.limit, out=self.applied)
+        self.queue[:] = self.applied
+        self.slot = 0
 
-    def command(self, tau: ArrayLike) -> None:
-        """Take the command of this period and put the one that is due on the joints.
+    def command(self, tau: ArrayLike) -> Array:
+        """Return a command as contiguous numbers (n,), to be admitted.
 
         Raises:
-            PlantError: wrong shape or not finite; nothing has changed then.
+            PlantError: wrong shape.
         """
         if (tau.shape if isinstance(tau, np.ndarray) else np.shape(tau)) != self._tau.shape:
             raise PlantError(
                 f"tau has shape {np.shape(tau)}: give {self._tau.shape}, one torque a joint [Nm]"
             )
         self._tau[:] = tau
-        if not self._admit(self._tau, self._limit, self._queue, self._slot, self._applied):
-            raise PlantError(
-                f"tau = {self._tau.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
-                "or stop it when its solver fails"
-            )
-        if self._delay:
-            self._slot = (self._slot + 1) % self._delay
+        return self._tau
+
+    def admitted(self) -> None:
+        """Note that ``admit`` took the command."""
+        self.slot = (self.slot + 1) % self._turns
+
+    def refusal(self) -> PlantError:
+        """Make the error of a command that ``admit`` refused."""
+        return PlantError(
+            f"tau = {self._tau.tolist()} Nm is not finite: the arm has not moved; mend the controller, "
+            "or stop it when its solver fails"
+        )

@@ -19,7 +19,7 @@ from moc_opt.numerics.cache import njit
 Array = NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def shaft_force(
     tip: Array,
     wrist: Array,
@@ -75,7 +75,7 @@ def shaft_force(
     point[0], point[1], point[2] = cx, cy, cz
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def add_force(wrench: Array, force: Array, point: Array, com: Array) -> None:
     """Add a force at a point to a body's wrench about its centre of mass.
 
@@ -95,7 +95,7 @@ def add_force(wrench: Array, force: Array, point: Array, com: Array) -> None:
     wrench[5] += rx * force[1] - ry * force[0]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def load_bodies(
     wrenches: Array,
     xpos: Array,

@@ -15,12 +15,10 @@ import math
 
 import mujoco
 import numpy as np
-from numba import float64, int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.compiled import VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
 
@@ -80,23 +78,21 @@ def check_substeps(model: mujoco.MjModel, state: mujoco.MjData, settings: PlantS
         )
 
 
-@njit(cache=True)
-def _drive(
-    tau: Array, angle: Array, stride: int, amplitude: Array, per_turn: float, phase: Array, out: Array
-) -> None:
+@njit(cache=True, nogil=True)
+def drive(tau: Array, angle: Array, stride: int, ripple: Array, out: Array) -> None:
+    """Put the drives' torque (n,) and its ripple [Nm] on the motors; a joint has ``stride`` coordinates.
+
+    ``ripple`` (3, n): rows amplitude [Nm], waves per radian, phase [rad].
+    """
     for i in range(tau.size):
         j = stride * i
-        out[j] = tau[i] + amplitude[i] * math.sin(per_turn * angle[j] + phase[i])
+        out[j] = tau[i] + ripple[0, i] * math.sin(ripple[1, i] * angle[j] + ripple[2, i])
 
 
-@njit(cache=True)
-def _gather(pairs: Array, rates: Array, q: Array, v: Array, theta: Array, omega: Array) -> None:
+@njit(cache=True, nogil=True)
+def gather(pairs: Array, rates: Array, q: Array, v: Array, theta: Array, omega: Array) -> None:
+    """Take positions [rad] and velocities [rad/s] (n,) of links and motors from MuJoCo's pairs."""
     for i in range(q.size):
         theta[i], omega[i] = pairs[2 * i], rates[2 * i]
         q[i], v[i] = pairs[2 * i] + pairs[2 * i + 1], rates[2 * i] + rates[2 * i + 1]
 
-
-DRIVE = CompiledKernel(_drive, VECTOR, VECTOR, int64, VECTOR, float64, VECTOR, VECTOR)
-"""Puts the drives' torque (n,) and its ripple [Nm] on the motors; a joint has `stride` coordinates."""
-GATHER = CompiledKernel(_gather, *[VECTOR] * 6)
-"""Takes positions [rad] and velocities [rad/s] (n,) of links and motors from MuJoCo's pairs."""

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.robots import RobotData
-from moc_opt.sim.elastic import DRIVE, GATHER, stiffnesses
+from moc_opt.sim.elastic import drive, gather, stiffnesses
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.settings import PlantSettings
 
@@ -26,60 +22,59 @@ class Joints:
 
     Attributes:
         q, v: (n,) true positions and velocities of the links [rad], [rad/s].
-        shown: the same of the side that the encoders are on.
         torque: (n,) of the drives, before ripple [Nm].
         bias: (n,) torque of weight and velocity on the motors, as MuJoCo last computed it [Nm].
         motors: the motors' entries among MuJoCo's degrees of freedom.
-        act: puts torque and ripple on the motors, before each plant step; None where `torque` is MuJoCo's own array.
-        gather: brings q, v and shown up to date after the last plant step; None where they are MuJoCo's own.
+        theta, omega: the same of the motors.
+        stride: MuJoCo's coordinates of a joint: 1, or 2 where there is a spring.
+        ripple: (3, n) as ``elastic.drive`` takes it.
+        direct: whether `torque` is MuJoCo's own array; if not, ``drive`` puts it on the motors before each plant step.
+        on_links: whether the encoders are there.
     """
-
-    act: Callable[[], Any] | None = None
-    gather: Callable[[], Any] | None = None
 
     def __init__(
         self, data: RobotData, settings: PlantSettings, mismatch: Mismatch, model: mujoco.MjModel, state: mujoco.MjData
     ) -> None:
         """Bind them to a compiled model; arrays are taken once, and must stay MuJoCo's."""
         self._model, self._state = model, state
-        self._on_links = settings.encoder_side == "link"
+        self.on_links = settings.encoder_side == "link"
         self._stiffness = stiffnesses(data, settings)
-        rigid, smooth = not settings.elastic, settings.torque_ripple == 0.0
-        stride = 1 if rigid else 2  # coordinates of a joint: motor, then spring
-        self.motors = slice(None, None, stride)
+        self.stride = 2 if settings.elastic else 1  # motor, then spring
+        self.motors = slice(None, None, self.stride)
         self.bias = state.qfrc_bias[self.motors]
-        if rigid:
-            self.q, self.v = self.shown = state.qpos, state.qvel
-        else:
-            links, motors = (np.zeros(data.n), np.zeros(data.n)), (np.zeros(data.n), np.zeros(data.n))
-            self.q, self.v = links
-            self.shown = links if self._on_links else motors
-            self.gather = partial(GATHER.code, state.qpos, state.qvel, *links, *motors)
-        self.torque = state.qfrc_applied if rigid and smooth else np.zeros(data.n)
-        if not (rigid and smooth):
-            self.act = partial(
-                DRIVE.code, self.torque, state.qpos, stride, settings.torque_ripple * data.tau_max,
-                settings.torque_ripple_per_turn, np.array(mismatch.ripple_phase), state.qfrc_applied,
-            )  # fmt: skip
+        self.q, self.v = self.theta, self.omega = state.qpos, state.qvel
+        if settings.elastic:
+            self.q, self.v, self.theta, self.omega = np.zeros((4, data.n))
+        self.direct = not settings.elastic and settings.torque_ripple == 0.0
+        self.torque = state.qfrc_applied if self.direct else np.zeros(data.n)
+        self.ripple = np.empty((3, data.n))
+        self.ripple[0], self.ripple[1] = settings.torque_ripple * data.tau_max, settings.torque_ripple_per_turn
+        self.ripple[2] = mismatch.ripple_phase
 
     def place(self, shown: Array) -> None:
         """Put the arm at rest where encoders without bias show (n,) [rad]; elastic joints bear its weight."""
         state, model = self._state, self._model
         state.qpos[self.motors] = shown
         mujoco.mj_forward(model, state)
-        if self.gather is None:
+        if self.stride == 1:
             return
         for _ in range(_SAGGING_ROUNDS):
             sag = -self.bias / self._stiffness
             state.qpos[1::2] = sag
-            state.qpos[::2] = shown - sag if self._on_links else shown
+            state.qpos[::2] = shown - sag if self.on_links else shown
             mujoco.mj_forward(model, state)
 
     def start(self, speed: Array) -> None:
         """Let motors and links move at (n,) [rad/s], with the torque of the drives on them."""
-        self._state.qvel[self.motors] = speed
-        if self.act is not None:
-            self.act()
-        mujoco.mj_forward(self._model, self._state)
-        if self.gather is not None:
-            self.gather()
+        state = self._state
+        state.qvel[self.motors] = speed
+        if not self.direct:
+            drive(self.torque, state.qpos, self.stride, self.ripple, state.qfrc_applied)
+        mujoco.mj_forward(self._model, state)
+        if self.stride != 1:
+            gather(state.qpos, state.qvel, self.q, self.v, self.theta, self.omega)
+
+    @property
+    def shown(self) -> tuple[Array, Array]:
+        """Positions and velocities (n,) of the side that the encoders are on [rad], [rad/s]."""
+        return (self.q, self.v) if self.on_links else (self.theta, self.omega)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import read_only_copy
+from moc_opt.numerics.arrays import read_only, read_only_copy
 from moc_opt.robots import RobotData
 from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
+from moc_opt.sim.period import AWAY, DONE, NO_TORQUE, NO_TROCAR
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
 
@@ -68,7 +71,7 @@ class Plant:
         self.mj_data = mujoco.MjData(self.mj_model)
         self._drive_damping = np.array(self.mj_model.dof_damping)
         self._drive_friction = np.array(self.mj_model.dof_frictionloss)
-        self._substeps = tuple(i * settings.substep_s for i in range(settings.substeps))
+        self._shown = 2 * data.n + 6
         self._tissue = settings.trocar_stiffness_N_per_m, settings.trocar_damping_Ns_per_m
         self._at = Bindings(data, settings, self.mismatch, self.mj_model, self.mj_data)
         self.reset(data.q_home)
@@ -96,19 +99,22 @@ class Plant:
                 f"q[{i}] = {start[i]:.6g} rad is outside the limits of {self.data.joint_names[i]!r}: "
                 f"choose {self.data.q_min[i]:.6g} to {self.data.q_max[i]:.6g}"
             )
-        encoders, force = (np.random.default_rng(seed) for seed in self._noise_seeds)
-        self._encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, encoders)
-        self._wrench_sensor = WrenchSensor.of(self.settings, force)
+        shown, felt = (np.random.default_rng(seed) for seed in self._noise_seeds)
+        encoders = Encoders.of(self.settings, self.mismatch.encoder_bias, shown)
+        sensor = WrenchSensor.of(self.settings, felt)
+        self._encoder_noise, self._wrench_noise = encoders.noise, sensor.noise
         self._at.pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self.mj_model.dof_frictionloss[:] = self._drive_friction
-        self._ticks, self._stiffness, self._damping = 0, 0.0, 0.0
+        self._ticks, self._at.tissue[:] = 0, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
         self._at.joints.place(start - self.mismatch.encoder_bias)
         self._at.drives.start(self._at.joints.bias)
         self._at.joints.start(speed)
-        q, v = self._encoders.start(*self._at.joints.shown)
-        self._measurement = Measurement(q, v, self._wrench_sensor.read(self._at.wrench), self._ticks)
+        self._at.tell()
+        self._advance = self._at.advance(encoders)
+        q, v = encoders.start(*self._at.joints.shown)
+        self._measurement = Measurement(q, v, sensor.read(self._at.wrench), self._ticks)
 
     def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
         """Advance one control period.
@@ -122,42 +128,42 @@ class Plant:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
         at = self._at
-        told = None if trocar is None else at.checked_trocar(trocar)
-        if trocar is not None and told is None:
-            raise PlantError(
-                f"trocar = {np.asarray(trocar).tolist()!r:.200}: give (2, 3) finite numbers, point [m] over "
-                "velocity [m/s], or None for no trocar; the arm has not moved"
-            )
-        if not at.is_sound():
-            raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")
-        at.drives.command(tau)
-        self._stiffness, self._damping = (0.0, 0.0) if trocar is None else self._tissue
-        if told is not None:
-            at.trocar[:] = told
-        # mj_step's two halves the other way round: after the last one, the kinematics belong to the new
-        # state, so that measurements and truths need no further call.
-        pushes, act, gather = at.pushes, at.joints.act, at.joints.gather
-        for elapsed in self._substeps:
-            if act is not None:
-                act()
-            at.load(elapsed, self._stiffness, self._damping, pushes.bodies, pushes.rows)
-            at.second_half()
-            at.first_half()
+        told, asked = at.told(trocar), at.drives.command(tau)
+        at.tissue[:] = 0.0 if trocar is None else self._tissue
+        reading = np.empty(self._shown)
+        found = self._advance(
+            asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
+            self._encoder_noise.row, self._wrench_noise.row, reading,
+        )  # fmt: skip
+        if found != DONE:
+            self._refuse(found, trocar)
+        at.drives.admitted()
+        self._encoder_noise.take()
+        self._wrench_noise.take()
         self._ticks += 1
-        if gather is not None:
-            gather()
-        if not at.is_sound():
-            raise PlantError(
-                f"the arm ran away before t = {self.time:.4g} s (v = {at.joints.v.tolist()} rad/s): lower the "
-                "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
-                "rotor inertia"
-            )
-        q, v = self._encoders.read(*at.joints.shown)
-        self._measurement = Measurement(q, v, self._wrench_sensor.read(at.wrench), self._ticks)
+        self._measurement = self._seen(reading)
+
+    def _refuse(self, found: int, trocar: ArrayLike | None) -> NoReturn:
+        if found == NO_TROCAR:
+            raise self._at.refusal(trocar)
+        if found == NO_TORQUE:
+            raise self._at.drives.refusal()
+        if found == AWAY:
+            raise PlantError(f"the arm ran away before t = {self.time:.4g} s: call reset first")
+        self._ticks += 1
+        raise PlantError(
+            f"the arm ran away before t = {self.time:.4g} s (v = {self._at.joints.v.tolist()} rad/s): lower the "
+            "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
+            "rotor inertia"
+        )
+
+    def _seen(self, reading: Array) -> Measurement:
+        n, _ = self.data.n, read_only(reading)
+        return Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""
-        self._at.write_truth(self.settings.period_s, self._stiffness, self._damping, row)
+        row[:] = self._at.truth
 
     def measure(self) -> Measurement:
         """Return what the sensors showed at the end of the last period; asking twice gives the same."""
@@ -241,9 +247,7 @@ class Plant:
     @property
     def trocar_force(self) -> Array:
         """(3,) force of the trocar on the shaft now, world axes [N]; 0 without one in the last period."""
-        row = np.empty(2 * self.data.n + 9)
-        self.write_truth(row)
-        return read_only_copy(row[-3:])
+        return read_only_copy(self._at.truth[-3:])
 
     def _vector(self, name: str, value: ArrayLike) -> Array:
         array = np.asarray(value, dtype=np.float64)

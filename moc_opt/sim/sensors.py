@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numba import float64
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import read_only, read_only_copy
+from moc_opt.numerics.arrays import read_only
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
 Array = NDArray[np.float64]
@@ -38,7 +35,11 @@ _NOISE_ROWS = 64
 
 
 class _Noise:
-    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls."""
+    """Gaussian noise, drawn in blocks: the same numbers as row by row, at a fraction of the calls.
+
+    Attributes:
+        row: (m,) of the next reading, valid until it is taken.
+    """
 
     def __init__(self, rng: np.random.Generator, deviation: Array) -> None:
         """Build it with the standard deviation of each entry (m,)."""
@@ -46,35 +47,42 @@ class _Noise:
         self._block, self._next = np.zeros((_NOISE_ROWS, deviation.size)), _NOISE_ROWS
         self._rows = list(self._block)  # views: taking one from a list costs a quarter of making it
         self._quiet = not deviation.any()
+        self.row = self._rows[0]
+        self.take()
 
-    def row(self) -> Array:
-        """Return the next (m,), valid until the one after it is asked for."""
+    def take(self) -> None:
+        """Move on to the next row."""
         if self._quiet:
-            return self._rows[0]
+            return
         if self._next == _NOISE_ROWS:
             self._rng.standard_normal(out=self._block)
             self._block *= self._deviation
             self._next = 0
-        row = self._rows[self._next]
+        self.row = self._rows[self._next]
         self._next += 1
-        return row
 
 
-@njit(cache=True)
-def _read(
-    bias: Array, resolution: float, period: float, last: Array, estimate: Array,
-    q: Array, noise: Array, gain: float, reading: Array,
-) -> None:  # fmt: skip
-    position, velocity = reading[0], reading[1]
-    for i in range(q.size):
-        position[i] = q[i] + bias[i] + noise[i]
-        if resolution > 0.0:
-            position[i] = resolution * np.rint(position[i] / resolution)
-        estimate[i] += gain * ((position[i] - last[i]) / period - estimate[i])
-        velocity[i], last[i] = estimate[i], position[i]
+@njit(cache=True, nogil=True)
+def sample(q: Array, v: Array, noise: Array, memory: Array, conversion: Array, reading: Array) -> None:
+    """Read encoders: positions [rad], then velocities [rad/s], into reading (2 n,).
 
-
-_READ = CompiledKernel(_read, VECTOR, float64, float64, VECTOR, VECTOR, VECTOR, VECTOR, float64, MATRIX)
+    Args:
+        q, v: (n,) true ones.
+        noise: (n,) [rad].
+        memory: (3, n) rows: bias [rad]; written: last position [rad], estimate of the velocity [rad/s].
+        conversion: (4,) resolution [rad], period [s], share of the difference quotient that the estimate takes up, and
+            whether both values are exact but for the bias.
+    """
+    n = q.size
+    resolution, period, gain = conversion[0], conversion[1], conversion[2]
+    for i in range(n):
+        reading[i], reading[n + i] = q[i] + memory[0, i], v[i]
+        if conversion[3] == 0.0:
+            position = reading[i] + noise[i]
+            if resolution > 0.0:
+                position = resolution * np.rint(position / resolution)
+            memory[2, i] += gain * ((position - memory[1, i]) / period - memory[2, i])
+            reading[i], reading[n + i], memory[1, i] = position, memory[2, i], position
 
 
 class Encoders:
@@ -83,6 +91,10 @@ class Encoders:
     velocity += (1 - exp(-2 pi cutoff period)) (difference quotient - velocity), once a control period.
     Without noise, step and cutoff both values are exact but for the bias; without a cutoff alone, the velocity is
     the bare quotient.
+
+    Attributes:
+        noise: makes their noise, a row a reading.
+        memory, conversion: as ``sample`` takes them.
     """
 
     def __init__(
@@ -97,12 +109,11 @@ class Encoders:
         bias: Array | None = None,
     ) -> None:
         """Build n encoders that are read every `period_s`; noise is a standard deviation, bias (n,) constant [rad]."""
-        self._exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
-        self._gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
-        self._noise = _Noise(rng, np.full(n, noise_rad))
-        self._bias = np.zeros(n) if bias is None else np.array(bias, dtype=np.float64)
-        last, self._velocity = np.zeros(n), np.zeros(n)
-        self._read = partial(_READ.code, self._bias, resolution_rad, period_s, last, self._velocity)
+        exact = noise_rad == resolution_rad == cutoff_Hz == 0.0
+        gain = -math.expm1(-2.0 * math.pi * cutoff_Hz * period_s) if cutoff_Hz > 0.0 else 1.0
+        self.noise = _Noise(rng, np.full(n, noise_rad))
+        self.memory, self.conversion = np.zeros((3, n)), np.array([resolution_rad, period_s, gain, exact])
+        self.memory[0] = 0.0 if bias is None else bias
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
@@ -119,22 +130,19 @@ class Encoders:
 
     def start(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Read at (q, v), each (n,), for the first time: the velocity estimate begins at v."""
-        if self._exact:
-            return read_only(q + self._bias), read_only_copy(v)
-        self._velocity[:] = v
-        return self._sample(q, 0.0)
+        self.memory[2] = v
+        return self._sample(q, v, self.conversion * [1.0, 1.0, 0.0, 1.0])
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
-        if self._exact:
-            return read_only(q + self._bias), read_only_copy(v)
-        return self._sample(q, self._gain)
+        return self._sample(q, v, self.conversion)
 
-    def _sample(self, q: Array, gain: float) -> tuple[Array, Array]:
-        reading = np.empty((2, q.size))
-        self._read(q, self._noise.row(), gain, reading)
+    def _sample(self, q: Array, v: Array, conversion: Array) -> tuple[Array, Array]:
+        reading = np.empty(2 * q.size)
+        sample(q, v, self.noise.row, self.memory, conversion, reading)
+        self.noise.take()
         read_only(reading)
-        return reading[0], reading[1]
+        return reading[: q.size], reading[q.size :]
 
 
 class WrenchSensor:
@@ -144,7 +152,7 @@ class WrenchSensor:
         self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0
     ) -> None:
         """Build it with the standard deviations of one axis."""
-        self._noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
+        self.noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
 
     @classmethod
     def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
@@ -156,7 +164,9 @@ class WrenchSensor:
 
         The sensor shows the reaction to that: its negative.
         """
-        return read_only(self._noise.row() - held)
+        reading = self.noise.row - held
+        self.noise.take()
+        return read_only(reading)
 
 
 _CHANCE = 1e-10

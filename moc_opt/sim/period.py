@@ -1,0 +1,148 @@
+"""One control period of the plant, compiled whole: from a commanded torque to what the sensors show.
+
+MuJoCo's two halves of a step are called at their addresses in its library: through its Python binding each call costs
+as much as all of the plant's own arithmetic.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numba import int64
+from numpy.typing import NDArray
+
+from moc_opt.errors import PlantError
+from moc_opt.numerics.cache import njit
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel, borrowed, call
+from moc_opt.sim.actuation import admit
+from moc_opt.sim.contact import load_bodies, shaft_force
+from moc_opt.sim.elastic import drive, gather
+from moc_opt.sim.sensors import sample
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+DONE, NO_TROCAR, AWAY, NO_TORQUE, RAN_AWAY = range(5)
+"""What came of a period; the arm has not moved in the three after ``DONE``."""
+_RUNAWAY_RAD_PER_S = 1e3
+
+
+def addresses(model: mujoco.MjModel, state: mujoco.MjData) -> Indices:
+    """Return the addresses (4,) of MuJoCo's ``mj_step1``, ``mj_step2``, the model and its state.
+
+    Raises:
+        PlantError: MuJoCo's package is not laid out as a wheel of it.
+    """
+    folder = Path(mujoco.__file__).parent
+    files = [file for file in folder.glob("*mujoco.*") if {".so", ".dylib", ".dll"} & set(file.suffixes)]
+    if len(files) != 1:
+        raise PlantError(f"MuJoCo's library: {len(files)} files in {str(folder)!r}: install MuJoCo from its wheel")
+    library = ctypes.CDLL(str(files[0]))
+    steps = [ctypes.cast(half, ctypes.c_void_p).value for half in (library.mj_step1, library.mj_step2)]
+    return np.array([*steps, model._address, state._address], dtype=np.int64)
+
+
+@njit(cache=True, nogil=True)
+def _sound(q: Array, v: Array) -> bool:
+    for i in range(q.size):  # numba compiles no generators
+        if not (np.isfinite(q[i]) and abs(v[i]) < _RUNAWAY_RAD_PER_S):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def write_truth(
+    q: Array, v: Array, xpos: Array, cvel: Array, origin: Array, numbers: Indices, trocar: Array, tissue: Array,
+    point: Array, elapsed: float, truth: Array,
+) -> None:  # fmt: skip
+    """Write q, v, tip, wrist and the trocar's force into truth (2 n + 9,); other arguments as for `advance`."""
+    n, tool, tip, wrist = q.size, numbers[0], numbers[1], numbers[2]
+    truth[:n], truth[n : 2 * n] = q, v
+    truth[2 * n : 2 * n + 3], truth[2 * n + 3 : 2 * n + 6] = xpos[tip], xpos[wrist]
+    force = truth[2 * n + 6 :]
+    force[:] = 0.0
+    if tissue[0] > 0.0 or tissue[1] > 0.0:
+        shaft_force(
+            xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, tissue[0], tissue[1], force, point
+        )
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    calls: Indices, numbers: Indices, times: Array, trocar: Array, force: Array, point: Array, xpos: Array,
+    xmat: Array, xipos: Array, cvel: Array, origin: Array, wrenches: Array, qpos: Array, qvel: Array, q: Array,
+    v: Array, theta: Array, omega: Array, torque: Array, applied: Array, ripple: Array, limit: Array, queue: Array,
+    encoders: Array, conversion: Array, held: Array, truth: Array,
+    tau: Array, slot: int, told: Array, tissue: Array, pushed: Indices, pushes: Array,
+    noise: Array, wrench_noise: Array, reading: Array,
+) -> int:  # fmt: skip
+    """Advance the arm by one control period, and read its sensors; return what came of it.
+
+    Args:
+        calls: as from `addresses`.
+        numbers: (7,) bodies of tool, tip and wrist; coordinates of a joint; whether ``torque`` is ``applied`` itself;
+            whether the encoders are on the links; plant steps of a period.
+        times: (2,) plant step and control period [s].
+        trocar: (2, 3) written: point [m] and velocity [m/s] of this period.
+        force, point, xpos, xmat, xipos, cvel, origin, wrenches: as for ``load_bodies``.
+        qpos, qvel: MuJoCo's coordinates.
+        q, v, theta, omega: (n,) positions [rad] and velocities [rad/s] of links and motors; MuJoCo's own where a
+            joint has one coordinate.
+        torque: (n,) of the drives [Nm]; applied: MuJoCo's own.
+        ripple: (3, n) amplitude [Nm], waves per turn, phase [rad].
+        limit, queue: as for ``admit``.
+        encoders, conversion: as for ``sample``.
+        held: (6,) what the mount exerts on the tool, force [N] and torque [Nm].
+        truth: written, as by ``write_truth``.
+        tau: (n,) commanded torque [Nm]; slot: its place in the queue.
+        told: (2, 3) the trocar of this period; of no account where tissue (2,), stiffness [N/m] and damping [N s/m],
+            is zero.
+        pushed, pushes: as for ``load_bodies``.
+        noise, wrench_noise: (n,) [rad], (6,) [N, Nm].
+        reading: (2 n + 6,) written: positions, velocities, wrench of the tool on its mount.
+    """
+    q, v, theta, omega = borrowed(q), borrowed(v), borrowed(theta), borrowed(omega)
+    xpos, xmat, cvel, wrenches = borrowed(xpos), borrowed(xmat), borrowed(cvel), borrowed(wrenches)
+    truth, reading = borrowed(truth), borrowed(reading)
+    n, stride = q.size, numbers[3]
+    for i in range(2):
+        for j in range(3):
+            if not np.isfinite(told[i, j]):
+                return NO_TROCAR
+    if not _sound(q, v):
+        return AWAY
+    if not admit(tau, limit, queue, slot, torque):
+        return NO_TORQUE
+    trocar[:] = told
+    # mj_step's two halves the other way round: after the last one, the kinematics belong to the new state, so that
+    # measurements and truths need no further call.
+    for k in range(numbers[6]):
+        if numbers[4] == 0:
+            drive(torque, qpos, stride, ripple, applied)
+        load_bodies(
+            wrenches, xpos, xmat, xipos, cvel, origin, numbers[0], numbers[1], numbers[2], trocar, force, point,
+            k * times[0], tissue[0], tissue[1], pushed, pushes,
+        )  # fmt: skip
+        call(calls[1], calls[2], calls[3])
+        call(calls[0], calls[2], calls[3])
+    if stride != 1:
+        gather(qpos, qvel, q, v, theta, omega)
+    write_truth(q, v, xpos, cvel, origin, numbers, trocar, tissue, point, times[1], truth)
+    if not _sound(q, v):
+        return RAN_AWAY
+    on_links = numbers[5] != 0
+    sample(q if on_links else theta, v if on_links else omega, noise, encoders, conversion, reading[: 2 * n])
+    for i in range(6):
+        reading[2 * n + i] = wrench_noise[i] - held[i]
+    return DONE
+
+
+ADVANCE = CompiledKernel(
+    advance, INDICES, INDICES, VECTOR, MATRIX, VECTOR, VECTOR, *[MATRIX] * 4, VECTOR, MATRIX, *[VECTOR] * 8,
+    MATRIX, VECTOR, MATRIX, MATRIX, VECTOR, VECTOR, VECTOR,
+    VECTOR, int64, MATRIX, VECTOR, INDICES, MATRIX, VECTOR, VECTOR, VECTOR,
+)  # fmt: skip
+"""`advance` for the plant."""
