@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from moc_opt.report.tables import Column, Table
 
 if TYPE_CHECKING:
+    from moc_opt.model.robot_model import RobotModel
     from moc_opt.planning.placement import Placement
     from moc_opt.planning.plan import Plan
 
@@ -47,13 +51,13 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def plan_tables(name: str, plan: Plan, margin: float = 0.0, speed_share: float = 1.0) -> list[Table]:
+def plan_tables(name: str, plan: Plan, margin_rad: float = 0.0, speed_share: float = 1.0) -> list[Table]:
     """Make the tables of the verdict and of the courses; both fit 80 columns.
 
     Args:
         name: of the scenario.
         plan: of it.
-        margin, speed_share: within which it was made.
+        margin_rad, speed_share: within which it was made.
     """
     rows: list[dict[str, Any]] = [
         {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
@@ -63,7 +67,7 @@ def plan_tables(name: str, plan: Plan, margin: float = 0.0, speed_share: float =
         point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
         rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
-    within = "the joint limits" if margin == 0.0 else f"{margin:g} rad (m) from the joint limits"
+    within = "the joint limits" if margin_rad == 0.0 else f"{margin_rad:g} rad (m) from the joint limits"
     rows.append({"what": "planned within", "value": f"{within}, {speed_share:.3g} of their speed limits"})
     rows.append({"what": "arm angle at the start", "value": _degrees(plan.start_swivel_rad)})
     rows.append({"what": "arm angle proposed", "value": _degrees(plan.best_swivel_rad)})
@@ -88,6 +92,24 @@ def place_json(places: Sequence[Placement]) -> list[dict[str, Any]]:
             "q_rad": None if found.course is None else found.course.q_rad[0].tolist(),
         } for found in places
     ]  # fmt: skip
+
+
+def start_toml(robot: RobotModel, plan: Plan, places: Sequence[Placement] = ()) -> str:
+    """Write the tables that begin a scenario where the best course, or that of the best place, does; empty without one.
+
+    A number is rounded towards the inside of its joint's limits.
+    """
+    course, depth, of = plan.best, None, "the best course"
+    if places and places[0].course is not None:
+        course, depth, of = places[0].course, places[0].depth_m, "the course of the first place"
+    if course is None:
+        return ""
+    inside = np.ceil(1e6 * robot.q_min) / 1e6, np.floor(1e6 * robot.q_max) / 1e6
+    q = np.clip(np.round(course.q_rad[0], 6), *inside)
+    numbers = textwrap.fill(", ".join(f"{x:.6f}" for x in q), 76, initial_indent="  ", subsequent_indent="  ")
+    trocar = [] if depth is None else ["[trocar]", f"depth_m = {depth:.6f}"]
+    about = f"# begins {of}; in place of the scenario's own [start]{' and depth_m' if trocar else ''}:"
+    return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]", *trocar])
 
 
 def place_table(title: str, candidates: int, box_m: float, took_s: float, places: Sequence[Placement]) -> Table:

@@ -2,41 +2,81 @@
 
 from __future__ import annotations
 
+from typing import TypedDict
+
 import numpy as np
 
 from moc_opt.errors import ControlError
+from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.guided import followed_share
+from moc_opt.scenario.planned import plan
 
 ROUNDING = 1e-6
 
 
-def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
-    """Say what keeps the scenario's third level from following the plan's course, each with its cure.
+class Within(TypedDict):
+    """What a plan was made within, as `moc_opt.scenario.planned.plan` takes it."""
+
+    margin_rad: float
+    speed_share: float
+
+
+def followable_plan(
+    scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
+    acceleration: float,
+) -> tuple[Plan, Within]:  # fmt: skip
+    """Plan within what the scenario's third level keeps to where it follows a course, else within the arm's own limits.
+
+    Args:
+        scenario: what would be run.
+        margin_rad, speed_share: in place of these, where given.
+        objective, acceleration: as of `moc_opt.scenario.planned.plan`.
+
+    Raises:
+        MocOptError: as of `moc_opt.scenario.planned.plan`.
+    """
+    settings = scenario.control
+    follows = settings.third_level != "local"
+    if speed_share is None:
+        speed_share = followed_share(settings) if follows else 1.0
+    # The two margins that `guided` tries, too.
+    margins = dict.fromkeys((settings.limit_margin_rad, 0.0) if follows else (0.0,))
+    for margin in margins if margin_rad is None else (margin_rad,):
+        within: Within = {"margin_rad": margin, "speed_share": speed_share}
+        found = plan(scenario, objective=objective, acceleration=acceleration, **within)
+        if found.executable:
+            break
+    return found, within
+
+
+def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
+    """Say what keeps the scenario's third level from following a plan's course, each with its cure.
 
     Args:
         scenario: its [control] is asked.
+        found: its plan.
     """
-    settings, course = scenario.control, plan.course
+    settings, course = scenario.control, found.course
     if settings.law != "moc":
         return [f"law = {settings.law!r} has no third level: nothing follows the course; take law = 'moc'"]
-    found = []
+    said = []
     try:
         settings.check_guided()
     except ControlError as error:
-        found.append(f"the course cannot be followed: {error}")
+        said.append(f"the course cannot be followed: {error}")
     if settings.backend == "c":
-        found.append("backend = 'c' knows no course: take backend = 'python' to follow it")
+        said.append("backend = 'c' knows no course: take backend = 'python' to follow it")
     if course is None or len(course.t_s) < 2:
-        return found
+        return said
     robot = scenario.robot.arm()
     moving = np.asarray(robot.moves.any(axis=0))
-    fastest = np.abs(np.diff(course.q_rad, axis=0)).max(axis=0) / plan.targets.period_s
+    fastest = np.abs(np.diff(course.q_rad, axis=0)).max(axis=0) / found.targets.period_s
     shares = np.where(moving, fastest / robot.v_max, 0.0)
     j, allowed = int(np.argmax(shares)), followed_share(settings)
     if shares[j] > allowed + ROUNDING:
-        found.append(
+        said.append(
             f"the course moves {robot.data.joint_names[j]} at {shares[j]:.2f} of its speed limit; the third level "
             f"follows up to {allowed:.2f} (of [control] speed_fraction = {settings.speed_fraction:g} it leaves a fifth "
             f"to the feedback): plan with --speed-share {allowed:.2f}, or raise speed_fraction"
@@ -47,8 +87,8 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
     j = int(np.argmax(short))
     unit = "m" if robot.chain.prismatic[j] else "rad"
     if short[j] > ROUNDING:
-        found.append(
+        said.append(
             f"the course takes {robot.data.joint_names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
             f"level keeps {margins[j]:g} {unit}: plan with --margin {margins[j]:g}, or lower limit_margin_{unit}"
         )
-    return found
+    return said

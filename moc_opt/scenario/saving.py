@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from moc_opt.control.settings import PRESETS, ControlSettings
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import ScenarioError, shown
 from moc_opt.inputs.files import check_replaceable
 from moc_opt.inputs.settings import Settings
 from moc_opt.inputs.toml import to_toml
@@ -62,6 +62,8 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
     name = scenario.robot.name
     if Path(name).suffix.lower() in (".toml", ".urdf"):  # read again, it would count from the folder of the file
         table["robot"] = {**table["robot"], "name": str(Path(name).absolute())}
+    if None in scenario.solver.settings.values():
+        table["solver"] = {**table["solver"], "settings": _given_settings(scenario)}
     try:
         text = to_toml(_without_none(table))
     except TypeError as error:
@@ -75,6 +77,27 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
     except OSError as error:
         unfinished.unlink(missing_ok=True)
         raise ScenarioError(f"scenario {str(file)!r} cannot be written: {error}; give another path") from error
+
+
+def _given_settings(scenario: Scenario) -> dict[str, Any]:
+    """The solver's settings without those that are None where the solver has None by itself; a file has no None.
+
+    Raises:
+        ScenarioError: a setting is None where the solver's own default is another.
+    """
+    from moc_opt.solvers.registry import defaults
+
+    solver, kept = scenario.solver, {}
+    known = defaults(solver.name)
+    for name, value in solver.settings.items():
+        if value is None and known.get(name, ...) is not None:
+            raise ScenarioError(
+                f"[solver.settings] {name} = None has no form in TOML, and left out it would be "
+                f"{shown(known.get(name, 'unknown'))}: give a value"
+            )
+        if value is not None:
+            kept[name] = value
+    return kept
 
 
 def _without_none(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -108,6 +108,20 @@ def test_a_robot_s_own_file_is_found_from_anywhere(tmp_path, monkeypatch):
     assert Scenario.load("elsewhere/a.toml").robot.name == str(tmp_path / "my.toml")
 
 
+def test_a_solver_setting_of_none_is_left_out_where_that_means_the_same(tmp_path):
+    settings = {"cost_scale": None, "warm": True}
+    scenario = Scenario(solver={"name": "qpsolvers:quadprog", "settings": settings})
+    scenario.save(tmp_path / "a.toml")
+    again = Scenario.load(tmp_path / "a.toml")
+    assert again.solver.settings == {"warm": True}
+    assert mo.solvers.create(again.solver.name, **again.solver.settings) == mo.solvers.create(
+        scenario.solver.name, **settings
+    )
+    for name, setting, by_itself in (("osqp", "eps", r"[\d.e-]+"), ("osqp", "nothing", "'unknown'")):
+        with pytest.raises(ScenarioError, match=rf"{setting} = None has no form in TOML, .* be {by_itself}: give"):
+            Scenario(solver={"name": name, "settings": {setting: None}}).save(tmp_path / "b.toml")
+
+
 def test_what_has_no_form_in_toml_is_named(tmp_path):
     scenario = Scenario(solver={"name": "osqp", "settings": {"kinematics": object()}})
     with pytest.raises(ScenarioError, match=r"solver.settings.kinematics = <object .* has no form in TOML"):
