@@ -75,15 +75,19 @@ def in_sentences(text: str, most: int = 3) -> list[str]:
     return [*parts[: most - 1], " ".join(parts[most - 1 :])] if len(parts) > most else parts
 
 
-def marked_answer(text: str, table: Table) -> Answer:
-    """Make the answer of a text and a table: its first eight columns, its verdicts in colour and with a symbol."""
+def marked_answer(text: str | Sequence[str], table: Table, pictures: Sequence[Picture] = ()) -> Answer:
+    """Make the answer of a text or its sentences, a table and pictures.
+
+    Of the table its first eight columns are taken, with its verdicts in colour and with a symbol.
+    """
     columns = table.columns[:MOST_COLUMNS]
     rows = [
         {column.key: WORDS.get(value, value) if isinstance(value, str) else value
          for column in columns if (value := row.get(column.key)) is not None}
         for row in table.rows
     ]  # fmt: skip
-    return Answer(in_sentences(text), replace(table, columns=columns, rows=rows))
+    said = in_sentences(text) if isinstance(text, str) else text
+    return Answer(said, replace(table, columns=columns, rows=rows), pictures)
 
 
 def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequence[Mapping[str, object]],

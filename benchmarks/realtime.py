@@ -11,31 +11,20 @@ import os
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-import plotly.graph_objects as go
-from numpy.typing import NDArray
 from pydantic import Field
 
 from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.latency import wire
+from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.goals import Goal, goal_verdicts
-from benchmarks.latency.report import GOALS as GOAL_COLUMNS
 from benchmarks.latency.wire import Case, Found
-from moc_opt.report import figures
-from moc_opt.report.figures.style import Styles, figure, legend_height, log_axis, rule
-from moc_opt.report.page import Page
-from moc_opt.report.tables import Column, Table
 from moc_opt.scenario import Scenario
-
-Array = NDArray[np.float64]
-PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
-TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}
-BINS = 120
 
 
 class Config(Configuration):
@@ -82,18 +71,6 @@ GOALS = {
     "stops": Goal("stops that were not clean, under load", "", 0.0, True, _loaded("unclean")),
 }  # fmt: skip
 
-OUTCOMES = [
-    Column("name", "case"), Column("cycles", "cycles", format="d"), Column("missed", "missed", format="d"),
-    Column("overruns", "plant stalled", format="d", help="the plant's own process was not run for a period"),
-    Column("stopped", "stops", format="d"), Column("unclean", "not clean", format="d"),
-    Column("rcm_max_mm", "RCM", unit="mm", format=".2f", help="largest error from the registered trocar"),
-]  # fmt: skip
-LATENCIES = [
-    Column("name", "case"), Column("what", "time"),
-    *(Column(p, p.replace("_", "."), unit="us", format=".0f") for p in PERCENTILES),
-]  # fmt: skip
-
-
 def summarise(runs: Sequence[Found]) -> dict[str, Any]:
     """Return the figures of a case's runs."""
     found: dict[str, Any] = {
@@ -106,87 +83,6 @@ def summarise(runs: Sequence[Found]) -> dict[str, Any]:
         values = samples(runs, time)
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
     return found
-
-
-def samples(runs: Sequence[Found], time: str) -> Array:
-    """Return the times of all cycles [us], but for those without one."""
-    values = np.concatenate([getattr(run, f"{time}_us") for run in runs])
-    return values[np.isfinite(values)]
-
-
-def histogram(times: Mapping[str, Array], deadline_us: float | None = None) -> go.Figure:
-    """Draw how many cycles took how long, both axes logarithmic: one late cycle of a million is seen."""
-    drawn, styles = figure(legend_y=1.08, height=320 + legend_height(times)), Styles(times)
-    ends = np.concatenate([np.maximum(values, 1.0)[[values.argmin(), values.argmax()]] for values in times.values()])
-    edges = np.geomspace(0.95 * ends.min(), 1.05 * ends.max(), BINS + 1)
-    for name, values in times.items():
-        counts = np.histogram(np.maximum(values, 1.0), edges)[0]
-        drawn.add_scatter(
-            x=np.sqrt(edges[1:] * edges[:-1]), y=np.where(counts > 0, counts, np.nan), name=name, mode="lines+markers",
-            line={"color": styles[name].color, "shape": "hvh", "width": 1.4}, marker={"size": 3}, connectgaps=False,
-        )  # fmt: skip
-    log_axis(drawn, "x", "time [us]", edges if deadline_us is None else [*edges, deadline_us])
-    log_axis(drawn, "y", "cycles", [0.8, max(len(values) for values in times.values())], powers=True)
-    if deadline_us is not None:
-        rule(drawn, "x", deadline_us, "deadline")
-    return drawn
-
-
-def tables(summary: Mapping[str, Any]) -> list[Table]:
-    """Return goals and figures."""
-    goals = [{**of, "goal": f"{of['goal']:g}", "value": _short(of["value"])} for of in summary["goals"].values()]
-    cases = summary["cases"].items()
-    latencies = [
-        {"name": name, "what": title, **{p: found[f"{time}_{p}_us"] for p in PERCENTILES}}
-        for time, title in TIMES.items() for name, found in cases
-    ]  # fmt: skip
-    outcomes = [{"name": name, **found} for name, found in cases]
-    return [
-        Table("Goals", GOAL_COLUMNS, goals), Table("Cycles", OUTCOMES, outcomes),
-        Table("Latencies", LATENCIES, latencies),
-    ]  # fmt: skip
-
-
-def report(summary: Mapping[str, Any], runs: Mapping[Case, Sequence[Found]], environment: Mapping[str, Any]) -> Page:
-    """Make the page."""
-    page = Page("Against the clock", "plant and controller as two processes with a UDP wire between them")
-    page.headline(headline(summary))
-    page.text(
-        "Wake-up latency: how late the plant's tick begins. Round trip: from the departure of a measurement to the "
-        "arrival of its torque, over the loopback; a cycle is missed where that takes longer than the period. "
-        "Controller: safety filter and control law alone. `environment` says which priority, memory and timers the two "
-        "processes were granted; Python's collector is off inside both loops."
-    )
-    for table in tables(summary):
-        page.table(table)
-    for rate in sorted({case.rate_Hz for case in runs}):
-        page.section(f"{rate} Hz")
-        for time, title in TIMES.items():
-            of = {f"{c.controller}, {c.load}": samples(found, time) for c, found in runs.items() if c.rate_Hz == rate}
-            deadline = 1e6 / rate if time == "round" else None
-            page.figure(histogram(of, deadline), f"{title.capitalize()} at {rate} Hz: how many cycles took how long.",
-                        name=f"{time}-{rate}")  # fmt: skip
-            if time == "round":
-                tail = figures.latency_ecdf(of, deadline, tail=True)
-                page.figure(tail, f"{title.capitalize()} at {rate} Hz: the rare late ones.", name=f"tail-{rate}")
-    page.environment(environment)
-    return page
-
-
-def headline(summary: Mapping[str, Any]) -> str:
-    """Return the result in words, computed."""
-    reached = [goal["reached"] for goal in summary["goals"].values()]
-    said = [f"{reached.count('yes')} of {len(reached)} goals are reached, {reached.count('not measured')} not measured"]
-    said += [
-        f"{name}: {found['missed']} of {found['cycles']} cycles missed, round trip {found['round_p50_us']:.0f} us "
-        f"(median), {found['round_worst_us']:.0f} us at worst"
-        for name, found in summary["cases"].items() if name.endswith("quiet")
-    ]  # fmt: skip
-    return ". ".join(part[0].upper() + part[1:] for part in said) + "."
-
-
-def _short(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3g}"
 
 
 def study(given: Namespace) -> cli.Results:
@@ -219,8 +115,8 @@ def study(given: Namespace) -> cli.Results:
     ]  # fmt: skip
     system = {str(case): found[0].system for case, found in runs.items()}
     environment = config.environment(given, system=system, collector="off inside both loops", cores=os.cpu_count())
-    page = report(summary, runs, environment)
-    return cli.Results(summary, environment, rows, page, tables(summary), [headline(summary)])
+    first = answer(summary, runs)
+    return cli.Results(summary, environment, rows, report(summary, runs, first, environment), answer=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

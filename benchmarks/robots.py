@@ -18,8 +18,10 @@ from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
 from benchmarks.paper_experiment.trials import seeds, trials
+from benchmarks.robots_study.first_screen import answer
 from benchmarks.robots_study.parts import Job, run_job
-from benchmarks.robots_study.tables import report, summarise, tables
+from benchmarks.robots_study.report import report
+from benchmarks.robots_study.tables import summarise
 from moc_opt.scenario import Scenario
 
 STREAM = 8
@@ -59,8 +61,8 @@ def study(given: Namespace) -> cli.Results:
     with cli.steps("trials", len(jobs)) as step:
         rows = [row for found in run_parallel(run_job, jobs, config.processes, step) for row in found]
     summary, environment = summarise(rows), config.environment(given)
-    shown = tables(summary)
-    return cli.Results(summary, environment, rows, report(summary, rows, environment, shown), shown)
+    first = answer(summary)
+    return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

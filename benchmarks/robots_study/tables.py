@@ -1,4 +1,4 @@
-"""Summary, tables and page of the arms, all from the rows."""
+"""Summary and tables of the arms, all from the rows."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.output import close_page
 from benchmarks.paper_experiment.trials import MATCHED
 from moc_opt.comparison.statistics import mean, relative_change
-from moc_opt.report.figures.boxes import box_plots
-from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
 Rows = Sequence[Mapping[str, Any]]
@@ -33,6 +30,8 @@ MEANS = (
 )  # fmt: skip
 MUCH_WORSE = 1.1
 """A tip error that is larger than the baseline's by this factor."""
+MOST_CHANGE_PERCENT, LEAST_GAIN_PERCENT = 5.0, 10.0
+"""Of a settled error, and of mu."""
 FINDINGS: Mapping[str, str] = {
     "all_end": "no run stopped or wild",
     "gains": "mean gain in mu of 10 % and more",
@@ -106,20 +105,25 @@ def _figures(rows: Rows, controller: str) -> dict[str, Any]:
     return found
 
 
+def of(figures: Mapping[str, Any]) -> str | None:
+    """Return the solver that the findings on an arm are about: ``exact``, or the first one there is."""
+    return "exact" if "exact" in figures else next((name for name in figures if name != MATCHED), None)
+
+
 def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None]:
-    """Of ``exact``, or the first solver there is; None where nothing was measured."""
-    name = "exact" if "exact" in figures else next((n for n in figures if n != MATCHED), None)
+    """Finding -> whether it holds; None where nothing was measured."""
+    name = of(figures)
     if name is None or "mu_gain_percent" not in figures[name]:
         return dict.fromkeys(FINDINGS)
     row = figures[name]
 
     def small(change: str) -> bool | None:
         value = row.get(change)
-        return None if value is None else value <= 5.0
+        return None if value is None else value <= MOST_CHANGE_PERCENT
 
     return {
         "all_end": all(other["broken"] == 0 for other in figures.values()),
-        "gains": row["mu_gain_percent"] >= 10.0,
+        "gains": row["mu_gain_percent"] >= LEAST_GAIN_PERCENT,
         **{key: small(f"{key}_change_percent") for key in ("tip", "rcm", "tip_model", "rcm_model")},
         **{f"tails{of}": row[f"tip{of}_much_worse"] <= 0.1 * row["trials"] for of in ("", "_model")},
     }
@@ -165,52 +169,3 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
         Table("Which findings hold on which arm", columns, holds),
         Table("Solvers by mean mu, best first", [Column("robot", "arm"), Column("order", "order")], order, told),
     ]  # fmt: skip
-
-
-def report(
-    summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any], shown: Sequence[Table]
-) -> Page:
-    """One page of these tables, with one picture an arm."""
-    page = Page("The arms", "what of the study holds on every arm, and what is the LWR4+'s")
-    page.headline(headline(summary))
-    page.table(tables(summary)[1])
-    page.fold()
-    page.section("How to read this")
-    page.text(
-        "Every arm does the paper's three tasks from random poses of its own workspace, in the realistic plant at the "
-        "default preset; DCAC has the same gains and trials. Settled errors are those at ticks at which no elbow is on "
-        "its way. Intervals in summary.json are 95 %, over trials. A run that broke off is counted and in no mean. "
-        "Errors in space hold the arm's calibration, which no controller sees: it counts from the pose at which the "
-        "arm touched task and trocar, where DCAC stays, and which the third level leaves. Those by the arm's own "
-        "kinematics are what control answers for."
-    )
-    page.section("Results")
-    for table in shown:
-        page.table(table)
-    page.section("Pictures")
-    for robot, figures in summary["robots"].items():
-        base = {row["trial"]: row for row in rows if row["robot"] == robot and row["controller"] == MATCHED}
-        groups = {
-            name: {
-                task: np.array([
-                    100.0 * (row["mu_mean"] / base[row["trial"]]["mu_mean"] - 1.0) for row in rows
-                    if (row["robot"], row["controller"], row["task"]) == (robot, name, task) and "mu_mean" in row
-                    and "mu_mean" in base[row["trial"]]
-                ]) for task in dict.fromkeys(row["task"] for row in rows)
-            } for name in figures if name != MATCHED
-        }  # fmt: skip
-        if any(len(samples) for by in groups.values() for samples in by.values()):
-            page.figure(
-                box_plots(groups, "gain in mu (%)"), f"{robot}: gain in mu over DCAC, by task", name=robot
-            )
-    close_page(page, "robots", environment, rows, ("robot", "trial", "controller"))
-    return page
-
-
-def headline(summary: Mapping[str, Any]) -> str:
-    """How many arms each finding holds on."""
-    said = []
-    for key, text in FINDINGS.items():
-        known = [by[key] for by in summary["findings"].values() if by[key] is not None]
-        said.append(f"{text}: on {sum(known)} of {len(known)} arms")
-    return "; ".join(said).capitalize() + "."

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from benchmarks import realtime
-from benchmarks.latency import wire
+from benchmarks.latency import clock, wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.scenario import Scenario
@@ -56,20 +58,46 @@ def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
 def test_tables_and_headline_say_what_was_found():
     summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}}
     summary["goals"] = goal_verdicts(summary, realtime.GOALS)
-    goals, cycles, latencies = realtime.tables(summary)
+    goals, cycles, latencies = clock.tables(summary)
     assert [row["reached"] for row in goals.rows] == ["not measured"] * 4
     assert cycles.rows[0]["missed"] == 7
     assert [(row["what"], row["worst"]) for row in latencies.rows] == [
         ("wake-up latency", 100.0), ("round trip", 1000.0), ("controller", 10.0)
     ]  # fmt: skip
-    assert "7 of 1000 cycles missed" in realtime.headline(summary)
-    page = realtime.report(summary, {Case("c", 500, "quiet"): [run_of(1000, missed=7)]}, {})
-    assert len(page.figures) == 4
+    runs = {Case("c", 500, "quiet"): [run_of(1000, missed=7)]}
+    first = clock.answer(summary, runs)
+    assert first.sentences[0] == (
+        "Cycles missed on a quiet machine: C, 500 Hz 7 of 1,000; 0 times the plant's own process was not run for a "
+        "period."
+    )
+    assert "(7 cycles)" in first.pictures[0].says
+    (line,) = first.table.rows
+    assert (line["name"], line["missed"], line["goal"].word) == ("C, 500 Hz, quiet", 7, "not measured")
+    page = clock.report(summary, runs, first, {})
+    assert list(page.figures) == ["round-500", "wake-500", "tail-500", "control-500"]
+    html = page.html()
+    places = [html.index(f'id="{name}"') for name in ("wake-500", "cycles-and-stops", "tail-500")]
+    assert places == sorted(places), "pictures before what is folded"
+
+
+def test_what_harms_under_load_is_said_and_marked():
+    cases = {"c, 500 Hz, loaded": realtime.summarise([run_of(1000, missed=3, rcm=2.5)]),
+             "python, 1000 Hz, loaded": realtime.summarise([run_of(1000, rcm=1.0)])}  # fmt: skip
+    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
+    first = clock.answer(summary, {Case("c", 500, "loaded"): [run_of(1000, missed=3)]})
+    assert "3 of 2,000 were missed" in first.sentences[0]
+    assert "largest RCM error was 2.50 mm, and no run ended in a stop" in first.sentences[0]
+    assert [row["goal"].word for row in first.table.rows] == ["missed", "met"]
+    screen = Console(file=io.StringIO(), width=80, color_system=None)
+    for part in first.screens(80):
+        screen.print(part, markup=False)
+    assert max(map(len, screen.file.getvalue().splitlines())) <= 80
+    assert all(word in screen.file.getvalue() for word in ("p99.99", "RCM", "Python, 1000 Hz, loaded"))
 
 
 def test_the_histogram_holds_every_cycle():
     times = {"a": np.r_[np.full(999, 100.0), 5000.0], "b": np.full(10, 0.0)}
-    drawn = realtime.histogram(times, 2000.0)
+    drawn = clock.histogram(times, 2000.0)
     assert [np.nansum(line.y) for line in drawn.data] == [1000, 10]
     a = drawn.data[0]
     assert a.x[np.flatnonzero(np.nan_to_num(a.y) == 1)[-1]] == pytest.approx(5000.0, rel=0.1)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from benchmarks import robots
 from benchmarks.output import default_config
-from benchmarks.robots_study.tables import FINDINGS, report, summarise, tables
+from benchmarks.robots_study.first_screen import answer
+from benchmarks.robots_study.report import report
+from benchmarks.robots_study.tables import FINDINGS, summarise
 from moc_opt.robots import available_robots
 
 TINY = """
@@ -98,8 +102,34 @@ def test_a_run_that_broke_off_is_counted_and_in_no_mean() -> None:
     assert found["no_start"] == {"a": 0, "b": 1}
     assert found["findings"]["b"] == dict.fromkeys(FINDINGS)
     machine = {"cores": 2, "processor": "p", "load_1min": 0.0}
-    page = report(found, rows, {"seed": 0, "commit": "x", "machine": machine}, tables(found))
-    assert "a" in page.figures
+    page = report(found, rows, answer(found), {"seed": 0, "commit": "x", "machine": machine})
+    assert list(page.figures) == ["arms-gains", "arms-tip", "arms-rcm", "a"]
+    html = page.html()
+    assert html.index('id="arms-rcm"') < html.index('id="results"') < html.index('id="a"'), "pictures, then folded"
+
+
+def test_the_first_screen_says_what_holds_where() -> None:
+    rows = [row(arm, f"t{k}", "dcac") for arm in "ab" for k in range(3)]
+    rows += [row("a", f"t{k}", "exact", mu=1.2 + 0.01 * k) for k in range(3)]
+    rows += [row("b", f"t{k}", "exact", mu=1.05 + 0.01 * k, settled_rcm_error_registered_mean_mm=2.1) for k in range(3)]
+    first = answer(summarise(rows))
+    assert "with `exact` over DCAC with the same gains [%], 3 random poses" in first.sentences[0]
+    assert "a 21 [20" in first.sentences[0]
+    holds, fails = first.sentences[1].split("Not on some:")
+    assert FINDINGS["tip"] in holds
+    assert f"{FINDINGS['gains']}: b (+6 %)" in fails
+    assert f"{FINDINGS['rcm']}: b (+110 %)" in fails
+    (a, b) = first.table.rows
+    assert [(line["gains"].symbol, line["rcm"].symbol, line["rcm_model"].symbol) for line in (a, b)] == [
+        ("✔", "✔", "✔"), ("✘", "✘", "✔")
+    ]  # fmt: skip
+    assert b["rcm"].word == "+110"
+    assert "1 of 2 arms lie right of the goal" in first.pictures[0].says
+    screen = Console(file=io.StringIO(), width=80, color_system=None)
+    for part in first.screens(80):
+        screen.print(part, markup=False)
+    assert max(map(len, screen.file.getvalue().splitlines())) <= 80
+    assert all(word in screen.file.getvalue() for word in ("arm", "own", "+110"))
 
 
 def test_arms_that_rank_solvers_alike_correlate() -> None:
