@@ -38,6 +38,7 @@ def plan(
     tick to the last. A random start is drawn as the run draws it.
 
     Args:
+        scenario: what would be run.
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         swivels, margin_rad, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
