@@ -17,6 +17,7 @@ def following_warnings(scenario: Scenario, plan: Plan) -> list[str]:
 
     Args:
         scenario: its [control] is asked.
+        plan: of it.
     """
     settings, course = scenario.control, plan.course
     if settings.law != "moc":
