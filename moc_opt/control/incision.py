@@ -22,10 +22,12 @@ from typing import Any
 
 import numpy as np
 from numba import float64
+from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
+
+Array = NDArray[np.float64]
 
 SHORTEST_DEPTH_M = 0.05
 _GRAVITY_M_PER_S2 = 9.81

@@ -6,13 +6,15 @@ from functools import partial
 
 import numpy as np
 from numba import float64, int64
+from numpy.typing import NDArray
 
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.control import replay_kernels as replays
 from moc_opt.control.safety_settings import MotionSettings
 from moc_opt.model.robot_state import RobotState
-from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel
+
+Array = NDArray[np.float64]
 
 _READINGS = CompiledKernel(
     kernels.compare_readings, int64, VECTOR, VECTOR, MATRIX, *[VECTOR] * 6, float64
@@ -100,6 +102,7 @@ class MotionMonitor:
         """Compare the motion of an accepted measurement with the torque; return what is wrong with it, or "".
 
         Args:
+            state: of the measurement.
             tau: (n,) torque that was applied before it [Nm].
         """
         if not self._on:

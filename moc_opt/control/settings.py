@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from moc_opt.control.presets import PRESETS as PRESETS
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
 from moc_opt.inputs.files import LARGEST
@@ -37,7 +38,6 @@ def _current_projector(value: Any) -> Any:
 
 Projector = Literal["dynamic", "static", "as_published"]
 PROJECTORS: tuple[Projector, ...] = get_args(Projector)
-PRESETS = ("paper", "tuned", "robust")
 
 
 class Gains(NamedTuple):
@@ -54,40 +54,6 @@ class Gains(NamedTuple):
 
 
 GAINS = Gains._fields
-
-# Table I: each law has the gains printed for it, and the wrist's error is d / lambda. No observer, no ramp, and a box
-# that goes up to the limits of the joints themselves.
-PAPER: dict[str, Any] = {
-    "gains": None,
-    "feedforward": False,
-    "rcm_lambda": 0.5,
-    "k0_per_s": 0.1,
-    "regularization": 0.0,
-    "observer_gain_per_s": 0.0,
-    "speed_fraction": 1.0,
-    "limit_margin_rad": 0.0,
-    "limit_margin_m": 0.0,
-    "shaft_margin_m2": 0.0,
-    "fallback": "damping",
-    "ramp_s": 0.0,
-}
-
-# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
-# another arm's table of that name is its own, or derived from its inertia (`moc_opt.model.gains`).
-TUNED: dict[str, Any] = {
-    "gains": "tuned",
-    "fallback": "damping",
-    "observer_gain_per_s": 33.3,
-    "feedforward": True,
-    "k0_per_s": 1.58,
-    "regularization": 3.24e-5,
-    "speed_fraction": 0.49,
-    "ramp_s": 0.653,
-}
-
-# Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
-# trocar; half as much tip error again.
-ROBUST: dict[str, Any] = {**TUNED, "gains": "robust", "observer_gain_per_s": 22.0}
 
 
 class ControlSettings(Settings):
@@ -199,30 +165,29 @@ class ControlSettings(Settings):
 
     @classmethod
     def paper(cls, **changes: Any) -> ControlSettings:
-        """Make the paper's parameters where it prints them, and nothing that it does not have; see ``PAPER``."""
-        return cls(**{**PAPER, **cls.present_names(changes)})
+        """Make the paper's parameters where it prints them, and nothing that it does not have."""
+        return cls.preset("paper", **changes)
 
     @classmethod
     def tuned(cls, **changes: Any) -> ControlSettings:
-        """Make what ``python -m benchmarks.tune`` found for the LWR4+, with the arm's own gains; see ``TUNED``."""
-        return cls(**{**TUNED, **cls.present_names(changes)})
+        """Make what ``python -m benchmarks.tune`` found for the LWR4+, with the arm's own gains."""
+        return cls.preset("tuned", **changes)
 
     @classmethod
     def robust(cls, **changes: Any) -> ControlSettings:
-        """Make softer gains than ``tuned``, for loops with more delay; see ``ROBUST``."""
-        return cls(**{**ROBUST, **cls.present_names(changes)})
+        """Make softer gains than ``tuned``, for loops with more delay."""
+        return cls.preset("robust", **changes)
 
     @classmethod
     def preset(cls, name: str, **changes: Any) -> ControlSettings:
-        """Make a named set of settings; ``changes`` override fields.
+        """Make a named set of settings (`moc_opt.control.presets`); ``changes`` override fields.
 
         Raises:
             UnknownNameError: no such preset; the message lists them.
         """
         if name not in PRESETS:
             raise UnknownNameError("control preset", name, PRESETS)
-        make: Callable[..., ControlSettings] = getattr(cls, name)
-        return make(**changes)
+        return cls(**{**PRESETS[name], **cls.present_names(changes)})
 
     def check_guided(self) -> None:
         """Refuse settings under which the third level cannot follow a guide.

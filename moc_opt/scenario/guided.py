@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 
@@ -16,11 +17,11 @@ from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.receding import HURRY, NODES, Receding
 from moc_opt.planning.refine import SETTLED_S, refine
-from moc_opt.planning.targets import Targets, lay_targets
+from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
-from moc_opt.scenario.planned import MOST_TIMES, targets_of
+from moc_opt.scenario.planned import targets_of
 
 SPEED_LEFT = 0.2
 """Share of the third level's joint speeds that a followed course leaves unused, for the feedback."""
@@ -59,7 +60,7 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     if settings.third_level == "planned":
         course = followed_course(scenario, robot, layout)
         return lambda: Follower(course, period, lead=lead)
-    fine = _laid(robot, layout)
+    fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth = SMOOTHNESS["receding"]
     found, share = map_of(robot, layout.q, path), followed_share(settings)
@@ -71,16 +72,11 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     else:
         raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
 
-    def receding() -> Receding:
-        horizon = Horizon(
-            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth
-        )
-        return Receding(
-            to_go, horizon, robot, fine, layout.q, period, horizon_s=settings.horizon_s,
-            rate_per_s=settings.replan_per_s, lead=lead,
-        )  # fmt: skip
-
-    return receding
+    horizon = Horizon(robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth)
+    return lambda: Receding(  # one program, of which each controller makes a solver of its own
+        to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
+        rate_per_s=settings.replan_per_s, lead=lead,
+    )  # fmt: skip
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
@@ -103,9 +99,3 @@ def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:
         f"[control] third_level = {scenario.control.third_level!r}: no course goes all the way from this start: "
         f"{where}; see `python -m moc_opt plan`, or take third_level = 'local'"
     )
-
-
-def _laid(robot: RobotModel, layout: Layout) -> Targets:
-    count = int(np.clip(np.ceil(layout.duration_s / V_PERIOD_S), 1, MOST_TIMES))
-    span = robot.state(layout.q).tool_span
-    return lay_targets(layout.reference, layout.registered, span, layout.duration_s, FINER * count + 1)

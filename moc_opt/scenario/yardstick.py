@@ -8,7 +8,6 @@ once for all runs of one path and start, whatever the controller.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -27,7 +26,7 @@ from moc_opt.planning.search import search
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.freedoms import best_freedoms
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.planned import MOST_TIMES, layout_of, targets_of
+from moc_opt.scenario.planned import layout_of, targets_of
 from moc_opt.trace.trace import Trace
 
 PERIOD_S = 0.05
@@ -66,8 +65,7 @@ def _planned(table: str) -> Yardstick:
     if real != 1:
         return Yardstick(robot, None, None, f"tip and shaft leave {real} freedoms, a map has one", None)
     layout = layout_of(scenario, robot)
-    times = int(np.clip(math.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
-    targets = targets_of(robot, layout, times)
+    targets = targets_of(robot, layout, period_s=PERIOD_S)
     found, step = map_of(robot, layout.q, targets), robot.v_max * targets.period_s
     courses = [
         None if q is None else make_course(robot, targets, q)

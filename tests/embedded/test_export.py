@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from moc_opt import solvers
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.presets import PAPER
 from moc_opt.control.safety_filter import SafetyFilterSettings
-from moc_opt.control.settings import PAPER
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.embedded import (
     CompilerError,

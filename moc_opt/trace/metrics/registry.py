@@ -119,6 +119,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
     """Compute every metric that the trace has the data for.
 
     Args:
+        trace: a run.
         baseline: the run to compare with: DCAC with the same gains on the same trial, over the same time.
         phase: only the ticks while the elbow is "travelling" to its optimum, or has "settled", by the trace's
             column `travelling`; the baseline is then read at the same ticks.

@@ -13,7 +13,7 @@ from benchmarks.output import default_config
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
 from moc_opt.control import ControlSettings
-from moc_opt.control.settings import TUNED
+from moc_opt.control.presets import TUNED
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError
 from moc_opt.robots import load_data
 

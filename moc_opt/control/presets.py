@@ -1,0 +1,29 @@
+"""Named sets of control settings: the paper's, those that a search found, and softer ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+# Table I: each law has the gains printed for it, and the wrist's error is d / lambda. No observer, no ramp, and a box
+# that goes up to the limits of the joints themselves.
+PAPER: dict[str, Any] = {
+    "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
+    "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,
+    "shaft_margin_m2": 0.0, "fallback": "damping", "ramp_s": 0.0,
+}  # fmt: skip
+
+# Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;
+# another arm's table of that name is its own, or derived from its inertia (`moc_opt.model.gains`).
+TUNED: dict[str, Any] = {
+    "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
+    "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,
+}  # fmt: skip
+
+# Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
+# trocar; half as much tip error again.
+ROBUST: dict[str, Any] = {**TUNED, "gains": "robust", "observer_gain_per_s": 22.0}
+
+PRESETS: Mapping[str, dict[str, Any]] = MappingProxyType({"paper": PAPER, "tuned": TUNED, "robust": ROBUST})
+"""Name -> what it changes in the defaults."""
