@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,17 @@ from numpy.typing import NDArray
 from moc_opt.numerics.cache import njit
 
 Array = NDArray[np.float64]
+
+
+class ToolPlace(NamedTuple):
+    """Where an arm carries its tool, as `tool_pose` takes it."""
+
+    joints: Array
+    """(n,16) as in `Chain.joints`"""
+    mount: Array
+    """(3,3) rows: the tool's axes in the last joint's frame"""
+    tip: Array
+    """(3,) the tip in that frame [m]"""
 
 
 @njit(cache=True)
