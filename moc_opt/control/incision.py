@@ -15,17 +15,13 @@ The tool's inertia force is left in: some 0.3 N for each m/s^2 of the default to
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import float64
 from numpy.typing import NDArray
 
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 
 Array = NDArray[np.float64]
 
@@ -77,25 +73,25 @@ def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: 
     return float(whole)
 
 
-_BELOW, _ABOVE, _NO_READING = 0, 1, 2
+BELOW, ABOVE, NO_READING = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
-def _take(
-    mass: float, length: float, touch: float, share: float, lowest: Array, means: Array,
-    pose: Array, trocar: Array, wrench: Array,
-) -> int:  # fmt: skip
-    """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number."""
-    point = trocar[0]
-    distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, mass, length, touch)
-    means[0] += share * (distance * distance - means[0])
+def take(tool: Array, lowest: Array, means: Array, pose: Array, point: Array, wrench: Array) -> int:
+    """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number.
+
+    Args:
+        tool: (4,) mass [kg], length [m], ``touch`` as for ``trocar_force`` [N], and a reading's share of the means.
+        lowest: (2,) [m^2], [N^2].
+        means: (2,) changed in place.
+        pose, point, wrench: as for ``trocar_force``.
+    """
+    distance, force = rcm_error(pose, point), trocar_force(pose, point, wrench, tool[0], tool[1], tool[2])
+    means[0] += tool[3] * (distance * distance - means[0])
     if not np.isfinite(force):
-        return _NO_READING
-    means[1] += share * (force * force - means[1])
-    return _BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else _ABOVE
-
-
-_TAKE = CompiledKernel(_take, float64, float64, float64, float64, VECTOR, VECTOR, MATRIX, MATRIX, VECTOR)
+        return NO_READING
+    means[1] += tool[3] * (force * force - means[1])
+    return BELOW if means[0] <= lowest[0] and means[1] <= lowest[1] else ABOVE
 
 
 @dataclass
@@ -130,57 +126,52 @@ class Incision:
     """Root mean squares, over a time constant, of RCM error and trocar force, against their levels.
 
     Args:
-        tool_pose: q (n,) [rad] -> (4, 3), ``RobotModel.tool_pose``.
         tool: mass [kg] and length [m] of the tool, and what its tip may press across the shaft [N].
         share: control period over the time constant.
         patience_ticks: readings of the wrench sensor in a row that may be no numbers.
         rcm: warning level and limit of the RCM error against the registered trocar [m]; None: off.
         force: the same of the trocar's force [N].
+
+    Attributes:
+        tool, lowest, means: as ``take`` takes them.
+        point: (3,) where the trocar was registered last [m].
     """
 
     def __init__(
         self,
-        tool_pose: Callable[[Array], Array],
         tool: tuple[float, float, float],
         share: float,
         patience_ticks: int,
         rcm: tuple[float | None, float | None],
         force: tuple[float | None, float | None],
     ) -> None:
-        self._pose, self._tool, self._share, self._patience = tool_pose, tool, share, patience_ticks
+        self.tool, self._patience = np.array([*tool, share]), patience_ticks
         self._levels = (("the RCM error", "mm", 1e3, *rcm), ("the trocar's force", "N", 1.0, *force))
+        self.lowest, self.means, self.point = np.zeros(2), np.zeros(2), np.zeros(3)
         self.forget()
 
     def forget(self) -> None:
         """Forget all readings."""
-        self._means, self._tick, self._unread, self._point = np.zeros(2), -1, 0, np.full(3, np.nan)
+        self._tick, self._unread = -1, 0
+        self.means[:], self.point[:] = 0.0, np.nan
         self._watched = [Watched(*given) for given in self._levels]
-        self._lowest = np.array([watched.lowest_square for watched in self._watched])
-        self._take = partial(_TAKE.code, *self._tool, self._share, self._lowest, self._means)
+        self.lowest[:] = [watched.lowest_square for watched in self._watched]
 
-    def pressed(self, q: Array, wrench: Array) -> float:
+    def pressed(self, pose: Array, wrench: Array) -> float:
         """Return the trocar's force on the shaft [N] at the last registered place; NaN where it has no reading."""
-        return float(trocar_force(self._pose(q), self._point, wrench, *self._tool))
+        return float(trocar_force(pose, self.point, wrench, *self.tool[:3]))
 
-    def check(self, q: Array, trocar: Array, wrench: Array) -> str:
-        """Check one tick; return the reason to stop, or "".
-
-        Args:
-            q: (n,) believed pose [rad].
-            trocar: (2, 3) rows P_t, dP_t, as registered.
-            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
-        """
+    def reason(self, found: int) -> str:
+        """Return the reason to stop after what ``take`` found at one tick, or ""."""
         self._tick += 1
-        self._point = trocar[0]
-        found = self._take(self._pose(q), trocar, wrench)
-        if found == _BELOW:
+        if found == BELOW:
             self._unread = 0
             return ""
-        self._unread = self._unread + 1 if found == _NO_READING else 0
-        if self._unread > self._patience and np.isfinite(self._lowest[1]):
+        self._unread = self._unread + 1 if found == NO_READING else 0
+        if self._unread > self._patience and np.isfinite(self.lowest[1]):
             return "the wrench sensor's readings are no numbers"
         reason = ""
-        for watched, square in zip(self._watched, self._means.tolist(), strict=True):
+        for watched, square in zip(self._watched, self.means.tolist(), strict=True):
             reason = reason or watched.take(square**0.5, self._tick)
         return reason
 

@@ -28,7 +28,7 @@ joint began to repeat, and the speed that it must have gathered since; ticks in 
 ROWS = 11
 FIRST_TICKS = 100.0
 
-NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED = range(6)
+NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED, RECORDED = range(7)
 
 FRESH, REPEAT, OLD = 0, 1, 2
 
@@ -147,14 +147,20 @@ def compare_momentum(
     """Compare the motion that is seen with the torque (n,) [Nm] that acted over the period that ended at ``record``.
 
     Args are those of ``compare_readings``; held (n,) is the change of torque that static friction
-    holds [Nm], record the flat state of the measurement, period the control period [s], and settled 0 while the
-    residual is still on its way from nothing to what the model does not know.
+    holds [Nm], record the flat state of the measurement, period the control period [s], and settled -1 at
+    the first tick and 0 while the residual is still on its way from nothing to what the model does not know.
 
     Returns:
         NOTHING, STUCK or UNEXPLAINED.
     """
     n = tau.shape[0]
     s = state_views(record, n)
+    if settled < 0:
+        for i in range(n):
+            memory[INTEGRAL, i] = 0.0
+            for j in range(n):
+                memory[INTEGRAL, i] += s.M[i, j] * s.v[j]
+        return NOTHING
     momentum_residual(
         s.M, s.energy_slope, s.gravity, s.v, tau, levels[9], period, memory[INTEGRAL], memory[RESIDUAL]
     )

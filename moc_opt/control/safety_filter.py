@@ -11,29 +11,31 @@ carries the arm's weight in the last pose that passed the checks.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numba import float64, int64
+from numba import float64
 from numpy.typing import NDArray
 
 from moc_opt.control import safety_kernels as kernels
+from moc_opt.control import safety_tick as tick
 from moc_opt.control.incision import Incision
-from moc_opt.control.motion import MotionMonitor
-from moc_opt.control.motion_kernels import FRESH, OLD
+from moc_opt.control.motion import WORDS, MotionMonitor
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
+from moc_opt.model.place_kernels import ToolPlace, tool_pose
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
 
 Array = NDArray[np.float64]
 
-_BELIEVABLE = CompiledKernel(kernels.believable, VECTOR, VECTOR, VECTOR, float64, int64, MATRIX)
-_SQUARED_ERROR = CompiledKernel(kernels.squared_error, VECTOR, MATRIX)
 _LIMIT = CompiledKernel(kernels.limit_torque, *[VECTOR] * 5, MATRIX, VECTOR, float64)
 
 _NEEDS_HOLD, _NOT_FINITE = -1, -2
+_NO_WRENCH, _NO_TROCAR, _NONE = np.full(6, np.nan), np.zeros((2, 3)), np.empty(0)
+_NO_REFERENCE = np.zeros((3, 3))
 PRESS_PER_S = 50.0  # rate of the mean of the trocar's force in a stop
 
 
@@ -46,8 +48,8 @@ class SafetyFilter:
         period: control period [s].
         gravity: q (n,) [rad] -> torque (n,) [Nm] that carries the arm's weight (``RobotModel.gravity``); None for
             drives that carry it by themselves.
-        tool_pose: q (n,) [rad] -> (4, 3) axes and tip of the tool (``RobotModel.tool_pose``); None for an arm
-            that is in no incision: RCM error and trocar force are not checked then.
+        tool: where the arm carries it (``RobotModel.tool_place``); None for an arm that is in no incision: RCM
+            error and trocar force are not checked then.
         state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: its motion is not
             compared with its torque.
 
@@ -62,38 +64,55 @@ class SafetyFilter:
         settings: SafetyFilterSettings,
         period: float,
         gravity: Callable[[Array], Array] | None = None,
-        tool_pose: Callable[[Array], Array] | None = None,
+        tool: ToolPlace | None = None,
         state: Callable[[Array, Array], RobotState] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
-        self._believable, self._squared_error, self._limit = _BELIEVABLE.code, _SQUARED_ERROR.code, _LIMIT.code
         self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
         self._wall = np.array([
             settings.position_margin_rad, settings.wall_stiffness_Nm_per_rad,
             settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
         ])  # fmt: skip
-        self._jump = settings.jump_rad
-        self._bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
         self._step = settings.torque_rate_Nm_per_s * period
-        self._unknown, self._rest = np.empty(0), np.zeros(data.n)
-        self._gravity, self._state = gravity, state
-        self._motion = MotionMonitor(settings, period, settings.patience_ticks, data.tau_max, data.coulomb_friction)
-        self._share = min(1.0, period / settings.tip_error_s)
-        self._most = settings.tip_error_m**2
+        self._rest, self._believed = np.zeros(data.n), np.zeros((2, data.n))
+        self._counts, self._square = np.zeros(3, dtype=np.int64), np.zeros(1)
+        self._gravity, self._state, self._place = gravity, state, tool
+        self._motion = MotionMonitor(settings, period, data.tau_max, data.coulomb_friction)
         self._most_open = round(settings.stop_yield_s / period)
         self._press_share = min(1.0, PRESS_PER_S * period)
         touch = np.inf if settings.tip_force_N is None else settings.tip_force_N
-        self._incision = None if tool_pose is None else Incision(
-            tool_pose, (data.tool_mass, data.tool_length, touch), min(1.0, period / settings.incision_s),
+        self._incision = Incision(
+            (data.tool_mass, data.tool_length, touch), min(1.0, period / settings.incision_s),
             settings.patience_ticks, (settings.rcm_warning_m, settings.rcm_error_m),
             (settings.trocar_force_warning_N, settings.trocar_force_N),
         )  # fmt: skip
+        self._limit = _LIMIT.code
+        self._bind(data, period)
         self._forget(np.zeros(data.n), np.zeros(data.n))
 
-    def _forget(self, q: Array, v: Array) -> None:
-        self._q, self._v, self._bad = q, v, 0
-        self._square, self.limited, self.reason, self._yields = 0.0, 0, "", False
+    def _bind(self, data: RobotData, period: float) -> None:
+        settings, motion, inside = self.settings, self._motion, self._incision
+        bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
+        joints, mount, tip = self._place or (np.zeros((0, 16)), np.zeros((0, 3)), np.zeros(3))
+        self._before = partial(
+            tick.BEFORE.code, settings.jump_rad, period, settings.patience_ticks, bounds, motion.tau_max,
+            motion.levels, motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory,
+            motion.still, motion.tip, motion.seen, motion.count, joints, mount, np.array(tip), inside.tool,
+            inside.lowest, inside.means, inside.point,
+        )  # fmt: skip
+        self._after = partial(
+            tick.AFTER.code, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
+            settings.tip_error_m**2, motion.settling, self._limits, self._wall, _NONE, motion.levels, motion.held,
+            self._counts, motion.memory, motion.tip, self._square,
+        )  # fmt: skip
+
+    def _forget(self, q: Array, v: Array, stamp: int = 0) -> None:
+        self._believed[0], self._believed[1] = q, v
+        self._counts[:], self._square[:] = 0, 0.0
+        self.limited, self.reason, self._yields = 0, "", False
         self._press, self._borne, self._open = 0.0, 0.0, 0
+        self._motion.start(q, v, stamp)
+        self._incision.forget()
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
         """Begin at the first measurement, number ``stamp``, and run every compiled check once, before the loop.
@@ -103,78 +122,59 @@ class SafetyFilter:
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
-        self._forget(np.array(q), np.array(v))
-        self._motion.start(q, v, stamp)
-        self.check_measurement(q, v)
-        if self._state is not None:
-            self.check_motion(q, v, None, self._rest)
-            self.check_motion(q, v, None, self._rest)
+        self._forget(q, v, stamp)
+        self.check_measurement(q, v, stamp, self._rest, _NO_WRENCH, _NO_TROCAR)
         self.limit_torque(self._rest, self._rest, q, v)
-        self.check_tip(np.zeros(3), np.zeros((3, 3)))
-        self.limited = 0
-        self._forget(np.array(q), np.array(v))
-        self._motion.start(q, v, stamp)
-        if self._incision is not None:
-            self._incision.check(q, np.zeros((2, 3)), np.zeros(6))
-            self._incision.forget()
+        self.brake_friction(_NO_WRENCH)
+        self._forget(q, v, stamp)
 
     def check_measurement(
-        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None, wrench: Array | None = None
-    ) -> tuple[Array, Array]:
+        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
+        wrench: Array | None = None, trocar: Array | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement, or the last accepted one extrapolated where this one is late or cannot be true.
 
         Args:
             q, v: (n,) as measured [rad], [rad/s].
             stamp: number of the control period in which it was taken; None: the arm counts none.
             applied: (n,) torque that was applied before it [Nm]; None: not known.
-            wrench: (6,) as the sensor at the tool's mount shows it; None: not known.
+            wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes; None: not known.
+            trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
+                believed; None: the arm is in no incision.
         """
-        late = FRESH if stamp is None else self._motion.age(stamp)
-        if late == OLD:
+        parts, on = 0, self._motion.on
+        if on and stamp is not None:
+            parts += tick.AGE
+        if on and applied is not None:
+            parts += tick.READING
+        if trocar is not None and self._place is not None:
+            parts += tick.INCISION
+        found = self._before(
+            parts, q, v, 0 if stamp is None else stamp, self._rest if applied is None else applied,
+            _NO_WRENCH if wrench is None else wrench, _NO_TROCAR if trocar is None else trocar,
+        )  # fmt: skip
+        if found == tick.ACCEPTED:  # and nothing else was found
+            if parts & tick.INCISION:
+                self._incision.reason(0)
+            return q, v
+        if found & tick.TOO_OLD:
             self.request_stop(f"measurements are more than {self.settings.patience_ticks} ticks late")
-        if late == FRESH and self._believable(q, v, self._q, self._jump, 1 + self._bad, self._bounds):
-            self._q, self._v, self._bad = q, v, 0
-            if applied is not None:
-                self.request_stop(self._motion.check_reading(q, v, applied, wrench))
-        else:
-            self._bad += 1
-            self._q = self._q + self._v * self._period
-            if self._bad > self.settings.patience_ticks:
-                self.request_stop("measurements not believed")
-        return self._q, self._v
-
-    def check_motion(self, q: Array, v: Array, state: RobotState | None, applied: Array) -> None:
-        """Compare the motion at (q, v) with the torque (n,) [Nm] that was applied before it.
-
-        ``state`` is that of (q, v) where the controller shows it; None: it is computed.
-        """
-        if state is None:
-            if self._state is None:
-                return
-            state = self._state(q, v)
-        self.request_stop(self._motion.check_momentum(state, applied))
-
-    def check_tip(self, tip: Array, tip_ref: Array) -> None:
-        """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d [m]."""
-        self._motion.set_reference(tip_ref)
-        self._square += self._share * (self._squared_error(tip, tip_ref) - self._square)
-        if not self._square <= self._most:
-            self.request_stop(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
-
-    def check_incision(self, q: Array, trocar: Array, wrench: Array) -> None:
-        """Check RCM error and trocar force; arguments as for ``Incision.check``."""
-        if self._incision is not None:
-            self.request_stop(self._incision.check(q, trocar, wrench))
+        if not found & tick.ACCEPTED and self._counts[tick.BAD] > self.settings.patience_ticks:
+            self.request_stop("measurements not believed")
+        self.request_stop(WORDS.get(found % tick.INSIDE // tick.WHAT, ""))
+        if parts & tick.INCISION:
+            self.request_stop(self._incision.reason(found // tick.INSIDE))
+        return (q, v) if found & tick.ACCEPTED else (self._believed[0].copy(), self._believed[1].copy())
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """What exceeded its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
-        return [] if self._incision is None else self._incision.warnings(self._period)
+        return self._incision.warnings(self._period)
 
     @property
     def bad_ticks(self) -> int:
         """Number of measurements in a row that were not accepted."""
-        return self._bad
+        return int(self._counts[tick.BAD])
 
     @property
     def stopped(self) -> bool:
@@ -185,16 +185,41 @@ class SafetyFilter:
         """Request the stop; the first reason stays, and an empty one is none."""
         self.reason = self.reason or reason
 
-    def limit_torque(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
+    def limit_torque(
+        self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None,
+        state: RobotState | None = None, tip: Array | None = None,
+    ) -> Array:  # fmt: skip
         """Return the torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
 
-        A torque that is not finite requests the stop, and ``before`` is returned.
+        A torque that is not finite requests the stop, and ``before`` is returned. With it, the tip's distance from its
+        reference is checked, and the motion at (q, v) compared with the torque that was applied before it.
+
+        Args:
+            tau, before: (n,) as asked for, and as applied last [Nm].
+            q, v: (n,) believed [rad], [rad/s].
+            tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
+            state: of (q, v), where the controller shows it; None: it is computed.
+            tip: (3,) where the controller sees it [m]; None: where its state has it.
         """
+        parts, record = 0, _NONE if state is None else state.record
+        if tip_ref is not None and not (tip is None and state is None):
+            parts += tick.TIP
+        if self._motion.on and not (state is None and self._state is None):
+            parts += tick.MOMENTUM
+            if state is None and self._state is not None:
+                record = self._state(q, v).record
         tau = np.array(tau, dtype=np.float64)
-        rest = (before, q, v, self._unknown, self._limits, self._wall, self._step)
-        self.limited = self._limit(tau, *rest)
+        found = self._after(
+            parts, q, v, before, record, _NONE if tip is None else tip, _NO_REFERENCE if tip_ref is None else tip_ref,
+            tau,
+        )  # fmt: skip
+        self.limited = found // tick.INSIDE - 2
+        if found % tick.INSIDE:
+            if found & tick.OFF_REFERENCE:
+                self.request_stop(f"the tip has been {1e3 * self.settings.tip_error_m:g} mm off its reference")
+            self.request_stop(WORDS.get(found % tick.INSIDE // tick.WHAT, ""))
         if self.limited == _NEEDS_HOLD:
-            self.limited = self._limit(tau, *rest[:3], self._weight(q), *rest[4:])
+            self.limited = self._limit(tau, before, q, v, self._weight(q), self._limits, self._wall, self._step)
         if self.limited == _NOT_FINITE:
             self.limited = 0
             self.request_stop("the controller's torque is not finite")
@@ -207,7 +232,7 @@ class SafetyFilter:
         The last torque itself would go on pushing wherever the levels pushed at that moment.
         """
         self.limited = 0
-        weight = self._weight(self._q)
+        weight = self._weight(self._believed[0])
         if not np.isfinite(weight).all():
             return self._rest  # the weight is not known: the brakes alone
         wanted = np.clip(weight, -self._limits[3], self._limits[3])
@@ -224,11 +249,14 @@ class SafetyFilter:
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         """
-        level, friction, weight = self.settings.stop_yield_N, np.zeros(self._rest.size), self._weight(self._q)
+        level, friction = self.settings.stop_yield_N, np.zeros(self._rest.size)
+        weight = self._weight(self._believed[0])
         weight = weight if np.isfinite(weight).all() else self._rest
-        if self._incision is not None and level is not None and (np.abs(weight) <= self._limits[3]).all():
+        if self._place is not None and level is not None and (np.abs(weight) <= self._limits[3]).all():
             # A mean: in the first moments the sensor also shows the tool's inertia force.
-            force = self._incision.pressed(self._q, wrench)
+            pose = np.empty((4, 3))
+            tool_pose(self._place.joints, self._believed[0], self._place.mount, np.array(self._place.tip), pose)
+            force = self._incision.pressed(pose, wrench)
             self._press = self._press + self._press_share * (force - self._press) if np.isfinite(force) else 0.0
             self._yields = self._press - self._borne > (0.5 * level if self._yields else level)
             self._open = self._open + 1 if self._yields else 0

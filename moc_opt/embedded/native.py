@@ -58,12 +58,15 @@ class NativeController:
         found = ctypes.PyDLL(
             str(self.library)
         )  # for a microsecond, letting other threads in costs more than it gives
-        self._q, self._v, self._tau = np.zeros(robot.n), np.zeros(robot.n), np.zeros(robot.n)
+        self._tau = np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         state, self._state = _memory(plan.state)
-        report, self._report = _memory(plan.report)
-        self._whole_report, self._fields = report, plan.report
-        self._told, self._places = _state_places(plan.report, robot.n)
+        self._fields = plan.report
+        # q, v, report and a NaN in one piece, from which a state's record is taken at once.
+        self._known = np.full(2 * robot.n + sum(field.length for field in plan.report) + 1, np.nan)
+        self._q, self._v, report, _ = np.split(self._known, [robot.n, 2 * robot.n, -1])
+        self._whole_report, self._report = report, _named(report, plan.report)
+        self._in_state = _state_places(plan.report, robot.n)
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
         pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
         self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
@@ -133,11 +136,7 @@ class NativeController:
     @property
     def state(self) -> RobotState:
         """The model's state of the last tick, as far as the compiled tick computes it; NaN elsewhere."""
-        record = np.full(record_size(self.robot.n), np.nan)
-        record[self._places] = self._whole_report[self._told]
-        n = self.robot.n
-        record[:n], record[n : 2 * n] = self._q, self._v
-        return RobotState(record, n)
+        return RobotState(self._known.take(self._in_state), self.robot.n)
 
     @property
     def external_torque(self) -> Array:
@@ -200,15 +199,16 @@ def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
     return tick.layout, texts
 
 
-def _state_places(report: tuple[Field, ...], n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Places in a report, and in a state's record, of the numbers that both have."""
+def _state_places(report: tuple[Field, ...], n: int) -> NDArray[np.intp]:
+    """Place of each number of a state's record in (q, v, report, NaN); the NaN for what the report lacks."""
     index = np.arange(record_size(n), dtype=np.float64)
     views = state_views.py_func(index, n)._asdict()
-    whole, told = _memory(report)
-    whole[:] = np.arange(whole.size)
-    shared = [name for name in views if name in told]
-    pairs = [(told[name].ravel(), views[name].ravel()) for name in shared]
-    return tuple(np.concatenate(side).astype(np.intp) for side in zip(*pairs, strict=True))  # type: ignore[return-value]
+    length = sum(field.length for field in report)
+    told = {"q": np.arange(n), "v": np.arange(n, 2 * n), **_named(np.arange(2 * n, 2 * n + length), report)}
+    places = np.full(index.size, 2 * n + length, dtype=np.intp)
+    for name in views.keys() & told.keys():
+        places[views[name].ravel().astype(np.intp)] = told[name].ravel()
+    return places
 
 
 _LABELS = {code: status.label for code, status in _STATUS.items()}
@@ -217,10 +217,15 @@ _LABELS = {code: status.label for code, status in _STATUS.items()}
 def _memory(fields: tuple[Field, ...]) -> tuple[Array, dict[str, NDArray[Any]]]:
     """The doubles of one of the header's structs, and a view of each member."""
     whole = np.zeros(sum(field.length for field in fields))
-    return whole, {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
+    return whole, _named(whole, fields)
 
 
-def _views(rows: Array, fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
+def _named(whole: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
+    """A view of each member of one of the structs."""
+    return {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
+
+
+def _views(rows: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
     """A view (k, ...) of each member of the structs that are the k rows."""
     views, begin = {}, 0
     for field in fields:

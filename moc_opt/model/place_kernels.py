@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
+
+
+class ToolPlace(NamedTuple):
+    """Where an arm carries its tool, as `tool_pose` takes it."""
+
+    joints: Array
+    """(n,16) as in `Chain.joints`"""
+    mount: Array
+    """(3,3) rows: the tool's axes in the last joint's frame"""
+    tip: Array
+    """(3,) the tip in that frame [m]"""
 
 
 @njit(cache=True)

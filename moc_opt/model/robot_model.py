@@ -143,6 +143,11 @@ class RobotModel:
         return pose
 
     @property
+    def tool_place(self) -> place_kernels.ToolPlace:
+        """Where the arm carries its tool: what `tool_pose` is computed from."""
+        return place_kernels.ToolPlace(self._joints, self._mount, self._tip_offset)
+
+    @property
     def mount(self) -> Array:
         """(3,3) rows: the tool's axes x, y, z in the last joint's frame."""
         return self._mount

@@ -98,22 +98,24 @@ class FilteredController(Filtered):
         if safety is None:
             return self._controller.tick(seen.q, seen.v, tip_ref, trocar)
         if not safety.stopped:
-            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, self._applied, seen.force)
-            safety.check_incision(q, trocar, seen.force)
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, self._applied, seen.force, trocar)
         if not safety.stopped:
             try:
                 asked = self._controller.tick(q, v, tip_ref, trocar)
-                if self._shows_tip:
-                    safety.check_tip(self._controller.tip, tip_ref)  # type: ignore[attr-defined]
-                state = self._controller.state if self._shows_state else None  # type: ignore[attr-defined]
-                safety.check_motion(q, v, state, self._applied)
+                tau = safety.limit_torque(asked, self._applied, q, v, *self._seen(tip_ref))
             except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
                 safety.request_stop(f"the controller failed: {error}")
             else:
-                tau = safety.limit_torque(asked, self._applied, q, v)
                 if safety.limited:
                     self._controller.set_applied_torque(tau)
         if safety.stopped:
             tau = safety.stop_torque(self._applied)
         self._applied = tau
         return tau
+
+    def _seen(self, tip_ref: Array) -> tuple[Array | None, Any, Array | None]:
+        """Where the tip has to be, and what the controller shows of its tick: its state, and the tip without one."""
+        controller: Any = self._controller
+        if self._shows_state:
+            return tip_ref if self._shows_tip else None, controller.state, None
+        return (tip_ref, None, controller.tip) if self._shows_tip else (None, None, None)

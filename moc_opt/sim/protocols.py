@@ -68,25 +68,23 @@ class SafetyFilter(Protocol):
         ...
 
     def check_measurement(
-        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None, wrench: Array | None = None
-    ) -> tuple[Array, Array]:
-        """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible."""
+        self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
+        wrench: Array | None = None, trocar: Array | None = None,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible.
+
+        With the registered trocar (2, 3), RCM error and trocar force are checked too.
+        """
         ...
 
-    def check_incision(self, q: Array, trocar: Array, wrench: Array) -> None:
-        """Check RCM error and trocar force at q (n,), registered trocar (2, 3) and wrench (6,) at the mount."""
-        ...
+    def limit_torque(
+        self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
+        tip: Array | None = None,
+    ) -> Array:  # fmt: skip
+        """Return the torque within its limits; ``limited`` is the number of joints that were changed.
 
-    def check_tip(self, tip: Array, tip_ref: Array) -> None:
-        """Check the distance of the tip (3,) from its reference (3, 3) rows X_d, dX_d, ddX_d."""
-        ...
-
-    def check_motion(self, q: Array, v: Array, state: Any, applied: Array) -> None:
-        """Compare the motion with the torque (n,) that was applied; ``state`` None: of (q, v)."""
-        ...
-
-    def limit_torque(self, tau: Array, before: Array, q: Array, v: Array) -> Array:
-        """Return the torque within its limits; ``limited`` is the number of joints that were changed."""
+        With it, the tip is held against its reference (3, 3), and the motion at (q, v) against the torque ``before``.
+        """
         ...
 
     def stop_torque(self, before: Array) -> Array:

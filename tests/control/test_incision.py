@@ -52,9 +52,14 @@ def test_the_trocars_force_is_told_from_weight_and_from_what_the_tip_touches(rob
 
 
 def guard_of(robot, **changes):
-    mine = SafetyFilter(robot.data, SafetyFilterSettings(**changes), PERIOD, robot.gravity, robot.tool_pose)
+    mine = SafetyFilter(robot.data, SafetyFilterSettings(**changes), PERIOD, robot.gravity, robot.tool_place)
     mine.start(robot.data.q_home, np.zeros(7))
     return mine
+
+
+def look(guard, q, trocar, wrench):
+    """One tick at rest, as the sensor at the mount and the registered trocar have it."""
+    guard.check_measurement(q, np.zeros(7), None, None, wrench, trocar)
 
 
 def off_by(robot, q, distance):
@@ -91,7 +96,7 @@ def test_a_level_warns_and_a_limit_stops_after_a_while(robot, warning, limit, br
     def hold(value, ticks=1000, **changes):
         mine = guard_of(robot, **changes)
         for k in range(ticks):
-            mine.check_incision(q, *bring(robot, q, value))
+            look(mine, q, *bring(robot, q, value))
             if mine.stopped:
                 return mine, k
         return mine, ticks
@@ -138,7 +143,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
     for levels in ((2.0, 5.5), (4.0, 3.0)):
         guard = guard_of(robot, rcm_warning_m=1e-3 * levels[0], trocar_force_warning_N=levels[1], **quiet)
         for k in range(400):
-            guard.check_incision(q, *seen)
+            look(guard, q, *seen)
             due = [(np.flatnonzero(m > level)[0], m[k], level)
                    for m, level in zip(both.values(), levels, strict=True) if m[k] > level]  # fmt: skip
             assert len(guard.warnings) == len(due)
@@ -147,7 +152,7 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
                 assert found["largest"] == pytest.approx(largest, rel=1e-9)
                 assert found["level"] == pytest.approx(level)
         assert [w["unit"] for w in guard.warnings] == ["mm", "N"]
-        guard.check_incision(q, off_by(robot, q, 0.0), weight(robot, q))
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q))
         again = [w["largest"] for w in guard.warnings]
         assert again == pytest.approx([5.0, 6.0], rel=1e-3)  # the largest stays, whatever comes
     for name, change, level in (("RCM", "rcm_error_m", 4e-3), ("force", "trocar_force_N", 4.0)):
@@ -156,17 +161,17 @@ def test_the_means_warn_and_stop_at_the_tick_that_their_law_says(robot, time_s):
         due = int(np.flatnonzero(both[name] > 4.0)[0])
         for _ in range(due + 1):
             assert not guard.stopped
-            guard.check_incision(q, *seen)
+            look(guard, q, *seen)
         assert guard.reason.endswith(f"has been above 4 {'mm' if name == 'RCM' else 'N'}")
 
 
 def test_both_above_their_limits_are_both_noted(robot):
     guard, q = guard_of(robot, incision_s=PERIOD), robot.data.q_home
-    guard.check_incision(q, off_by(robot, q, 0.05), weight(robot, q, 50.0))
+    look(guard, q, off_by(robot, q, 0.05), weight(robot, q, 50.0))
     assert guard.reason.startswith("the RCM error")
     assert guard.warnings[0]["largest"] == pytest.approx(50.0)
     guard = guard_of(robot, incision_s=PERIOD)
-    guard.check_incision(q, off_by(robot, q, 0.01), weight(robot, q, 50.0))
+    look(guard, q, off_by(robot, q, 0.01), weight(robot, q, 50.0))
     assert guard.reason.startswith("the trocar's force")
     assert [w["of"] for w in guard.warnings] == ["the RCM error", "the trocar's force"]
 
@@ -174,10 +179,10 @@ def test_both_above_their_limits_are_both_noted(robot):
 def test_a_start_forgets_the_means(robot):
     guard, q = guard_of(robot), robot.data.q_home
     for _ in range(30):
-        guard.check_incision(q, off_by(robot, q, 0.011), weight(robot, q))
+        look(guard, q, off_by(robot, q, 0.011), weight(robot, q))
     assert len(guard.warnings) == 1
     guard.start(q, np.zeros(7))
-    guard.check_incision(q, off_by(robot, q, 0.011), weight(robot, q))
+    look(guard, q, off_by(robot, q, 0.011), weight(robot, q))
     assert guard.warnings == []
 
 
@@ -185,25 +190,25 @@ def test_a_loud_tick_between_readings_that_are_no_numbers_counts_as_heard(robot)
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard = guard_of(robot, incision_s=PERIOD, trocar_force_N=20.0, patience_ticks=1)
     for _ in range(5):
-        guard.check_incision(q, off_by(robot, q, 0.0), bad)
-        guard.check_incision(q, off_by(robot, q, 0.0), weight(robot, q, 10.0))
+        look(guard, q, off_by(robot, q, 0.0), bad)
+        look(guard, q, off_by(robot, q, 0.0), weight(robot, q, 10.0))
     assert not guard.stopped
-    guard.check_incision(q, off_by(robot, q, 0.0), bad)
+    look(guard, q, off_by(robot, q, 0.0), bad)
     assert not guard.stopped
-    guard.check_incision(q, off_by(robot, q, 0.0), bad)
+    look(guard, q, off_by(robot, q, 0.0), bad)
     assert guard.stopped
 
 
 def test_a_deaf_sensor_leaves_the_rcm_error_watched(robot):
     guard, q = guard_of(robot, incision_s=PERIOD), robot.data.q_home
-    guard.check_incision(q, off_by(robot, q, 0.05), np.full(6, np.nan))
+    look(guard, q, off_by(robot, q, 0.05), np.full(6, np.nan))
     assert guard.reason.startswith("the RCM error")
 
 
 def test_a_guard_without_a_tool_knows_no_incision(robot):
     guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(7))
-    guard.check_incision(robot.data.q_home, off_by(robot, robot.data.q_home, 1.0), np.full(6, np.nan))
+    look(guard, robot.data.q_home, off_by(robot, robot.data.q_home, 1.0), np.full(6, np.nan))
     assert not guard.stopped
     assert guard.warnings == []
 
@@ -232,14 +237,14 @@ def test_a_deaf_sensor_stops_the_arm_and_a_short_gap_does_not(robot):
     q, bad = robot.data.q_home, np.full(6, np.nan)
     guard, sound = guard_of(robot), (off_by(robot, q, 0.0), weight(robot, q))
     for _ in range(3):
-        guard.check_incision(q, sound[0], bad)
-    guard.check_incision(q, *sound)
+        look(guard, q, sound[0], bad)
+    look(guard, q, *sound)
     for _ in range(3):
-        guard.check_incision(q, sound[0], bad)
+        look(guard, q, sound[0], bad)
     assert not guard.stopped
-    guard.check_incision(q, sound[0], bad)
+    look(guard, q, sound[0], bad)
     assert "wrench sensor" in guard.reason
     off = guard_of(robot, trocar_force_N=None, trocar_force_warning_N=None)
     for _ in range(10):
-        off.check_incision(q, sound[0], bad)
+        look(off, q, sound[0], bad)
     assert not off.stopped

@@ -1,5 +1,7 @@
 """Age and motion of measurements: the kernels against laws that hold for all inputs, and what is believed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,15 +11,16 @@ from moc_opt.control import motion_kernels as kernels
 from moc_opt.control.motion import MotionMonitor, MotionSettings
 from moc_opt.control.motion_kernels import FRESH, OLD, REPEAT
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
+from moc_opt.robots import load_data
 
 PERIOD, PATIENCE, N = 0.002, 3, 7
 
 
 def ages(stamps, patience=PATIENCE):
     """What becomes of packets numbered so, one a tick, of a run that began with number 0 at tick 0."""
-    watch = MotionMonitor(MotionSettings(), PERIOD, patience, np.full(N, 100.0))
+    watch = MotionMonitor(MotionSettings(), PERIOD, np.full(N, 100.0))
     watch.start(np.zeros(N), np.zeros(N), 0)
-    return [watch.age(int(stamp)) for stamp in stamps]
+    return [kernels.age(int(stamp), patience, watch.clock) for stamp in stamps]
 
 
 @given(st.integers(0, 6), st.integers(0, 3), st.integers(1, 50))
@@ -72,17 +75,22 @@ def test_a_growing_lag_is_too_old_when_it_has_grown_by_the_patience():
         assert all(k - stamps[k] <= PATIENCE for k in range(first))
 
 
+ARM = dataclasses.replace(load_data("lwr4"), tau_max=np.full(N, 100.0), v_max=np.full(N, 1e3))
+"""Of which everything is believed that is a number."""
+
+
 def looked(q, v, tau=None, reference=None, wrench=None, **levels):
     """The first thing that is wrong with readings (k, n), and at which of them."""
-    watch = MotionMonitor(MotionSettings(**levels), PERIOD, PATIENCE, np.full(N, 100.0))
-    watch.start(q[0], v[0], 0)
+    guard = SafetyFilter(ARM, SafetyFilterSettings(**levels), PERIOD)
+    guard.start(q[0], v[0], 0)
+    rest = np.zeros(N)
     for k in range(len(q)):
         if reference is not None:
-            watch.set_reference(reference[k])
-        given_tau = np.zeros(N) if tau is None else tau[k]
-        wrong = watch.check_reading(q[k], v[k], given_tau, None if wrench is None else wrench[k])
-        if wrong:
-            return wrong, k
+            guard.limit_torque(rest, rest, q[k], v[k], reference[k], tip=reference[k, 0])
+        given_tau, given_wrench = rest if tau is None else tau[k], None if wrench is None else wrench[k]
+        guard.check_measurement(q[k], v[k], None, given_tau, given_wrench)
+        if guard.stopped:
+            return guard.reason, k
     return "", len(q)
 
 
@@ -204,14 +212,14 @@ def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
             noise[joint] *= seen == "noisy"
             extra[joint] = 0.02 * robot.tau_max[joint] * (k > 100)
             guard.check_measurement(q + noise, v, k, robot.gravity(q) + extra)
-            guard.check_motion(q + noise, v, None, robot.gravity(q) + extra)
+            guard.limit_torque(np.zeros(N), robot.gravity(q) + extra, q + noise, v)
         assert not guard.stopped  # as much as friction holds
         extra[joint] = 0.5 * robot.tau_max[joint]
         for more in range(200):
             noise = 1e-5 * rng.normal(size=N)
             noise[joint] *= seen == "noisy"
             guard.check_measurement(q + noise, v, 1000 + more, robot.gravity(q) + extra)
-            guard.check_motion(q + noise, v, None, robot.gravity(q) + extra)
+            guard.limit_torque(np.zeros(N), robot.gravity(q) + extra, q + noise, v)
             if guard.stopped:
                 break
         assert guard.stopped

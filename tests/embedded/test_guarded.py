@@ -76,10 +76,9 @@ class Twin:
     def remembered(self) -> Array:
         """What Python remembers, in the order of `GuardedController.remembered`: a level may never be reached."""
         guard, supervisor = self.guard, self.brain.controller._supervisor
-        assert guard._incision is not None
         return np.concatenate([
-            [guard._square, *guard._incision._means, guard._press], supervisor._good, guard._motion._memory.ravel(),
-            guard._motion._tip, guard._motion._still[:3], guard._motion._still[9:],
+            [*guard._square, *guard._incision.means, guard._press], supervisor._good, guard._motion.memory.ravel(),
+            guard._motion.tip, guard._motion.still[:3], guard._motion.still[9:],
         ])  # fmt: skip
 
     def brake_friction(self, seen: Measurement) -> Array | float:

@@ -93,7 +93,7 @@ def test_the_arm_gives_way_to_a_trocar_that_presses(seed, slip_m):
 @pytest.fixture
 def pressed(robot):
     """A safety filter at rest in its incision, and the sensor's reading with a force of the trocar across the shaft."""
-    guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
     q = np.array(robot.data.q_home)
     guard.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
@@ -101,7 +101,7 @@ def pressed(robot):
     mass, length = robot.data.tool_mass, robot.data.tool_length
     weight = -9.81 * mass * pose[:3, 2]
     free = np.concatenate([weight, [-0.5 * length * weight[1], 0.5 * length * weight[0], 0.0]])
-    guard.check_incision(q, trocar, free)
+    guard.check_measurement(q, np.zeros(7), trocar=trocar, wrench=free)
     return guard, lambda force: free + np.array([force, 0.0, 0.0, 0.0, force * (length - 0.15), 0.0])
 
 
@@ -115,11 +115,12 @@ def test_brakes_are_open_only_while_the_trocar_presses(robot, pressed):
         if closed:
             np.testing.assert_allclose(friction, 0.25 * robot.tau_max)
     data = dataclasses.replace(robot.data, tau_max=0.1 * robot.tau_max)
-    weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
+    weak = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
     q = np.array(robot.data.q_home)
     weak.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
-    weak.check_incision(q, np.array([pose[3] - 0.15 * pose[2], np.zeros(3)]), reading(0.0))
+    trocar = np.array([pose[3] - 0.15 * pose[2], np.zeros(3)])
+    weak.check_measurement(q, np.zeros(7), trocar=trocar, wrench=reading(0.0))
     for _ in range(100):
         friction = weak.brake_friction(reading(20.0))
     missing = np.abs(robot.gravity(q)) - data.tau_max
