@@ -12,7 +12,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError, UnknownNameError
+from moc_opt.errors import TraceError, UnknownNameError, describe
 from moc_opt.inputs import plugins
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -129,8 +129,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         run has no tick in that phase.
 
     Raises:
-        TraceError: the trace or the baseline is empty; a phase is asked for and the trace has no column
-            `travelling`, or the baseline has not the same number of ticks.
+        TraceError: the trace or the baseline is empty, or a column holds numbers that no run has; a phase is asked
+            for and the trace has no column `travelling`, or the baseline has not the same number of ticks.
         UnknownNameError: no such phase.
     """
     load_plugins()
@@ -156,6 +156,11 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         except MissingDataError:
             # By contract: a metric without its data has no number, and no key.
             continue
+        except ArithmeticError as error:
+            raise TraceError(
+                f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
+                "numbers that no run has"
+            ) from error
     return summary
 
 
