@@ -47,7 +47,8 @@ def test_an_entry_that_the_package_does_not_know_may_hold_anything():
     "scenario",
     [
         Scenario(), Scenario(control={"law": "dcac"}), Scenario(faults={"solver": "raise", "solver_share": 0.5}),
-        Scenario(robot={"tool_length_m": 0.25}, best_courses=True), Scenario(guard={"rcm_error_m": 1e-9, "rcm_warning_m": 1e-9}),
+        Scenario(robot={"tool_length_m": 0.25}, best_courses=True),
+        Scenario(guard={"rcm_error_m": 1e-9, "rcm_warning_m": 1e-9}),
     ],
 )  # fmt: skip
 def test_what_runs_leave_is_of_its_kind(scenario):
