@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import ClassVar
 
 
 class MocOptError(Exception):
-    """Base of every error that moc_opt raises on purpose."""
+    """Base of every error that moc_opt raises on purpose; its text is cut at ``MOST`` characters.
+
+    A file may have a thousand wrong fields, or one value of a megabyte.
+    """
+
+    MOST: ClassVar[int] = 2000
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        return text if len(text) <= self.MOST else text[: self.MOST - 3] + "..."
 
 
 class SubproblemError(MocOptError, ValueError):
@@ -44,6 +54,8 @@ class TraceError(MocOptError, ValueError):
 
 class UnknownNameError(MocOptError, LookupError):
     """A name that is in no list; the message holds the nearest valid ones."""
+
+    MOST = 10_000  # a long list is ours
 
     def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
         """Build the message.

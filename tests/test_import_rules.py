@@ -34,7 +34,7 @@ ALLOWED = {
     "solvers": {"errors", "inputs", "numerics", "qp"},
     "control": {"errors", "inputs", "numerics", "qp", "robots", "model", "tasks", "solvers.base"},
     "sim": {"errors", "inputs", "numerics", "robots", "tasks", "trace"},
-    "realtime": {"errors", "inputs", "sim"},
+    "realtime": {"errors", "inputs", "sim", "trace"},
     "vision": {"errors", "inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"errors", "inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
     "embedded": {"errors", "inputs", "qp", "robots", "model", "solvers", "control"},

@@ -20,7 +20,7 @@ from moc_opt.inputs.files import parse_json, read_json, to_json
 def sealed(record: Mapping[str, Any], digest: str) -> tuple[bytes, dict[str, Any]]:
     """Make a run's file for the sweep of that digest, and the record as it will be read."""
     text = to_json(record, indent=None, sort_keys=True)
-    whole = {"crc": zlib.crc32(text.encode()), "plan": digest, "record": text}
+    whole = {"crc": _checksum(digest, text), "plan": digest, "record": text}
     return to_json(whole, indent=None).encode(), json.loads(text)
 
 
@@ -41,9 +41,14 @@ def _unsealed(path: Path) -> dict[str, str]:
     kinds = {"crc": int, "plan": str, "record": str}
     if not isinstance(whole, dict) or any(type(whole.get(name)) is not kind for name, kind in kinds.items()):
         raise StoreError(f"{path} is no run of a sweep")
-    if zlib.crc32(whole["record"].encode("utf-8", "surrogatepass")) != whole["crc"]:
+    if _checksum(whole["plan"], whole["record"]) != whole["crc"]:
         raise StoreError(f"{path} is damaged")
     return whole
+
+
+def _checksum(digest: str, text: str) -> int:
+    # Of both: a run whose digest alone is damaged would count as one of another sweep, and lock its folder.
+    return zlib.crc32(f"{digest} {text}".encode("utf-8", "surrogatepass"))
 
 
 def shard_indices(path: Path, plan: Plan) -> NDArray[np.int64] | None:

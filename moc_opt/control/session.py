@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solver
@@ -19,15 +20,16 @@ def start_session(solver: Solver, qp: NullSpaceQP) -> Session:
     """
     name = "?"
     try:
-        name = repr(solver.name)
-        reason = solver.supports(qp.copy())
-        if reason is None:
-            session = solver.start(qp.copy())
-            if callable(getattr(session, "solve", None)):
-                return session
-            reason = f"start returned a {type(session).__name__} without solve: return a Session"
-        elif not isinstance(reason, str):
-            reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
+        with Interpreter():  # as it was, whatever a library does to it when it is set up
+            name = repr(solver.name)
+            reason = solver.supports(qp.copy())
+            if reason is None:
+                session = solver.start(qp.copy())
+                if callable(getattr(session, "solve", None)):
+                    return session
+                reason = f"start returned a {type(session).__name__} without solve: return a Session"
+            elif not isinstance(reason, str):
+                reason = f"supports returned a {type(reason).__name__}: return None or the reason why not"
     except (KeyboardInterrupt, MocOptError):
         raise
     except BaseException as error:  # foreign code may raise anything

@@ -23,6 +23,7 @@ MOST_ITERATIONS = 2**31 - 1
 """The largest number that a trace can hold."""
 
 _DOUBLE, _SIX = np.dtype(np.float64), (6,)
+_INTEGERS = frozenset({int, *(np.dtype(code).type for code in np.typecodes["AllInteger"])})  # no types made from them
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
@@ -41,7 +42,7 @@ def received(given: object, n: int) -> tuple[Solution, str]:
         and x.shape == (n,)
         and (y is None or (type(y) is np.ndarray and y.dtype == _DOUBLE and y.shape == _SIX))
         and type(status) is Status
-        and (type(iterations) is int or isinstance(iterations, np.integer))
+        and type(iterations) in _INTEGERS
         and 0 <= iterations <= MOST_ITERATIONS
     ):
         return no_answer(n, status if type(status) is Status else Status.NUMERICAL), _wrong(x, y, status, iterations, n)
@@ -63,7 +64,7 @@ def _unlike(name: str, value: object, length: int) -> str:
 
 
 def _uncountable(iterations: object) -> str:
-    if type(iterations) is not int and not isinstance(iterations, np.integer):
+    if type(iterations) not in _INTEGERS:
         return f"iterations is a {type(iterations).__name__}: give an int"
     return f"iterations is out of range: give 0 to {MOST_ITERATIONS}"
 

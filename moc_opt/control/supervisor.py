@@ -11,7 +11,6 @@ either afterwards reaches neither the check nor the torque.
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from enum import Enum
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from moc_opt.control.interpreter import Interpreter
 from moc_opt.control.null_space import into_the_box, least_violation
 from moc_opt.control.solution_check import RESIDUALS, received
 from moc_opt.errors import ControlError, MocOptError, describe
@@ -108,6 +108,9 @@ class SupervisorSettings(Settings):
     )
 
 
+ANSWER_EVERY = 500
+"""Answers after which Ctrl-C and its like are made sure to reach the run again, whatever a solver did to them."""
+
 _SOLVED, _NO_FAULT = Status.SOLVED, Fault.NONE
 
 
@@ -128,7 +131,7 @@ class Supervisor:
         self, settings: SupervisorSettings, fallback: str, n: int, times_us: Iterator[float] | None = None
     ) -> None:
         self.settings, self._fallback, self._times = settings, fallback, times_us
-        self._rest, self._depth = np.zeros(n), sys.getrecursionlimit()
+        self._rest, self._interpreter = np.zeros(n), Interpreter()
         self._residuals = RESIDUALS.code
         # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
         self._check, self._stop_late = settings.check, settings.late == "iterate"
@@ -168,6 +171,8 @@ class Supervisor:
         solution, fault, text = self._ask(session, qp, v)
         self.fault = fault or self._judge(solution, qp, Z)
         self._asked += 1
+        if self._asked % ANSWER_EVERY == 0:
+            self._interpreter.answer_signals()
         if self.fault is _NO_FAULT:
             self._good, self._age = solution.x.copy(), 0  # a copy: the caller has the solution as well
             return solution, self._good
@@ -190,8 +195,7 @@ class Supervisor:
                     session.observe(v.copy())  # type: ignore[attr-defined]
                 given = session.solve(shown)
             finally:
-                if sys.getrecursionlimit() != self._depth:
-                    sys.setrecursionlimit(self._depth)
+                self._interpreter.calm()
         except KeyboardInterrupt:  # a user's Ctrl-C
             raise
         except Unanswered as error:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
+from contextlib import suppress
 from typing import Any
 
+from moc_opt.errors import TraceError
 from moc_opt.inputs.files import parse_json, to_json
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.packets import WORDS_BYTES
+from moc_opt.trace.meta import check_entry
 
-_NUMBER = (int, float)
-_FORMS: dict[str, dict[str, Any]] = {
-    "faults": {"count": int, "first_at_s": _NUMBER, "first": str},
-    "restarts": {"at_s": _NUMBER, "reason": str},
-    "warnings": {"of": str, "unit": str, "level": _NUMBER, "first_s": _NUMBER, "largest": _NUMBER},
-}
+_ENTRIES = ("faults", "restarts", "warnings")
 
 
 def last_words(controller: object, warnings: list[dict[str, Any]]) -> bytes:
@@ -35,23 +32,13 @@ def read_words(words: bytes) -> dict[str, Any]:
     except WireError:
         return {}  # of a controller that is not ours; the run is over, and its trace complete without
     told = {}
-    for name, form in _FORMS.items() if isinstance(found, dict) else ():
+    for name in _ENTRIES if isinstance(found, dict) else ():
         value = found.get(name)
-        if isinstance(value, dict if name == "faults" else list):
-            entries = list(value.values()) if isinstance(value, dict) else value
-            if all(_fits(entry, form) for entry in entries) and (entries or name == "faults"):
+        if value or (name == "faults" and value is not None):
+            with suppress(TraceError):  # as above
+                check_entry(name, value)
                 told[name] = value
     return told
-
-
-def _fits(entry: Any, form: dict[str, Any]) -> bool:
-    """Whether an entry has these keys and no others, each of its kind, and numbers that JSON can hold."""
-    return (
-        isinstance(entry, dict)
-        and set(entry) == set(form)
-        and all(isinstance(entry[name], kind) and not isinstance(entry[name], bool) for name, kind in form.items())
-        and all(math.isfinite(value) for value in entry.values() if isinstance(value, int | float))
-    )
 
 
 def printable(text: str) -> str:

@@ -67,11 +67,20 @@ def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
     return lay_out(unchecked, robot, np.random.default_rng(seeds_of(scenario)[0]))
 
 
-def targets_of(robot: RobotModel, layout: Layout, times: int | None = None) -> Targets:
-    """What the laid-out path asks of the arm from the first tick to the last."""
-    wanted = int(np.clip(np.ceil(layout.duration_s / PERIOD_S) + 1, 2, MOST_TIMES))
+def targets_of(
+    robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
+) -> Targets:
+    """What the laid-out path asks of the arm from the first tick to the last.
+
+    Args:
+        times: so many evenly spaced ones; None: one each ``period_s`` at most, as long as there are no more than
+            `MOST_TIMES` of them.
+        finer: so many times as many.
+    """
+    spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
+    count = times or finer * spaces + 1
     return lay_targets(
-        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, times or wanted
+        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count
     )
 
 

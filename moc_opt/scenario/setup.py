@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
+from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ScenarioError, describe
 from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
@@ -217,13 +218,14 @@ class Setup:
         def trocar(t: Array) -> Array:
             return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
 
-        found = simulate(
-            self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
-            Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
-            safety_filter=make_safety_filter(self.robot, self.scenario),
-            faults=faults if wrong.around_the_arm else None,
-            stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
-        )  # fmt: skip
+        with Interpreter():  # what a solver changed of it ends with the run
+            found = simulate(
+                self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+                Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
+                safety_filter=make_safety_filter(self.robot, self.scenario),
+                faults=faults if wrong.around_the_arm else None,
+                stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
+            )  # fmt: skip
         return found.with_meta(replans=self.guide.told) if isinstance(self.guide, Receding) else found
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:

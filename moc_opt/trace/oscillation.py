@@ -39,6 +39,7 @@ LIMIT_NM = 10.0
 ABOVE_HZ = 8.0
 WINDOW_S = 1.0
 START_S = 0.5
+SHORTEST_S = 1e-6
 
 
 class Shaking(NamedTuple):
@@ -71,8 +72,10 @@ def shaking(trace: Trace, column: str) -> Shaking:
     if "tick" in trace.columns and (np.diff(trace.tick) != 1).any():
         raise MissingDataError("the ticks lie apart: an oscillation shows in consecutive ones")
     period = float(time[-1] - time[0]) / (len(time) - 1)
-    if not period > 0.0:
-        raise TraceError("column 't_s' does not increase from tick to tick: give the time of each tick")
+    if not SHORTEST_S <= period < np.inf:
+        raise TraceError(
+            f"column 't_s' does not increase by {SHORTEST_S:g} s or more from tick to tick: give the time of each tick"
+        )
     first = min(round(START_S / period), len(time) // 2)
     window = min(round(WINDOW_S / period), len(time) - first)
     fast = above(values, max(1, round(1.0 / (ABOVE_HZ * period))))[first:]

@@ -18,6 +18,7 @@ from moc_opt.trace import views
 from moc_opt.trace import writer as trace_writer
 from moc_opt.trace.columns import COLUMNS, Column, check_column, column
 from moc_opt.trace.ending import Ending
+from moc_opt.trace.meta import check_entry
 
 if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
@@ -52,7 +53,8 @@ class Trace:
             meta: name -> JSON value, finite numbers only; kept as JSON would give it back (tuples as lists).
 
         Raises:
-            TraceError: a column (named) has another shape, type or number of rows; meta is not JSON.
+            TraceError: a column (named) has another shape, type or number of rows; meta is not JSON, or an entry of it
+                that the package reads is of another kind.
         """
         checked = {_name(name): column(name, value) for name, value in columns.items()}
         first = next(iter(checked), "")
@@ -286,6 +288,7 @@ def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
                 f"meta[{name!r}] cannot be written as JSON ({error}): "
                 f"give texts, finite numbers, flags, None, and lists and dicts of them"
             ) from error
+        check_entry(name, value)
     plain: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
     return plain
 

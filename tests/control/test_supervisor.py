@@ -87,6 +87,16 @@ def test_a_good_answer_is_followed_and_copied(qp, Z):
     assert mine.counts == {}
 
 
+class LyingCount(np.int64):
+    """Compares as small, and counts as 2^70, which no trace holds."""
+
+    def __le__(self, other):
+        return True
+
+    def __int__(self):
+        return 2**70
+
+
 def wrong_answers(qp):
     x = solved(qp).x
     return {
@@ -299,6 +309,7 @@ def test_answers_that_lie_oddly_in_memory_are_copied(qp):
         (Solution(np.zeros(3), None, Status.SOLVED), "x has shape (3,): give (7,)"),
         (Solution(np.zeros(7), np.zeros(5), Status.SOLVED), "y has shape (5,): give (6,)"),
         (Solution(np.zeros(7), None, Status.SOLVED, -3), "iterations is out of range"),
+        (Solution(np.zeros(7), None, Status.SOLVED, LyingCount(3)), "iterations is a LyingCount"),
     ],
 )
 def test_an_answer_of_a_wrong_form_is_told_from_a_solver_in_trouble(answer, words, qp, Z):

@@ -35,6 +35,8 @@ def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
 def mu_fraction_of_bound(trace: Trace) -> float:
     """Mean manipulability over that of the largest of all feasible poses, at the ticks where it was looked for."""
     bound = float(known(trace, "mu_bound").mean())
+    if bound == 0.0:
+        raise MissingDataError("the largest mu is zero throughout: a share of it has no value")
     return float(floats(trace, "mu")[~np.isnan(trace.mu_bound)].mean()) / bound
 
 

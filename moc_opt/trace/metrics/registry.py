@@ -12,7 +12,7 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import TraceError, UnknownNameError, shown
+from moc_opt.errors import TraceError, UnknownNameError, describe, shown
 from moc_opt.inputs import plugins
 from moc_opt.trace.trace import MissingDataError, Trace
 
@@ -129,8 +129,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         run has no tick in that phase.
 
     Raises:
-        TraceError: the trace or the baseline is none, or empty; they are not of the same time; a phase is asked for
-            and the trace has no column `travelling`.
+        TraceError: the trace or the baseline is none, or empty; they are not of the same time; a column holds numbers
+            that no run has; a phase is asked for and the trace has no column `travelling`.
         UnknownNameError: no such phase.
     """
     load_plugins()
@@ -158,6 +158,11 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         except MissingDataError:
             # By contract: a metric without its data has no number, and no key.
             continue
+        except ArithmeticError as error:
+            raise TraceError(
+                f"metric {name!r} cannot be computed ({describe(error)}): a column that it reads holds zeros, or "
+                "numbers that no run has"
+            ) from error
     return summary
 
 

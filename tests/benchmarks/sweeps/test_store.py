@@ -17,6 +17,7 @@ from benchmarks.sweeps import store as sweep_store
 from benchmarks.sweeps import table
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan
+from benchmarks.sweeps.record import owner
 from benchmarks.sweeps.store import Store
 from tests.sweeps import GRID, config, do, made_up
 
@@ -254,6 +255,21 @@ def test_a_plan_that_is_lost_does_not_lock_out_finished_runs(how: str, whole: by
     assert (bytes_, again) == (whole, [])
     assert path.is_file()
     assert do(plan, tmp_path) == (whole, [])
+
+
+def test_a_damaged_run_says_of_no_other_sweep(whole: bytes, tmp_path: Path) -> None:
+    """Its digest was outside the checksum once: a flipped bit there, and no plan, locked the whole folder."""
+    plan = Plan(config())
+    filled(tmp_path, plan, 11)
+    path = next(iter(sorted((tmp_path / "runs").iterdir())))
+    data = path.read_bytes()
+    for place in range(len(data)):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
+        assert owner(path) in (None, plan.digest)
+    place = data.index(plan.digest.encode())
+    path.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
+    (tmp_path / "plan.json").unlink()
+    assert do(plan, tmp_path) == (whole, [str(path)])
 
 
 def test_without_its_plan_a_folder_of_another_sweep_is_refused_all_the_same(whole: bytes, tmp_path: Path) -> None:

@@ -1,0 +1,124 @@
+"""The interpreter that loop and solver share: what foreign code may change of it, and how that is put back.
+
+A library may do so when it is loaded or asked, in good faith: another rounding of the processor, an error state of
+numpy's, a handler of Ctrl-C. What is left as it was made is what only a process of its own keeps apart
+(``[solver] isolation = "process"``): the environment, threads, open files, limits of resources, modules.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import warnings
+from contextlib import suppress
+from time import monotonic
+from typing import Any, Self
+
+import numpy as np
+
+_ENVIRONMENT_BYTES = 64  # fenv_t has 32 on x86-64, 8 on arm64
+_TIMERS = (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL, signal.ITIMER_PROF)
+
+
+class Interpreter:
+    """What the interpreter is like when this is made; as a context, it is so again at the end.
+
+    Of this thread: tracing and profiling functions, numpy's error state, the processor's rounding, traps and handling
+    of the smallest numbers, blocked signals. Of the process, from the main thread alone, as others may be at work on
+    it: handlers of signals, timers, the recursion limit and the switch interval, filters of warnings, standard
+    streams, working directory, and the mask of new files.
+    """
+
+    def __init__(self) -> None:
+        self._quick = self._quickly()
+        self._errors, self._blocked = np.geterr(), signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        self._floats = ctypes.create_string_buffer(_ENVIRONMENT_BYTES)
+        _libm.fegetenv(self._floats)
+        self._is_main = threading.current_thread() is threading.main_thread()
+        if self._is_main:
+            self._handlers = {number: signal.getsignal(number) for number in _HANDLED}
+            self._begin_s = monotonic()
+            self._timers = [signal.getitimer(which) for which in _TIMERS]
+            self._switch_s, self._filters = sys.getswitchinterval(), list(warnings.filters)
+            self._streams = {name: getattr(sys, name) for name in ("stdin", "stdout", "stderr", "excepthook")}
+            self._mask, self._folder = _umask(), _folder()
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Put everything back."""
+        self.restore()
+
+    @staticmethod
+    def _quickly() -> tuple[Any, ...]:
+        return sys.getrecursionlimit(), sys.gettrace(), sys.getprofile()
+
+    def calm(self) -> None:
+        """Put back what breaks into the very next lines; takes a fraction of a microsecond where nothing changed."""
+        if self._quickly() != self._quick:
+            depth, trace, profile = self._quick
+            sys.setprofile(profile)
+            sys.settrace(trace)
+            sys.setrecursionlimit(depth)
+
+    def answer_signals(self) -> None:
+        """Put back who answers the signals by which a run is ended from outside; some microseconds."""
+        if self._is_main:
+            self._handle(*_ENDING)
+
+    def restore(self) -> None:
+        """Put everything back; half a millisecond."""
+        self.calm()
+        _libm.fesetenv(self._floats)
+        np.seterr(**self._errors)
+        if self._is_main:
+            self._restore_process()
+        signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
+
+    def _handle(self, *numbers: int) -> None:
+        for number in numbers:
+            handler = self._handlers[number]
+            if handler is not None:  # set even where it looks the same: a library in C replaces it unseen
+                signal.signal(number, handler)
+
+    def _restore_process(self) -> None:
+        passed = monotonic() - self._begin_s
+        for which, (left, interval) in zip(_TIMERS, self._timers, strict=True):
+            if left == 0.0:
+                signal.setitimer(which, 0.0)
+            elif which == signal.ITIMER_REAL and left > passed:  # one that is over has rung
+                signal.setitimer(which, left - passed, interval)
+        self._handle(*_HANDLED)
+        sys.setswitchinterval(self._switch_s)
+        if warnings.filters != self._filters:
+            warnings.filters[:] = self._filters  # type: ignore[index]
+            warnings._filters_mutated()  # type: ignore[attr-defined]
+        for name, stream in self._streams.items():
+            setattr(sys, name, stream)
+        os.umask(self._mask)
+        with suppress(OSError):  # it may be gone
+            if self._folder and _folder() != self._folder:
+                os.chdir(self._folder)
+
+
+def _umask() -> int:
+    mask = os.umask(0o077)
+    os.umask(mask)
+    return mask
+
+
+def _folder() -> str:
+    try:
+        return os.getcwd()
+    except OSError:
+        return ""
+
+
+_libm = ctypes.CDLL(None)
+_HANDLED: tuple[int, ...] = tuple(set(signal.Signals) - {signal.SIGKILL, signal.SIGSTOP})
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
