@@ -18,7 +18,7 @@ solvers: setup
 	$(RUN) -m benchmarks.solvers
 
 test: setup lint
-	$(RUN) -m pytest -n auto
+	$(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(RUN) -m ruff check .

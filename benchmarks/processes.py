@@ -156,8 +156,9 @@ class Worker:
                 raise Crashed("the worker was stopped")
             if self._pipe is None:
                 mine, theirs = self._context.Pipe()
-                self._process = self._context.Process(target=serve, args=(theirs,), daemon=True)
-                self._process.start()
+                process = self._context.Process(target=serve, args=(theirs,), daemon=True)
+                process.start()
+                self._process = process
                 theirs.close()
                 self._pipe = mine
             return self._pipe

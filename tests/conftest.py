@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,29 @@ Draw = Callable[..., list[Array]]
 # Properties are tested on the same examples in every run, however busy the machine; `benchmarks.fuzz` looks for others.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+LONGEST = (
+    "tests/test_documents.py", "tests/benchmarks/test_plan.py", "tests/benchmarks/sweeps/test_kill.py",
+    "tests/benchmarks/test_speed.py", "tests/benchmarks/test_solvers.py", "tests/live/test_browser.py",
+    "tests/benchmarks/test_paper.py", "tests/benchmarks/test_fuzz.py", "tests/test_wheel.py",
+    "tests/benchmarks/maintenance/test_mutation.py", "tests/control/test_isolated.py", "tests/planning/test_follow.py",
+)  # fmt: skip
+"""Files that several processes begin with: at the end the others would wait for the one that has them."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Return half as many again as there are cores: two fifths of the time a test waits, for a process or a page."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores + cores // 2
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Put the longest files first where several processes share the tests."""
+    if hasattr(config, "workerinput"):
+        place = {file: k for k, file in enumerate(LONGEST)}
+        assert all((config.rootpath / file).is_file() for file in place), "LONGEST names a file that is gone"
+        items.sort(key=lambda item: place.get(item.nodeid.partition("::")[0], len(place)))
 
 
 @pytest.fixture(scope="module")

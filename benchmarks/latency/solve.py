@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.latency.bare import BARE
@@ -17,7 +16,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Status
-from moc_opt.solvers.exact.solver import Exact, solve_row, workspace
+from moc_opt.solvers.exact.solver import Exact, solve_rows
 
 Array = NDArray[np.float64]
 
@@ -38,28 +37,18 @@ def random_problems(n: int, count: int, rng: np.random.Generator) -> list[NullSp
     return found
 
 
-@njit(cache=True)
-def _solve_many(rows: Array, tolerance: float, x: Array, y: Array, times: int) -> int:
-    failed = 0
-    work, indices = workspace(x.shape[0])
-    for _ in range(times):
-        for i in range(rows.shape[0]):
-            failed += solve_row(rows[i], tolerance, x, y, work, indices) != 0
-    return failed
-
-
 def kernel_us(rows: Array, seconds: float = 0.2) -> float:
-    """Return the time of one solve inside compiled code [us]: no Python between two of them."""
+    """Return the time of one solve inside compiled code [us]: no Python between two of them but a call for all rows."""
     n = (rows.shape[1] - 10) // 10
-    # Read-only, as the records of subproblems are: one compiled kernel serves both.
-    rows = np.array(rows)
-    rows.flags.writeable = False
-    x, y = np.empty(n), np.empty(6)
-    _solve_many(rows[:1], 1e-9, x, y, 1)
-    once = _wall(lambda: _solve_many(rows, 1e-9, x, y, 1))
-    times = max(1, int(seconds / 5 / max(once, 1e-6)))
-    best = min(_wall(lambda: _solve_many(rows, 1e-9, x, y, times)) for _ in range(5))
-    return 1e6 * best / (times * len(rows))
+    x, y, status = np.empty((len(rows), n)), np.empty((len(rows), 6)), np.empty(len(rows), dtype=np.int64)
+
+    def solve(times: int) -> None:
+        for _ in range(times):
+            solve_rows(rows, Exact.tolerance, x, y, status)
+
+    solve(1)
+    times = max(1, int(seconds / 5 / max(_wall(lambda: solve(1)), 1e-6)))
+    return 1e6 * min(_wall(lambda: solve(times)) for _ in range(5)) / (times * len(rows))
 
 
 def batch(rows: Array, count: int) -> dict[str, float]:

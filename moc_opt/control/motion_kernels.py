@@ -65,7 +65,7 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
 @njit(cache=True, nogil=True)
 def has_noise(still: Array) -> bool:
     """Say whether the wrench sensor never repeated itself in the first readings; False until they are in."""
-    return still[10] >= FIRST_TICKS and still[11] == 0.0
+    return bool(still[10] >= FIRST_TICKS and still[11] == 0.0)  # of Python, also where it is not compiled
 
 
 @njit(cache=True, nogil=True)

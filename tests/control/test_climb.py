@@ -46,6 +46,12 @@ def test_the_wish_moves_neither_tip_nor_wrist_climbs_and_is_never_longer_than_to
     assert longest > 3, "where mu curves upwards the step is the longest"
 
 
+@pytest.mark.parametrize("bend", [0.0, 1e-12])
+def test_where_there_is_no_slope_there_is_no_wish(robot: RobotModel, bend: float) -> None:
+    wish = ScaledClimb(robot).wish(robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0])))
+    np.testing.assert_array_equal(wish, np.zeros(7))
+
+
 def test_its_speed_does_not_depend_on_rho_and_the_gradients_does() -> None:
     ends = {}
     for climb in ("scaled", "gradient"):

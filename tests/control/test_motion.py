@@ -225,3 +225,15 @@ def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
         assert guard.stopped
         assert more * PERIOD < 0.15
         assert ("repeats one reading" if seen == "stuck" else "torque") in guard.reason
+
+
+@pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
+def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, begins, told):
+    """A payload, say: until the residual has had SETTLED of its time constants, its mean follows it."""
+    watch = MotionMonitor(MotionSettings(residual_s=1e6), PERIOD, PATIENCE, robot.tau_max)
+    q = np.array(robot.data.q_home)
+    watch.start(q, np.zeros(N), 0)
+    state, unknown = robot.state(q), 0.5 * robot.tau_max
+    found = [watch.check_momentum(state, robot.gravity(q) + (k >= begins) * unknown) for k in range(200)]
+    assert ("the torque went into a motion that the encoders do not show" in found) == told
+    assert any(found) == told

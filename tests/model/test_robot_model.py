@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError
 from moc_opt.model import kinematics_kernels as kernels
-from moc_opt.model import place_kernels
+from moc_opt.model import manipulability_kernels, place_kernels
 from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
 from tests.conftest import Draw
 
@@ -129,6 +129,7 @@ def test_point_jacobian_kernel_is_lin_plus_ang_cross_point(arm: RobotModel) -> N
 def test_mu_and_its_gradient_against_finite_differences(arm: RobotModel) -> None:
     for q, _, s in samples(arm, count=20):
         assert s.mu == pytest.approx(np.sqrt(np.linalg.det(s.J_tip @ s.J_tip.T)), rel=1e-12)
+        assert manipulability_kernels.yoshikawa(np.array(s.J_tip)) == s.mu
         np.testing.assert_allclose(s.grad_mu, differences(lambda x: arm.state(x).mu, q), atol=2e-8)
 
 
@@ -148,6 +149,16 @@ def test_mu_of_the_shaft_and_its_gradient_against_finite_differences(arm: RobotM
         rows = np.vstack([s.J_tip, np.linalg.svd(s.tool_direction[None])[2][1:] @ s.J_wrist])
         assert s.mu * s.mu_shaft == pytest.approx(np.sqrt(np.linalg.det(rows @ rows.T)), rel=1e-8)
         np.testing.assert_allclose(s.grad_mu_shaft, differences(lambda x: arm.state(x).mu_shaft, q), atol=2e-8)
+
+
+@pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.3, -0.7, 0.0)])
+def test_a_shaft_that_cannot_turn_while_the_tip_is_held_gives_no_gradient(way: tuple[float, ...]) -> None:
+    """Three joints for the tip alone, two that move the wrist in one and the same direction."""
+    A, axes, grad = np.zeros((6, 5)), np.random.default_rng(0).normal(size=(5, 6)), np.ones(5)
+    A[:3, :3], A[3:, 3], A[3:, 4] = np.eye(3), way, 2.0 * np.array(way)
+    mu = manipulability_kernels.shaft_manipulability(axes, A, np.array([0.0, 0.0, 1.0]), grad)
+    assert 0.0 <= mu < 1e-7
+    np.testing.assert_array_equal(grad, np.zeros(5))
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12, 1e-9])
