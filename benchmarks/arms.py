@@ -6,11 +6,11 @@ tied as on a real arm, and the gradient of the manipulability belongs to the sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
+from moc_opt.model.symbolic import Chain, Kinematics, build_kinematics
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 
@@ -52,34 +52,12 @@ class Arm:
         steps = step * np.eye(self.n)
         return np.array([self.mu(q + d) - self.mu(q - d) for d in steps]) / (2.0 * step)
 
-    def kinematics(self) -> Any:
-        """Return the same arm as CasADi functions tip(q), wrist(q), mu(q), for the NLP solvers."""
-        import casadi as ca
-
-        q = ca.SX.sym("q", self.n)
-        R, t = ca.SX.eye(3), ca.SX.zeros(3)
-        for i, (axis, point) in enumerate(zip(self.axes, self.points, strict=True)):
-            K = ca.skew(ca.DM(axis))
-            turn = ca.SX.eye(3) + ca.sin(q[i]) * K + (1.0 - ca.cos(q[i])) * (K @ K)
-            t = R @ (ca.DM(point) - turn @ ca.DM(point)) + t
-            R = R @ turn
-        tip, wrist = R @ ca.DM(self.tip) + t, R @ ca.DM(self.wrist) + t
-        J = ca.jacobian(tip, q)
-        mu = ca.sqrt(ca.det(J @ J.T))
-        outputs = {"tip": tip, "wrist": wrist, "mu": mu}
-        functions = {k: ca.Function(k, [q], [v]) for k, v in outputs.items()}
-        return ArmKinematics(f"arm-{hash(self.axes.tobytes())}", self.n, **functions)
-
-
-@dataclass(frozen=True)
-class ArmKinematics:
-    """What an NLP solver is given instead of a robot."""
-
-    id: str
-    n: int
-    tip: Any = field(compare=False, repr=False)
-    wrist: Any = field(compare=False, repr=False)
-    mu: Any = field(compare=False, repr=False)
+    def kinematics(self) -> Kinematics:
+        """Return the same arm as CasADi functions, for NLP solvers: every frame parallel to the world's at q = 0."""
+        ends = np.array([self.tip, self.wrist]) - self.points[-1]
+        placed = np.diff(self.points, axis=0, prepend=np.zeros((1, 3)))
+        turned, slides = np.tile(np.eye(3), (self.n, 1, 1)), np.zeros(self.n, dtype=np.bool_)
+        return build_kinematics("arm", Chain(turned, placed, self.axes, slides, ends))
 
 
 def rotation(axis: Array, angle: float) -> Array:

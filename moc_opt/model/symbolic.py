@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.arrays import Array, read_only
 
 if TYPE_CHECKING:
     import casadi
@@ -40,9 +40,7 @@ class Chain:
 
     def __post_init__(self) -> None:
         for name in ("rotations", "origins", "axes", "prismatic", "offsets"):
-            array = np.ascontiguousarray(getattr(self, name)).copy()
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, read_only(np.ascontiguousarray(getattr(self, name)).copy()))
 
     @property
     def n(self) -> int:

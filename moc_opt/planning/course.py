@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.planning.targets import Targets
 
 Objective = Literal["mean", "worst", "log"]
@@ -88,6 +88,4 @@ def make_course(
     gained = faster(q) - acceleration * targets.period_s**2
     violation = float(max(off, beyond, fast.max(initial=-np.inf), gained.max(initial=-np.inf), 0.0))
     t, poses, mu = np.array(targets.t_s[:count]), np.array(q), robot.mu_along(q)
-    for array in (t, poses, mu):
-        array.flags.writeable = False
-    return Course(t, poses, mu, violation)
+    return Course(read_only(t), read_only(poses), read_only(mu), violation)

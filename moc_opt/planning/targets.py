@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from moc_opt.errors import TaskError
-from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.tasks import Trocar
 from moc_opt.tasks.sequence import TipReference
 
@@ -64,6 +64,4 @@ def lay_targets(reference: TipReference, trocar: Trocar, span_m: float, duration
         )
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
     wrist = tip + span_m * way / depth[:, None]
-    for array in (t, tip, wrist, arc):
-        array.flags.writeable = False
-    return Targets(t, tip, wrist, arc)
+    return Targets(*map(read_only, (t, tip, wrist, arc)))

@@ -58,8 +58,9 @@ class Setup:
 
         Args:
             solver: asked in place of the one that the scenario names, which stays in the trace's `meta`.
-            realtime: its controller is to run against a wall clock: a tick waits for an isolated solver at most half
-                its period where there is no budget, and never while the process is replaced.
+            realtime: for the controller alone, whose plant is at the other end of a wire: none is built. A tick waits
+                for an isolated solver at most half its period where there is no budget, and never while the process is
+                replaced.
 
         Raises:
             MocOptError: the first thing that is wrong, in its own words; see `moc_opt.scenario.layout.lay_out` for the
@@ -73,21 +74,27 @@ class Setup:
         check_engines(self.robot)
         if scenario.control.law == "moc":
             require_freedom(self.robot)
-        self.plant = Plant(self.robot.data, scenario.plant, seed=plant_seed)
         layout = lay_out(scenario, self.robot, np.random.default_rng(start_seed))
         self.layout = layout
         self.q_start, self.registered, self.reference = layout.q, layout.registered, layout.reference
         self.duration_s = layout.duration_s
-        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
-            self.plant.push(scenario.faults.bump_link, np.zeros(3))
-        self.plant.reset(self.q_start)
-        self.offset = self._offset_of_touch(layout.trocar, scenario.trocar.depth_m)
-        entry = layout.trocar + self.offset.trocar
-        self.trocar = Trocar(entry + self.plant.mismatch.registration_error, *breathing(scenario))
         self._fault_seed = fault_seed
         self.guide: Guide | None = None
         """What the third level of the last controller follows."""
         self._replayed_us = recorded_times(scenario)
+        if not realtime:
+            self._build_plant(plant_seed)
+
+    def _build_plant(self, seed: int) -> None:
+        """The plant at the start, where it truly holds the tool, and the true trocar."""
+        scenario, entry = self.scenario, self.layout.trocar
+        self.plant = Plant(self.robot.data, scenario.plant, seed=seed)
+        if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
+            self.plant.push(scenario.faults.bump_link, np.zeros(3))
+        self.plant.reset(self.q_start)
+        self.offset = self._offset_of_touch(entry, scenario.trocar.depth_m)
+        true = entry + self.offset.trocar + self.plant.mismatch.registration_error
+        self.trocar = Trocar(true, *breathing(scenario))
 
     def _offset_of_touch(self, entry: Array, depth: float) -> TaskOffset:
         """Lay the task where the arm's own tip is; ``entry`` (3,) [m] is where its model puts the incision.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TaskError
+from moc_opt.numerics.arrays import read_only
 
 Vector = NDArray[np.float64]
 TimeLike = float | ArrayLike
@@ -55,8 +56,7 @@ def vector3(name: str, value: ArrayLike) -> Vector:
         raise TaskError(f"{name} = {value!r} is not a vector: give three numbers") from error
     if result.shape != (3,) or not np.isfinite(result).all():
         raise TaskError(f"{name} = {value!r} must hold three finite numbers")
-    result.setflags(write=False)
-    return result
+    return read_only(result)
 
 
 def direction3(name: str, value: ArrayLike) -> Vector:
@@ -71,9 +71,7 @@ def direction3(name: str, value: ArrayLike) -> Vector:
         raise TaskError(f"{name} = {value!r} has no direction: give a vector of non-zero length")
     # Divided by its largest entry first, so that very long and very short vectors keep their direction.
     scaled = given / largest
-    result = np.asarray(scaled / math.sqrt(float(scaled @ scaled)), dtype=np.float64)
-    result.setflags(write=False)
-    return result
+    return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled)), dtype=np.float64))
 
 
 def sampled(name: str, value: TimeLike, rows: Callable[[float], Vector]) -> Vector:

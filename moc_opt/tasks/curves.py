@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from moc_opt.numerics.arrays import read_only
 from moc_opt.tasks.arclength import ArcLength
 from moc_opt.tasks.checks import Vector, positive
 
@@ -149,9 +150,7 @@ CURVES: dict[str, type[Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinu
 
 def _evenly(length: float, panels: int) -> Vector:
     """Read-only evenly spaced arc lengths (panels + 1,) [m]."""
-    knots = np.linspace(0.0, length, panels + 1)
-    knots.setflags(write=False)
-    return knots
+    return read_only(np.linspace(0.0, length, panels + 1))
 
 
 def _keep(curve: PlanarCurve, **values: Any) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TraceError
+from moc_opt.numerics.arrays import read_only
 
 _SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "b": (1,)}
 
@@ -91,8 +92,7 @@ def column(name: str, value: ArrayLike) -> NDArray[Any]:
     native = array.dtype.newbyteorder("=")
     if array.flags.writeable or not array.flags.owndata or array.dtype != native:
         array = np.array(array, dtype=native, order="C")
-    array.setflags(write=False)
-    return array
+    return read_only(array)
 
 
 def check_column(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:

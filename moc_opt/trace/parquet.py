@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import TraceError
 from moc_opt.inputs.files import check_replaceable
 from moc_opt.inputs.memory import available_bytes
+from moc_opt.numerics.arrays import read_only
 from moc_opt.trace.parquet_file import (
     META_KEY,
     TYPES_KEY,
@@ -174,6 +175,4 @@ class Stored(Mapping[str, NDArray[Any]]):
             if left > 0 or not parts:
                 parts.append(read_column(path, name, dtype)[: max(left, 0)])
             left -= length
-        array = parts[0] if len(parts) == 1 else np.concatenate(parts)
-        array.setflags(write=False)
-        return array
+        return read_only(parts[0] if len(parts) == 1 else np.concatenate(parts))

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
-from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.tasks.checks import Vector, direction3, vector3
 
 _ORTHONORMAL = 1e-6
@@ -43,8 +43,7 @@ class Pose:
                 f"rotation = {turn.tolist()!r:.200} is none: its columns must be unit vectors, "
                 "perpendicular, and right-handed"
             )
-        turn.setflags(write=False)
-        object.__setattr__(self, "rotation", turn)
+        object.__setattr__(self, "rotation", read_only(turn))
         object.__setattr__(self, "translation", vector3("translation", self.translation))
 
     @property

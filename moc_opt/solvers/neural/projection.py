@@ -13,7 +13,7 @@ multipliers then grow without bound, it says MAX_ITER, and it needs as long agai
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,9 +163,8 @@ class RNN:
 class RNNSession:
     """The state of one network."""
 
-    def __init__(self, settings: RNN, n: int) -> None:
-        self._settings = settings
-        self._implicit = settings.method == "semi-implicit"
+    def __init__(self, settings: RNN | RNNPrinted, n: int) -> None:
+        self._settings: Any = settings
         self._rest(n)
 
     def _rest(self, n: int) -> None:
@@ -174,15 +173,21 @@ class RNNSession:
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Go on from the last tick's state."""
         s = self._settings
-        if not s.warm or qp.n != len(self._x):
+        if not s.warm:
             self._rest(qp.n)
-        x, y = self._x, self._y
-        steps, speed = integrate(qp.row, x, y, s.steps, s.h, s.h, s.k, s.scale, self._implicit, s.eps)
+        return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
+
+    def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
+        """At most so many steps from the state as it is; at rest again where that does not stay finite."""
+        if qp.n != len(self._x):
+            self._rest(qp.n)
+        s, x, y = self._settings, self._x, self._y
+        steps, speed = integrate(qp.row, x, y, most, h_x, h_y, s.k, scale, implicit, s.eps)
         if not np.isfinite(speed):
             self._rest(qp.n)
             return no_answer(qp.n, Status.NUMERICAL, steps)
         status = Status.SOLVED if speed <= s.eps else Status.MAX_ITER
-        return Solution(x.copy(), y / s.scale, status, steps)
+        return Solution(x.copy(), y / scale, status, steps)
 
 
 @dataclass(frozen=True)
@@ -225,12 +230,8 @@ class RNNPrinted:
         return RNNPrintedSession(self, qp.n)
 
 
-class RNNPrintedSession:
+class RNNPrintedSession(RNNSession):
     """The multipliers of one network; x comes from outside. See ``base.ObservingSession``."""
-
-    def __init__(self, settings: RNNPrinted, n: int) -> None:
-        self._settings = settings
-        self._x, self._y = np.zeros(n), np.zeros(6)
 
     def observe(self, v: ArrayLike) -> None:
         """Take the measured joint velocity v (n,) [rad/s] as x of the next tick."""
@@ -238,15 +239,7 @@ class RNNPrintedSession:
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
-        s = self._settings
-        if qp.n != len(self._x):
-            self._x, self._y = np.zeros(qp.n), np.zeros(6)
-        steps, speed = integrate(qp.row, self._x, self._y, 1, 1.0, s.h, s.k, 1.0, False, s.eps)
-        if not np.isfinite(speed):
-            self._x, self._y = np.zeros(qp.n), np.zeros(6)
-            return no_answer(qp.n, Status.NUMERICAL, steps)
-        status = Status.SOLVED if speed <= s.eps else Status.MAX_ITER
-        return Solution(self._x.copy(), self._y.copy(), status, steps)
+        return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 
 def _check_step(solver: str, h: float, k: float, usual_k: float, usual_h: float = 1.0) -> None:
