@@ -64,13 +64,14 @@ class SafetyFilter:
         gravity: Callable[[Array], Array] | None = None,
         tool_pose: Callable[[Array], Array] | None = None,
         state: Callable[[Array, Array], RobotState] | None = None,
+        slides: NDArray[np.bool_] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
         self._believable, self._squared_error, self._limit = _BELIEVABLE.code, _SQUARED_ERROR.code, _LIMIT.code
-        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
+        margins = settings.position_margins(np.zeros(data.n, dtype=np.bool_) if slides is None else slides)
+        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max, margins])
         self._wall = np.array([
-            settings.position_margin_rad, settings.wall_stiffness_Nm_per_rad,
-            settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
+            settings.wall_stiffness_Nm_per_rad, settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
         ])  # fmt: skip
         self._jump = settings.jump_rad
         self._bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
