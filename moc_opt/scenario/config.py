@@ -13,7 +13,7 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
+from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml
 from moc_opt.inputs.notebook import table_html
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
@@ -251,7 +251,7 @@ class Scenario(Settings):
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
         """
-        file = Path(path)
+        file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
             raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
         table = _with_paths_from(file.parent, read_toml(file, "scenario", ScenarioError))
