@@ -1,4 +1,4 @@
-"""python -m moc_opt robot new | check: a vendor's URDF into use, and what holds for an arm."""
+"""moc-opt robot new | check: a vendor's URDF into use, and what holds for an arm."""
 
 from __future__ import annotations
 

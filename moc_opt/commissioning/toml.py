@@ -31,7 +31,7 @@ def robot_toml(
     """
     slides = any(joint.get("type") == "prismatic" for joint in chain_joints(arm))
     parts = [
-        f"# {name}, made by: python -m moc_opt robot new. What was assumed:",
+        f"# {name}, made by: moc-opt robot new. What was assumed:",
         *(line for note in arm.notes for line in _wrapped(note)),
         "# Numbers that are not the vendor's are ours; look at every one before it meets a real arm.",
         "",

@@ -257,7 +257,7 @@ def _starts(base: Scenario, random_start: bool) -> str:
     if not random_start:
         fixed = base.start.pose != "random" and base.start.swivel != "random"
         return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
-    said = base.start.model_fields_set - {"check_path"}
+    said = base.start.model_fields_set & {"pose", "q_rad", "swivel"}
     return "Starts are drawn at random: the scenario's [start] is not used (random_start keeps it)." if said else ""
 
 

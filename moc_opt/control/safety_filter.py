@@ -66,12 +66,13 @@ class SafetyFilter:
         gravity: Callable[[Array], Array] | None = None,
         tool: ToolPlace | None = None,
         state: Callable[[Array, Array], RobotState] | None = None,
+        slides: NDArray[np.bool_] | None = None,
     ) -> None:
         self.settings, self._period = settings, period
-        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max])
+        margins = settings.position_margins(np.zeros(data.n, dtype=np.bool_) if slides is None else slides)
+        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max, margins])
         self._wall = np.array([
-            settings.position_margin_rad, settings.wall_stiffness_Nm_per_rad,
-            settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
+            settings.wall_stiffness_Nm_per_rad, settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
         ])  # fmt: skip
         self._step = settings.torque_rate_Nm_per_s * period
         self._rest, self._believed = np.zeros(data.n), np.zeros((2, data.n))

@@ -23,8 +23,8 @@ def limit_torque(
     Args:
         before: (n,) torque of the last tick [Nm].
         hold: (n,) torque that carries the arm's weight [Nm]; empty: not known yet.
-        limits: (4, n) rows q_min, q_max, v_max, tau_max.
-        wall: margin [rad], stiffness [Nm/rad], damping [Nm s/rad], brake [rad/s^2].
+        limits: (5, n) rows q_min, q_max, v_max, tau_max, and how far inside a limit the wall begins [rad or m].
+        wall: stiffness [Nm/rad], damping [Nm s/rad], brake [rad/s^2].
         step: largest change from ``before`` [Nm].
 
     Returns:
@@ -32,14 +32,14 @@ def limit_torque(
         braked, -2 where the torque is no number. tau is as it was in both of these cases.
     """
     n = tau.shape[0]
-    margin, stiffness, damping, brake = wall[0], wall[1], wall[2], wall[3]
+    stiffness, damping, brake = wall[0], wall[1], wall[2]
     push = np.zeros((2, n))  # what a wall or a brake leaves of the torque above ``hold``: at least, at most
     braked = False
     for i in range(n):
         if not np.isfinite(tau[i]):
             return -2
         push[0, i], push[1, i] = -np.inf, np.inf
-        below, above = q[i] - limits[0, i] - margin, limits[1, i] - margin - q[i]
+        below, above = q[i] - limits[0, i] - limits[4, i], limits[1, i] - limits[4, i] - q[i]
         fall = min(limits[2, i], np.sqrt(2.0 * brake * max(below, 0.0)))
         rise = min(limits[2, i], np.sqrt(2.0 * brake * max(above, 0.0)))
         if below < 0.0 or v[i] < -fall:

@@ -98,6 +98,7 @@ class SafetyFilterSettings(MotionSettings):
     position_margin_rad: float = Field(
         0.045, ge=0.0, description="the wall begins this far inside a joint limit"
     )
+    position_margin_m: float = Field(0.045, ge=0.0, description="the same for a joint that slides")
     wall_stiffness_Nm_per_rad: float = Field(2000.0, ge=0.0, description="torque back, by the depth in the wall")
     wall_damping_Nm_s_per_rad: float = Field(
         20.0, ge=0.0, description="in the wall, and above the speed that is allowed"
@@ -140,6 +141,10 @@ class SafetyFilterSettings(MotionSettings):
         0.4, ge=0.0, le=60.0, description="and for no longer: a force that rises by as much more opens them again"
     )
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
+
+    def position_margins(self, slides: NDArray[np.bool_]) -> Array:
+        """How far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
+        return np.where(slides, self.position_margin_m, self.position_margin_rad)
 
     @model_validator(mode="after")
     def _warned_before_it_stops(self) -> Self:

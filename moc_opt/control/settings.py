@@ -127,7 +127,7 @@ class ControlSettings(Settings):
         default=0.15, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
     )
     limit_margin_m: NotNegative = Field(
-        default=0.05, description="the same for a joint that slides; guard.position_margin_rad is one number for both"
+        default=0.05, description="the same for a joint that slides"
     )
     shaft_margin_m2: float = Field(
         default=0.025,

@@ -28,6 +28,7 @@ def constants(tick: Tick, spec: TickSpec, guard: SafetyFilterSettings) -> dict[s
     gains, moc = control.resolve_gains(robot.data.gains, robot.n), control.law == "moc"
     arrays = {
         "moc_q_min": robot.q_min, "moc_q_max": robot.q_max, "moc_v_max": robot.v_max, "moc_tau_max": robot.tau_max,
+        "moc_wall_margin": guard.position_margins(robot.chain.prismatic),
         "moc_held": guard.held(robot.tau_max, robot.data.coulomb_friction),
         "moc_pull": gains.K_N2,
         "moc_damping": gains.D_N2 if moc else per_joint("[control] dcac_damping", control.dcac_damping, robot.n),
@@ -86,7 +87,6 @@ def _supervisor(control: ControlSettings) -> dict[str, str]:
 def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dict[str, str]:
     return {
         "MOC_TORQUE_STEP": number(guard.torque_rate_Nm_per_s * period),
-        "MOC_WALL_MARGIN": number(guard.position_margin_rad),
         "MOC_WALL_STIFFNESS": number(guard.wall_stiffness_Nm_per_rad),
         "MOC_WALL_DAMPING": number(guard.wall_damping_Nm_s_per_rad),
         "MOC_WALL_BRAKE": number(guard.wall_brake_rad_per_s2),

@@ -33,8 +33,9 @@ OBEYED = frozenset((
 
 # Every field of SafetyFilterSettings and SupervisorSettings that the C code follows.
 GUARDED = frozenset((
-    "torque_rate_Nm_per_s", "position_margin_rad", "wall_stiffness_Nm_per_rad", "wall_damping_Nm_s_per_rad",
-    "wall_brake_rad_per_s2", "jump_rad", "speed_factor", "patience_ticks", "tip_error_m", "tip_error_s",
+    "torque_rate_Nm_per_s", "position_margin_rad", "position_margin_m", "wall_stiffness_Nm_per_rad",
+    "wall_damping_Nm_s_per_rad", "wall_brake_rad_per_s2",
+    "jump_rad", "speed_factor", "patience_ticks", "tip_error_m", "tip_error_s",
     "rcm_error_m", "rcm_warning_m", "trocar_force_N", "trocar_force_warning_N", "tip_force_N", "incision_s",
     "stop_damping_Nm_s_per_rad", "stop_s", "stop_holding", "stop_yield_N", "stop_yield_s",
     "motion", "motion_s", "motion_rad", "motion_lag_s",

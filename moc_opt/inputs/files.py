@@ -39,6 +39,18 @@ Path_ = str | os.PathLike[str]
 Wrong = type[MocOptError]
 
 
+def as_path(path: object, what: str, error: Wrong) -> Path:
+    """Return a path as such.
+
+    Args:
+        path: from a caller.
+        what, error: as `check_regular`.
+    """
+    if isinstance(path, str) or (isinstance(path, os.PathLike) and isinstance(os.fspath(path), str)):
+        return Path(path)
+    raise error(f"{what} {shown(path)} is no path: give the name of a file as text, or a pathlib.Path")
+
+
 def check_regular(path: Path_, what: str, error: Wrong, most: int = MOST_DATA) -> int:
     """Check that a path names a regular file of a reasonable size, and return its bytes.
 

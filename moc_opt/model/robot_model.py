@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, shown
 from moc_opt.model import kinematics_kernels as kernels
 from moc_opt.model import place_kernels
 from moc_opt.model.gains import CARTESIAN, derived_gains
@@ -107,21 +107,40 @@ class RobotModel:
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it."""
-        mu = np.empty(len(poses))
-        for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
+        """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it.
+
+        Raises:
+            RobotError: another shape, or no numbers.
+        """
+        along = self._poses(poses)
+        mu = np.empty(len(along))
+        for k, q in enumerate(along):
             pin.computeJointJacobians(self._pin, self._pin_data, q)
             mu[k] = self._tip_manipulability(q, self._axes, self._joints, self._offsets, self._moves)
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
-        """Tip and wrist, (k,3) each [m], at the poses (k,n) [rad]."""
-        tips, wrists = np.empty((2, len(poses), 3))
+        """Tip and wrist, (k,3) each [m], at the poses (k,n) [rad].
+
+        Raises:
+            RobotError: another shape, or no numbers.
+        """
+        along = self._poses(poses)
+        tips, wrists = np.empty((2, len(along), 3))
         last, (tip, wrist) = self._pin_data.oMi[self.n], self._offsets[:2]
-        for k, q in enumerate(np.array(poses, dtype=np.float64).reshape(-1, self.n)):
+        for k, q in enumerate(along):
             pin.forwardKinematics(self._pin, self._pin_data, q)
             tips[k], wrists[k] = last.act(tip), last.act(wrist)
         return tips, wrists
+
+    def _poses(self, given: object) -> Array:
+        try:
+            poses = np.array(given, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise RobotError(f"poses = {shown(given)}: give an array of numbers (k, {self.n})") from error
+        if poses.ndim != 2 or poses.shape[1] != self.n:
+            raise RobotError(f"poses has shape {poses.shape}: give (k, {self.n}), one pose a row")
+        return poses
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""

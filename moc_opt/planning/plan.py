@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numbers
 import time
 from dataclasses import dataclass
 
@@ -131,7 +132,7 @@ def make_plan(
         TaskError: an argument is out of range, or the start is not at the first target.
     """
     _check(robot, q_start, targets, objective, margin_rad, speed_share)
-    if not acceleration > 0.0 or (np.isfinite(acceleration) and not refined):
+    if not _is_number(acceleration) or not acceleration > 0.0 or (np.isfinite(acceleration) and not refined):
         raise TaskError(f"acceleration = {acceleration!r}: give above 0, and refined = True with it")
     began = time.perf_counter()
     found = map_of(robot, q_start, targets, swivels)
@@ -248,14 +249,18 @@ def _nearest_limit(robot: RobotModel, found: PoseMap, k: int, among: NDArray[np.
     return int(np.argmax(beyond))
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
+
+
 def _check(
     robot: RobotModel, q_start: Array, targets: Targets, objective: str, margin_rad: float, speed_share: float
 ) -> None:
-    if objective not in OBJECTIVES:
+    if not isinstance(objective, str) or objective not in OBJECTIVES:
         raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
-    if not 0.0 < speed_share <= 1.0:
+    if not _is_number(speed_share) or not 0.0 < speed_share <= 1.0:
         raise TaskError(f"speed_share = {speed_share!r}: give a share above 0 up to 1")
-    if not 0.0 <= margin_rad < float((robot.q_max - robot.q_min).min()) / 2.0:
+    if not _is_number(margin_rad) or not 0.0 <= margin_rad < float((robot.q_max - robot.q_min).min()) / 2.0:
         raise TaskError(f"margin_rad = {margin_rad!r}: give zero or more, and less than half of every joint's range")
     tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())

@@ -7,12 +7,13 @@ a sample along the self-motion curves that were found.
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.errors import RobotError
+from moc_opt.errors import RobotError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning import spherical_kernels as kernels
@@ -139,8 +140,8 @@ def spherical_map(
     Raises:
         RobotError: fewer than 8 swivels.
     """
-    if swivels < 8:
-        raise RobotError(f"swivels = {swivels}: give 8 or more")
+    if not isinstance(swivels, numbers.Integral) or swivels < 8:
+        raise RobotError(f"swivels = {shown(swivels)}: give a whole number, 8 or more")
     elbow = Elbow(robot, targets.wrist)
     reference, first = elbow.reference, -np.pi
     if start is not None:

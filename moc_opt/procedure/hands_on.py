@@ -172,7 +172,7 @@ def _guide(
     period, guard = plant.settings.period_s, settings.guard
     law = _Guiding(HandGuiding(robot, settings.joint_damping_Nm_s_per_rad), robot)
     # The arm is in no incision yet: the safety filter has no trocar to check.
-    safety_filter = SafetyFilter(robot.data, guard, period, robot.gravity)
+    safety_filter = SafetyFilter(robot.data, guard, period, robot.gravity, slides=robot.chain.prismatic)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
     hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)

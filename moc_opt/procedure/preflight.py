@@ -23,8 +23,6 @@ REGULAR = (0.1, 0.05)
 """The same at a random start and along the path from it. The home pose of the LWR4+ has 0.41 and 0.14."""
 DRAWN_MARGIN = 0.1
 """Share of each joint's range that a random start keeps from both limits before its swivel is chosen."""
-KEPT_MARGIN_RAD = 0.05
-"""Distance from the joint limits that it keeps afterwards."""
 DRAWS = 200
 """Poses that are tried for a random start."""
 SPACING_M = 0.005
@@ -86,6 +84,7 @@ def random_start(
     rng: np.random.Generator,
     swivelled: Callable[[Array], Array],
     lay_out: Callable[[Array], tuple[Found, Reach]],
+    margins: Array,
 ) -> Found:
     """Draw poses until one can do the task, and return what was laid out from it.
 
@@ -93,13 +92,14 @@ def random_start(
     swivel is chosen,
 
     - it is singular or nearly so (`REGULAR`), or a pose along the path is;
-    - a joint is within `KEPT_MARGIN_RAD` of its limit, at the start or along the path;
+    - a joint is within its margin of its limit, at the start or along the path;
     - tip or wrist is below the plane that the arm stands on, at the start or along the path;
     - the task cannot be done from it within joint limits and joint speeds.
 
     Args:
         swivelled: a pose -> the one that is begun with, of the same tip and wrist.
         lay_out: a pose -> the task from there, and how it is followed.
+        margins: (n,) that the joints keep from their limits [rad], [m] where they slide.
 
     Raises:
         ScenarioError: none of `DRAWS` poses passes; says what rejected how many.
@@ -110,21 +110,21 @@ def random_start(
     for _ in range(DRAWS):
         drawn = rng.uniform(robot.q_min + room, robot.q_max - room)
         # The swivel is a scan of milliseconds, and neither tip nor wrist depends on it.
-        reason = _unfit(robot, drawn)
+        reason = _unfit(robot, drawn, margins)
         if not reason:
             try:
                 q = swivelled(drawn)
             except RobotError:
                 reason = "singular"
             else:
-                reason = _unfit(robot, q)
+                reason = _unfit(robot, q, margins)
         if not reason:
             try:
                 found, reach = lay_out(q)
             except UnreachableError as error:
                 reason = f"the task is out of reach ({error.field})"
             else:
-                reason = next(filter(None, (_unfit(robot, pose) for pose in reach.q_rad)), "")
+                reason = next(filter(None, (_unfit(robot, pose, margins) for pose in reach.q_rad)), "")
                 if not reason:
                     return found
                 reason += " along the path"
@@ -132,16 +132,16 @@ def random_start(
     counts = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common())
     raise ScenarioError(
         f"[start] pose = 'random': none of {DRAWS} poses can do the task; rejected: {counts}; make the [task] smaller "
-        "or slower, change [trocar] depth_m, or take pose = 'home'"
+        "or slower, change [trocar] depth_m, lower [start] limit_margin_rad, or take pose = 'home'"
     )
 
 
-def _unfit(robot: RobotModel, q: Array) -> str:
+def _unfit(robot: RobotModel, q: Array, margins: Array) -> str:
     """Why a random start is rejected without a look at the task; "" where it is not."""
     state = robot.state(q)
     if any(value < least for value, least in zip(_regularity(state), REGULAR, strict=True)):
         return "singular"
-    if np.minimum(q - robot.q_min, robot.q_max - q).min() < KEPT_MARGIN_RAD:
+    if (np.minimum(q - robot.q_min, robot.q_max - q) < margins).any():
         return "joint limits"
     if min(state.tip[2], state.wrist[2]) < 0.0:
         return "below the arm's base"

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike
 
-from moc_opt.errors import SubproblemError
+from moc_opt.errors import SubproblemError, shown
 from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.layout import offsets
@@ -233,8 +233,12 @@ class NullSpaceQP:
         return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
 
     def objective(self, x: ArrayLike) -> float:
-        """1/2 x^T P x + p^T x, without the constant."""
-        x = np.asarray(x, dtype=float)
+        """1/2 x^T P x + p^T x, without the constant.
+
+        Raises:
+            SubproblemError: x is no (n,) numbers.
+        """
+        x = self._answer("x", x, self.n)
         return float(0.5 * x @ self.P @ x + self.p @ x)
 
     @cached_property
@@ -254,15 +258,22 @@ class NullSpaceQP:
         Raises:
             SubproblemError: when a shape is wrong. NaN in x is a bad answer, not an error.
         """
-        x = np.asarray(x, dtype=float)
-        if x.shape != (self.n,):
-            raise SubproblemError(f"x: shape {x.shape} is not ({self.n},)")
-        if y is not None and np.shape(y) != (6,):
-            raise SubproblemError(
-                f"y: shape {np.shape(y)} is not (6,); lift five duals with reduced().lift.T"
-            )
-        found = compute_residuals(self.row, x, None if y is None else np.asarray(y, dtype=float))
+        x = self._answer("x", x, self.n)
+        duals = None if y is None else self._answer("y", y, 6, "; lift five duals with reduced().lift.T")
+        found = compute_residuals(self.row, x, duals)
         return Residuals(*(float(f) for f in found))  # type: ignore[arg-type]
+
+
+    @staticmethod
+    def _answer(name: str, value: ArrayLike, length: int, cure: str = "") -> Array:
+        """An array of numbers, NaN among them, of that length."""
+        try:
+            array = np.asarray(value, dtype=float)
+        except (TypeError, ValueError) as error:
+            raise SubproblemError(f"{name} = {shown(value)}: give an array of numbers") from error
+        if array.shape != (length,):
+            raise SubproblemError(f"{name}: shape {array.shape} is not ({length},){cure}")
+        return array
 
 
 def _unpickle(row: Array) -> NullSpaceQP:

@@ -83,7 +83,7 @@ class RemoteController(Filtered):
             if found is None:
                 raise WireError(
                     f"no controller came to {link.address} within {self._settings.wait_s:g} s ({link.quality}): start "
-                    "`python -m moc_opt control` on the same scenario with the same key, or raise [wire] wait_s"
+                    "`moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
                 )
             if found.kind is Kind.HELLO:
                 link.send(packet, link.sender)

@@ -15,7 +15,7 @@ import numpy as np
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
-from moc_opt.inputs.files import read_text
+from moc_opt.inputs.files import as_path, read_text
 from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.robots import urdf
 from moc_opt.robots.description import RobotDescription, Tool, read_description
@@ -148,7 +148,7 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
     known = available_robots()
     if isinstance(name_or_path, str) and name_or_path in known:
         return _FOLDER / f"{name_or_path}.toml"
-    path = Path(name_or_path)
+    path = as_path(name_or_path, "robot", RobotError)
     if path.suffix.lower() == ".urdf":
         beside = path.with_suffix(".toml")
         if not beside.is_file():

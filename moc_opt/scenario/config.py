@@ -13,7 +13,7 @@ from moc_opt.control import ControlSettings
 from moc_opt.control.isolated import ProcessSettings
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
-from moc_opt.inputs.files import LARGEST_INTEGER, read_toml
+from moc_opt.inputs.files import LARGEST_INTEGER, as_path, read_toml
 from moc_opt.inputs.notebook import table_html
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
@@ -59,7 +59,14 @@ class StartTable(Settings):
         default="given",
         description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
     )
-
+    limit_margin_rad: float = Field(
+        default=0.05,
+        ge=0.0,
+        le=3.0,
+        description="under pose 'random': what a joint keeps from its limits at the start and along the path; below "
+        "control.limit_margin_rad the third level begins with a joint on its way back from the limit",
+    )
+    limit_margin_m: float = Field(default=0.05, ge=0.0, le=3.0, description="the same for a joint that slides")
     check_path: bool = Field(
         default=True,
         description="refuse a path that kinematics alone cannot follow; the search may miss a way that exists",
@@ -212,12 +219,13 @@ class Scenario(Settings):
     @model_validator(mode="after")
     def _box_before_the_wall(self) -> Self:
         """Refuse a box in which the third level presses against the safety filter's wall: the arm would stand."""
-        box, wall = self.control.limit_margin_rad, self.guard.position_margin_rad
-        if 0.0 < box < wall and self.control.law == "moc":
-            raise ValueError(
-                f"guard.position_margin_rad = {wall}: the wall would stand inside the box of the third level, which "
-                f"closes at control.limit_margin_rad = {box}; set this to {wall} too (0: the paper's box)"
-            )
+        for unit in ("rad", "m"):
+            box, wall = getattr(self.control, f"limit_margin_{unit}"), getattr(self.guard, f"position_margin_{unit}")
+            if 0.0 < box < wall and self.control.law == "moc":
+                raise ValueError(
+                    f"guard.position_margin_{unit} = {wall}: the wall would stand inside the box of the third level, "
+                    f"which closes at control.limit_margin_{unit} = {box}; set this to {wall} too (0: the paper's box)"
+                )
         return self
 
     @model_validator(mode="after")
@@ -243,7 +251,7 @@ class Scenario(Settings):
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
         """
-        file = Path(path)
+        file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
             raise ScenarioError(f"{file} is a trace, no scenario: moc-opt report, replay or map shows it")
         table = _with_paths_from(file.parent, read_toml(file, "scenario", ScenarioError))

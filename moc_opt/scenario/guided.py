@@ -97,5 +97,5 @@ def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:
     where = "" if stuck is None else f"{1e3 * stuck.arc_length_m:.1f} mm along the path {stuck.reason}"
     return ScenarioError(
         f"[control] third_level = {scenario.control.third_level!r}: no course goes all the way from this start: "
-        f"{where}; see `python -m moc_opt plan`, or take third_level = 'local'"
+        f"{where}; see `moc-opt plan`, or take third_level = 'local'"
     )

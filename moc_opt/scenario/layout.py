@@ -63,7 +63,8 @@ def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generat
 
     if start.pose == "random":
         rng = np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=_POSE_STREAM))
-        return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf))
+        margins = np.where(robot.chain.prismatic, start.limit_margin_m, start.limit_margin_rad)
+        return preflight.random_start(robot, rng, swivelled, lambda q: _checked(scenario, robot, q, np.inf), margins)
     q = np.array(robot.data.q_home if start.q_rad is None else start.q_rad, dtype=np.float64)
     preflight.check_start(robot, q)  # of a singular pose there is no swivel
     q = swivelled(q)

@@ -88,7 +88,9 @@ def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None,
 def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
     """Make the safety filter of an arm in its incision, with everything it can check."""
     period_s = scenario.plant.period_s
-    return SafetyFilter(robot.data, scenario.told_guard, period_s, robot.gravity, robot.tool_place, robot.state)
+    return SafetyFilter(
+        robot.data, scenario.told_guard, period_s, robot.gravity, robot.tool_place, robot.state, robot.chain.prismatic
+    )
 
 
 def make_stop(scenario: Scenario) -> Stop:

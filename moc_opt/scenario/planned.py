@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numbers
 import os
 from pathlib import Path
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import ScenarioError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan, make_plan
@@ -47,8 +48,8 @@ def plan(
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
     """
     scenario = Scenario.given(scenario)
-    if times is not None and not 2 <= times <= 100_000:
-        raise ScenarioError(f"times = {times}: give 2 to 100000 points of the path")
+    if times is not None and (not isinstance(times, numbers.Integral) or not 2 <= times <= 100_000):
+        raise ScenarioError(f"times = {shown(times)}: give 2 to 100000 points of the path")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
     return make_plan(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from moc_opt.control.settings import PRESETS, ControlSettings
 from moc_opt.errors import ScenarioError, shown
-from moc_opt.inputs.files import check_replaceable
+from moc_opt.inputs.files import as_path, check_replaceable
 from moc_opt.inputs.settings import Settings
 from moc_opt.inputs.toml import to_toml
 from moc_opt.sim.settings import PlantSettings
@@ -58,6 +58,7 @@ def _differences(value: Settings, base: Settings) -> dict[str, Any]:
 
 def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
     """See `Scenario.save`."""
+    file = as_path(path, "scenario", ScenarioError)
     table = changes(scenario)
     name = scenario.robot.name
     if Path(name).suffix.lower() in (".toml", ".urdf"):  # read again, it would count from the folder of the file
@@ -68,7 +69,6 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
         text = to_toml(_without_none(table))
     except TypeError as error:
         raise ScenarioError(f"the scenario cannot be written as TOML: {error}") from error
-    file = Path(path)
     check_replaceable(file, "scenario", ScenarioError)
     unfinished = file.with_name(f".{file.name}.{secrets.token_hex(6)}.tmp")
     try:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from moc_opt.control import Controller
 from moc_opt.control.guide import Guide
 from moc_opt.control.interpreter import Interpreter
-from moc_opt.errors import ScenarioError, describe
+from moc_opt.errors import ScenarioError, TraceError, describe, shown
+from moc_opt.inputs.files import as_path
 from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -200,6 +201,10 @@ class Setup:
             MocOptError: the run does not fit into the memory or onto the disk; or the arm ran away, and the error
                 holds the trace. Where a run into a file ends by any exception, the rows so far are in it.
         """
+        if watch is not None and not callable(watch):
+            raise ScenarioError(f"watch = {shown(watch)}: give a function of a tick's number, or None")
+        if to is not None:
+            to = as_path(to, "trace", TraceError)
         if self.plant.time > 0.0:
             self.plant.reset(self.q_start)
         check_room(self.scenario, self.ticks, to)
@@ -209,7 +214,7 @@ class Setup:
         }  # fmt: skip
         if to is not None:
             # Absolute: a solver may leave the process in another working directory.
-            return self._streamed(Path(to).absolute(), meta, watch, block)
+            return self._streamed(to.absolute(), meta, watch, block)
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
         trace = judged_for_oscillation(trace, self.robot.data.joint_names)

@@ -10,7 +10,7 @@ from functools import partial
 from importlib.util import find_spec
 from typing import Any
 
-from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe
+from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe, shown
 from moc_opt.solvers import plugins
 from moc_opt.solvers.base import Solver
 
@@ -75,6 +75,8 @@ def _clash(name: str, points: list[Any]) -> str:
 
 
 def _factory(name: str) -> Callable[..., Solver]:
+    if not isinstance(name, str):
+        raise SolverError(f"solver = {shown(name)}: give the name of one, such as 'exact'")
     claimed = plugins.plugins().get(name, [])
     if claimed and _ours(name):
         warnings.warn(_clash(name, claimed), UserWarning, stacklevel=4)

@@ -7,14 +7,13 @@ import json
 import os
 import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError
-from moc_opt.inputs.files import check_replaceable
+from moc_opt.inputs.files import as_path, check_replaceable
 from moc_opt.inputs.memory import available_bytes
 from moc_opt.numerics.arrays import read_only
 from moc_opt.trace.parquet_file import (
@@ -64,7 +63,7 @@ def join(path: str | os.PathLike[str], blocks: Iterable[Columns], types: Types, 
         META_KEY: json.dumps(dict(meta), allow_nan=False),
         TYPES_KEY: json.dumps({name: dtype.str for name, dtype in types.items()}, allow_nan=False),
     }
-    target = Path(path)
+    target = as_path(path, "trace", TraceError)
     check_replaceable(target, "trace", TraceError)
     # In the same directory, because only there is a rename atomic.
     partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")

@@ -56,6 +56,9 @@ class Trace:
             TraceError: a column (named) has another shape, type or number of rows; meta is not JSON, or an entry of it
                 that the package reads is of another kind.
         """
+        for argument, given in (("columns", columns), ("meta", {} if meta is None else meta)):
+            if not isinstance(given, Mapping):
+                raise TraceError(f"{argument} = {shown(given)}: give a mapping, such as {{'t_s': [0.0, 0.002]}}")
         checked = {_name(name): column(name, value) for name, value in columns.items()}
         first = next(iter(checked), "")
         for name, array in checked.items():
@@ -163,6 +166,8 @@ class Trace:
         """
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
+        if not isinstance(name, str):
+            raise TraceError(f"plot: name = {shown(name)}: give a text")
         runs = {name: self} if beside is None else {"baseline": beside, name: self}
         return views.figure(runs, columns)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import check_replaceable, file_in, read_json
+from moc_opt.inputs.files import as_path, check_replaceable, file_in, read_json
 from moc_opt.trace.parquet import Columns, Stored, join, write
 
 KILLED = "interrupted: the process ended before the run did"
@@ -35,7 +35,7 @@ class TraceWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], meta: Mapping[str, Any]) -> None:
-        self.path, self._meta = Path(path), dict(meta)
+        self.path, self._meta = as_path(path, "trace", TraceError), dict(meta)
         self.folder = parts_of(self.path)
         self.kept: Path | None = None
         """Where the rows of an earlier run of this name are now, which had been killed."""
@@ -145,7 +145,7 @@ def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
     Raises:
         TraceError: neither is there, or it is damaged.
     """
-    given = Path(path)
+    given = as_path(path, "trace", TraceError)
     folder = given if given.is_dir() else parts_of(given)
     if (os.path.lexists(given) and not given.is_dir()) or not _blocks(folder):
         return Stored([path]), None

@@ -130,6 +130,8 @@ def test_a_box_up_to_the_limit_presses_into_the_wall(robot, regular_poses):
 def test_a_wall_inside_the_box_is_refused():
     with pytest.raises(ScenarioError, match=r"guard.position_margin_rad = 0.2: .*limit_margin_rad = 0.15; set"):
         Scenario(guard={"position_margin_rad": 0.2})
+    with pytest.raises(ScenarioError, match=r"guard.position_margin_m = 0.1: .*limit_margin_m = 0.05; set"):
+        Scenario(guard={"position_margin_m": 0.1})
     Scenario(guard={"position_margin_rad": 0.2}, control={"limit_margin_rad": 0.2})
     Scenario(guard={"position_margin_rad": 0.2}, control={"law": "dcac"})  # no box
     Scenario(guard={"position_margin_rad": 0.2}, control={"preset": "paper"})  # the paper's box, on purpose

@@ -10,6 +10,8 @@ from hypothesis.extra.numpy import arrays
 from moc_opt.control.safety_filter import SafetyFilter, SafetyFilterSettings
 from moc_opt.control.safety_kernels import limit_torque
 from moc_opt.errors import ControlError
+from moc_opt.model.robot_model import load_robot
+from moc_opt.scenario import Scenario, make_safety_filter
 
 PERIOD = 0.002
 N = 7
@@ -72,9 +74,24 @@ def test_calm_torques_pass_untouched(guard, robot):
     assert guard.limited == 0
 
 
+def test_the_wall_of_a_joint_that_slides_has_a_margin_of_its_own():
+    rail = load_robot("lwr4_rail")
+    (j,) = np.flatnonzero(rail.chain.prismatic)
+    settings = SafetyFilterSettings(position_margin_rad=0.3, position_margin_m=0.02)
+    mine = make_safety_filter(rail, Scenario(robot={"name": "lwr4_rail"}, guard=settings, control={"law": "dcac"}))
+    turning = (j + 1) % rail.n
+    for joint, inside, touched in ((j, 0.03, 0), (j, 0.01, 1), (turning, 0.31, 0), (turning, 0.29, 1)):
+        q = np.array(0.5 * (rail.q_min + rail.q_max))
+        q[joint] = rail.q_max[joint] - inside
+        tau = rail.gravity(q)
+        tau[joint] += 1.0  # towards the wall
+        mine.limit_torque(tau, tau, q, np.zeros(rail.n))
+        assert mine.limited == touched
+
+
 def test_the_kernel_asks_for_the_weight_only_where_it_brakes(robot):
-    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max])
-    wall = np.array([0.05, 2000.0, 20.0, 2.0])
+    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max, np.full(N, 0.05)])
+    wall = np.array([2000.0, 20.0, 2.0])
     rest, tau = np.zeros(N), np.ones(N)
     args = (np.empty(0), limits, wall, 40.0)
     assert limit_torque(tau, rest, robot.data.q_home, rest, *args) == 0

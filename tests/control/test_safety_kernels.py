@@ -15,8 +15,8 @@ N = 7
 
 def by_the_law(tau, before, q, v, hold, limits, wall, step):
     """What `limit_torque` says of itself, with numpy; the torque of the walls alone, and what is left of it."""
-    q_min, q_max, v_max, tau_max = limits
-    margin, stiffness, damping, brake = wall
+    q_min, q_max, v_max, tau_max, margin = limits
+    stiffness, damping, brake = wall
     ends = []
     for side, distance in ((1.0, q_max - margin - q), (-1.0, q - q_min - margin)):
         depth, speed = np.maximum(-distance, 0.0), side * v
@@ -34,8 +34,9 @@ def by_the_law(tau, before, q, v, hold, limits, wall, step):
 @given(seed=st.integers(0, 10**6), step=st.sampled_from([1.0, 40.0, 1e9]), fast=st.sampled_from([0.3, 1.0, 3.0]))
 def test_the_torque_follows_the_law(robot, seed, step, fast):
     rng = np.random.default_rng(seed)
-    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max])
-    wall = np.array([0.05, 2000.0, 20.0, 2.0]) * rng.uniform(0.5, 2.0, 4)
+    margins = 0.05 * rng.uniform(0.5, 2.0, N)
+    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max, margins])
+    wall = np.array([2000.0, 20.0, 2.0]) * rng.uniform(0.5, 2.0, 3)
     near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0
     v = fast * robot.v_max * rng.uniform(-1.0, 1.0, N)
@@ -210,8 +211,9 @@ def test_a_level_is_above_zero(field, value):
 def test_defaults_are_those_of_the_documentation():
     """Each number bounds what an arm may do near a patient: a change of one is a decision, and is made here too."""
     assert SafetyFilterSettings().model_dump() == {
-        "torque_rate_Nm_per_s": 20000.0, "position_margin_rad": 0.045, "wall_stiffness_Nm_per_rad": 2000.0,
-        "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0, "jump_rad": 0.05, "speed_factor": 5.0,
+        "torque_rate_Nm_per_s": 20000.0, "position_margin_rad": 0.045, "position_margin_m": 0.045,
+        "wall_stiffness_Nm_per_rad": 2000.0, "wall_damping_Nm_s_per_rad": 20.0, "wall_brake_rad_per_s2": 2.0,
+        "jump_rad": 0.05, "speed_factor": 5.0,
         "patience_ticks": 3, "tip_error_m": 0.01, "tip_error_s": 0.1, "rcm_error_m": 0.012, "rcm_warning_m": 0.006,
         "trocar_force_N": 15.0, "trocar_force_warning_N": 8.0, "incision_s": 0.1,
         "tip_force_N": 10.0,

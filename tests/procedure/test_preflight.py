@@ -131,6 +131,23 @@ def test_a_random_start_keeps_the_stated_rules(robot, seed, swivel):
     assert np.linalg.norm(np.cross(trocar - state.tip, state.tool_direction)) < 1e-9
 
 
+@pytest.mark.parametrize(("name", "margins"), [("lwr4", (0.15, 0.0)), ("lwr4_rail", (0.05, 0.2))])
+def test_a_random_start_keeps_the_margins_that_were_asked_for(name, margins):
+    """Of each joint in its own unit, at the start and along the path."""
+    keys = {"limit_margin_rad": margins[0], "limit_margin_m": margins[1]}
+    made = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random", **keys})
+    arm = made.robot
+    asked = np.where(arm.chain.prismatic, margins[1], margins[0])
+    reach = preflight.check_path(arm, made.q_start, made.reference, made.registered)
+    for q in (made.q_start, *reach.q_rad):
+        assert (np.minimum(q - arm.q_min, arm.q_max - q) >= asked).all()
+    usual = setup(0, robot={"name": name}, start={"pose": "random", "swivel": "random"})
+    room = np.minimum(usual.q_start - arm.q_min, arm.q_max - usual.q_start)
+    reach = preflight.check_path(arm, usual.q_start, usual.reference, usual.registered)
+    room = np.min([room, *(np.minimum(q - arm.q_min, arm.q_max - q) for q in reach.q_rad)], axis=0)
+    assert (room < asked).any()  # the margins decide
+
+
 def test_random_starts_repeat_and_differ_with_the_seed():
     poses = [setup(seed).q_start for seed in range(5)]
     np.testing.assert_array_equal(poses[3], setup(3).q_start)
@@ -179,7 +196,7 @@ def test_the_counts_of_rejections_add_up(robot, monkeypatch):
 
     for swivelled in (np.asarray, singular):
         with pytest.raises(ScenarioError) as told:
-            random_start(robot, np.random.default_rng(0), swivelled, never)
+            random_start(robot, np.random.default_rng(0), swivelled, never, np.full(robot.n, 0.05))
         counts = str(told.value).partition("rejected: ")[2].partition(";")[0].split(", ")
         assert sum(int(entry.split()[-1]) for entry in counts) == 25
 

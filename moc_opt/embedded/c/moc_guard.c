@@ -72,7 +72,7 @@ static double allowed_speed(double v_max, double distance)
 /* What wall and brake leave of the torque above the weight: at least, at most. Returns whether they act. */
 static int wall(int i, double q, double v, double *least, double *most)
 {
-    double below = q - moc_q_min[i] - MOC_WALL_MARGIN, above = moc_q_max[i] - MOC_WALL_MARGIN - q;
+    double below = q - moc_q_min[i] - moc_wall_margin[i], above = moc_q_max[i] - moc_wall_margin[i] - q;
     double fall = allowed_speed(moc_v_max[i], below), rise = allowed_speed(moc_v_max[i], above);
     int acts = 0;
 

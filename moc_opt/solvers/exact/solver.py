@@ -213,7 +213,7 @@ class Exact:
     name: ClassVar[str] = "exact"
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.tolerance < 1.0:
+        if not isinstance(self.tolerance, int | float) or not 0.0 < self.tolerance < 1.0:
             raise SolverError(f"exact: tolerance = {self.tolerance} is not in (0, 1); 1e-9 is usual")
 
     def supports(self, qp: NullSpaceQP) -> str | None:

@@ -145,7 +145,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
             "tick; cut the longer one with head(ticks) or between(start_s, stop_s)"
         )
     if phase is not None:
-        if phase not in PHASES:
+        if not isinstance(phase, str) or phase not in PHASES:
             raise UnknownNameError("phase", str(phase), PHASES)
         ticks = trace.travelling if phase == "travelling" else ~trace.travelling
         if not ticks.any():
