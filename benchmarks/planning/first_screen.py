@@ -16,7 +16,8 @@ from moc_opt.report.tables import Column, Table
 Rows = Sequence[Mapping[str, Any]]
 
 TRAPPED_PERCENT = 5.0
-"""A run that ends further below the best course from its start is trapped: another hump of mu is higher."""
+"""A run that ends further below the best course from its start is trapped: as a rule on a lower hump of mu."""
+MORE = f"more than {TRAPPED_PERCENT:g} % below"
 LOCAL = "local"
 IN_THE_LOOP, COURSES = "In the loop", "Courses and checks"
 LEAST_PERCENT = 0.01
@@ -43,10 +44,10 @@ def _sentences(summary: Mapping[str, Any], runs: Rows) -> Iterator[str]:
     if trapped:
         where = ", ".join(f"{row['robot']} {row['trial']} ({row['gap_percent']:.0f} %)" for row in trapped[:4])
         more = f" and {len(trapped) - 4} more" if len(trapped) > 4 else ""
-        text = f"Climbing mu locally is trapped on a lower hump at {len(trapped)} of {len(local)} starts: {where}{more}"
+        text = f"Climbing mu locally is trapped ({MORE}) at {len(trapped)} of {len(local)} starts: {where}{more}"
         yield text + (f"; elsewhere it leaves {_mean(free)} %." if free else ".")
     elif local:
-        yield f"Climbing mu locally is trapped (more than {TRAPPED_PERCENT:g} % below) at none of {len(local)} starts."
+        yield f"Climbing mu locally is trapped ({MORE}) at none of {len(local)} starts."
     verdicts = [goal["verdict"] for goal in summary["goals"]]
     missed = [f"{goal['robot']}: {goal['goal']} {goal['value']}" for goal in summary["goals"]
               if goal["verdict"] == "missed"]  # fmt: skip
