@@ -25,8 +25,9 @@ from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
 from benchmarks.output import write_json
 from benchmarks.paper_experiment.trials import seeds, trials
+from benchmarks.planning.first_screen import answer
 from benchmarks.planning.parts import Job, run_job
-from benchmarks.planning.tables import report, summarise, tables
+from benchmarks.planning.tables import report, summarise
 from moc_opt.control import ControlSettings
 from moc_opt.inputs.files import to_json
 from moc_opt.planning.spherical import spherical
@@ -87,8 +88,8 @@ def study(given: Namespace) -> cli.Results:
         each += run_parallel(work, [job for job in jobs if job.part != "map"], config.processes, step)
     rows = [row for found in each for row in found]
     summary = summarise(rows)
-    shown = tables(summary)
-    return cli.Results(summary, environment, rows, report(summary, rows, environment, shown), shown)
+    first = answer(summary, rows)
+    return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
 
 
 def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:

@@ -60,6 +60,7 @@ def once(names: list[str]) -> tuple[list[str], dict[str, str]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the comparison; returns the exit status."""
     options = cli.parser("solvers", "Compare the solvers, open loop and in closed loop.")
+    options.epilog = "`moc-opt solvers --list` prints the solvers that can run here, and their settings."
     options.add_argument("--full", action="store_true", help="more of everything; takes an hour or two")
     options.add_argument("--only", nargs="+", metavar="SOLVER", help="these solvers alone")
     options.add_argument("--sets", nargs="+", metavar="NAME", help="these test sets alone")

@@ -35,6 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--robot", metavar="NAME|MY.toml", help="replaces the scenario's robot")
     one.add_argument("--task", metavar="NAME|POINTS.csv", help="replaces the path; a file: x,y,z [m] a line")
     one.add_argument("--metric", action="append", metavar="NAME", help="print this metric alone; may be repeated")
+    one.add_argument("--all", action="store_true", help="print every metric, not those alone to look at first")
     one.add_argument("--report", type=Path, metavar="FILE.html", help="metrics, curves and map of the run go here")
     one.add_argument(
         "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"

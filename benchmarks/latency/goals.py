@@ -78,6 +78,55 @@ GOALS = {
 """Key -> goal."""
 
 
+def _tails(s: Any) -> str:
+    tails = {name: found["tick_p99_9_us"] for name, found in s["tick"].items()}
+    python = min(value for name, value in tails.items() if name != "c")
+    return f"the least of all solvers' is {python:.0f} us, in C {tails['c']:.0f}: what runs longer is interrupted more"
+
+
+def _around(s: Any) -> str:
+    alone = s["tick"]["exact"]["tick_p50_us"]
+    return f"the control law alone takes {alone:.1f} us; the rest is the loop's safety filter"
+
+
+def _plant(kind: str) -> Callable[[Any], str]:
+    def said(s: Any) -> str:
+        loop = s["loop"][kind]
+        return (f"{loop['us_per_tick']:.0f} us a tick, {loop['tick_p50_us']:.0f} of them filter and controller, "
+                f"{s['loop']['limit']['steps_us']:.0f} MuJoCo's steps; the rest is sensors and recording, in Python")
+    return said  # fmt: skip
+
+
+def _slowest(part: str, metric: str, words: str) -> Callable[[Any], str]:
+    def said(s: Any) -> str:
+        name = max((name for name in s[part] if metric in s[part][name]), key=lambda name: float(s[part][name][metric]))
+        return words.format(name=name, **s[part][name])
+    return said  # fmt: skip
+
+
+def _fastest(s: Any) -> str:
+    name = min(s["peers"], key=lambda peer: float(s["peers"][peer]["tick_p50_us"]))
+    return f"{name}: {s['peers'][name]['tick_p50_us']:.0f} us for the same job"
+
+
+WHY: Mapping[str, Callable[[Any], str]] = MappingProxyType({
+    "tick_p99_9": _tails, "loop_tick_p99_9": _tails, "loop_tick_p50": _around, "loop": _plant("python"),
+    "c_loop": _plant("c"), "limit_python": _plant("python"), "limit_c": _plant("c"), "peers": _fastest,
+    "exact_any_n": _slowest("exact", "solve_p50_us", "{name}: without structure there is no shorter way than to "
+                            "eliminate, {kernel_us:.2f} us of it compiled"),
+    "adapters": _slowest("adapters", "ratio", "{name}: {adapter_p50_us:.1f} us, by hand {by_hand_p50_us:.1f}"),
+})  # fmt: skip
+"""Key -> why it is not reached, from the numbers of the same run."""
+
+
+def reason(key: str, summary: Summary) -> str:
+    """Return why a goal is not reached; "" where the numbers do not say."""
+    try:
+        return WHY[key](summary)
+    except (LookupError, ValueError):  # a part that did not run
+        return ""
+
+
 def goal_verdicts(summary: Summary, goals: Mapping[str, Goal] = MappingProxyType(GOALS)) -> dict[str, dict[str, Any]]:
     """Map goal to what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
     found = {}

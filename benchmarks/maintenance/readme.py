@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import cli
-from benchmarks.latency.goals import GOALS
+from benchmarks.latency.goals import GOALS, reason
 from benchmarks.markdown import fill_section, of_columns, table
 from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
@@ -88,10 +88,11 @@ def _claims(summary: Summary) -> list[str]:
 def speed_section(summary: Summary, environment: Summary) -> str:
     """Return what everything costs beside what was wanted, and the ticks of others in the same run."""
     rows = []
-    for goal in (summary["goals"][key] for key in GOALS if key in summary["goals"]):
+    for key, goal in ((key, summary["goals"][key]) for key in GOALS if key in summary["goals"]):
         unit = f" [{goal['unit']}]" if goal["unit"] else ""
         found = "not measured" if goal["value"] is None else f"{goal['value']:.3g}"
-        mark = " (not reached)" if goal["reached"] == "no" else ""
+        why = reason(key, summary)
+        mark = f" (not reached{f': {why}' if why else ''})" if goal["reached"] == "no" else ""
         rows.append([goal["what"] + unit, found + mark, f"{goal['kind']} {goal['goal']:g}"])
     own = _medians(summary["tick"])
     daggers = {name: "†" for name, row in summary["peers"].items() if row["installed"] == "hand"}

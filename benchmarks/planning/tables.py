@@ -7,7 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.answer import Answer
 from benchmarks.output import close_page
+from benchmarks.planning.first_screen import COURSES as COURSES_SECTION
+from benchmarks.planning.first_screen import IN_THE_LOOP
 from benchmarks.planning.goals import GOALS, goal_rows
 from benchmarks.planning.parts import ERRORS
 from moc_opt.comparison.statistics import mean, relative_change, spread
@@ -155,13 +158,11 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
 
 
 def report(
-    summary: Mapping[str, Any], rows: Rows, environment: Mapping[str, Any], shown: Sequence[Table]
+    summary: Mapping[str, Any], rows: Rows, first: Answer, environment: Mapping[str, Any]
 ) -> Page:
-    """One page of these tables that opens by itself."""
+    """One page that opens by itself: the first screen, and folded below it these tables."""
     page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
-    page.headline(headline(summary))
-    page.table(tables(summary)[0])
-    page.fold()
+    first.begin(page)
     page.section("How to read this")
     page.text(
         "Starts are drawn evenly from the joint ranges less a tenth at both ends, and rejected where the pose or one "
@@ -172,9 +173,13 @@ def report(
         "best course from the same start; tip and RCM errors are by the robot's own kinematics, from the registered "
         "trocar. The bound holds for every course; times are from scratch, with as many processes as configured."
     )
-    page.section("Results")
-    for table in shown:
-        page.table(table)
+    page.text(headline(summary))
+    shown = tables(summary)
+    loops = [table for table in shown if table.columns in (GOALS, LOOPS)]
+    for title, made in ((IN_THE_LOOP, loops), (COURSES_SECTION, [table for table in shown if table not in loops])):
+        page.section(title)
+        for table in made:
+            page.table(table)
     close_page(page, "plan", environment, rows, ("robot", "trial", "part"))
     return page
 

@@ -111,9 +111,9 @@ def _pictures(summary: Mapping[str, Any]) -> Sequence[Picture]:
     asked = {
         "gains": ("gain of mean mu [%]", {"no gain": 0.0, "goal": LEAST_GAIN_PERCENT},
                   "Gain in mu over DCAC with its 95 % interval over the trials: {} of {} arms lie right of the goal."),
-        "tip": ("change of the settled tip error [%]", {"no change": 0.0, "goal": MOST_CHANGE_PERCENT},
+        "tip": ("change of the settled tip error [%]", {"goal": MOST_CHANGE_PERCENT},
                 "Change of the tip error once no elbow moves: {} of {} arms stay left of the goal."),
-        "rcm": ("change of the settled RCM error [%]", {"no change": 0.0, "goal": MOST_CHANGE_PERCENT},
+        "rcm": ("change of the settled RCM error [%]", {"goal": MOST_CHANGE_PERCENT},
                 "Change of the RCM error from the registered trocar: {} of {} arms stay left of the goal; what of it "
                 "is calibration, the last column of the table says."),
     }  # fmt: skip

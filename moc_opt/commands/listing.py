@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import re
 from collections.abc import Callable
 
 from moc_opt.report.console import console, print_json
@@ -16,6 +17,8 @@ def print_list(given: argparse.Namespace) -> int:
         "robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers,
     }  # fmt: skip
     table = lists[given.command]()
+    if given.command == "solvers" and not given.json:
+        table = here(table)
     if given.json:
         first, *others = [column.key for column in table.columns]
         print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
@@ -37,6 +40,16 @@ def solvers() -> Table:
         rows.append({"solver": name, "here": reason or "yes", "settings": written or None})
     columns = [Column("solver", "solver"), Column("here", "runs here"), Column("settings", "settings")]
     return Table("Solvers: [solver] name, [solver.settings]", columns, rows)
+
+
+def here(found: Table) -> Table:
+    """Return those that can run here, with the names of their settings; the others in one sentence."""
+    can = [row for row in found.rows if row["here"] == "yes"]
+    rows = [{**row, "settings": re.sub(r" = ([^,{}]|\{[^}]*\})*", "", row["settings"] or "") or None} for row in can]
+    absent = [row["solver"] for row in found.rows if row["here"] != "yes"]
+    told = f"Not here, for want of a package: {', '.join(absent)}. " if absent else ""
+    columns = [column for column in found.columns if column.key != "here"]
+    return Table(found.title, columns, rows, f"{told}--json: defaults of the settings, and what is missing.")
 
 
 def robots() -> Table:

@@ -49,7 +49,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     from moc_opt.report.console import console, print_json
     from moc_opt.report.machine import busy
     from moc_opt.report.run_page import run_page
-    from moc_opt.report.run_table import below_best, part, refusals, run_json, run_table, warnings
+    from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
     from moc_opt.trace.metrics import summarize
 
     ended = str(trace.meta["ended"])
@@ -73,7 +73,13 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     if given.json:
         print_json(run_json(trace, wanted))
     else:
-        console().print(run_table(title, trace, wanted).to_rich())
+        short = not scenario.metrics and not getattr(given, "all", True)  # `plant` has no such option, and prints all
+        screen, table = console(), run_table(title, trace, wanted, first=short)
+        for piece in table.fitted(screen.width):
+            screen.print(piece)
+        if short:
+            hidden = len(set(metrics) - set(MATTER))
+            screen.print(f"{hidden} more with `--all`; `moc-opt metrics` says what each is.", markup=False)
         if busy():
             console().print(busy(), soft_wrap=True)
     return 0 if ended == "completed" else 3

@@ -37,6 +37,9 @@ def run_page(
     for name, trace in traces.items():
         told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
         page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
+    page.section("What to look at first")
+    for name, values in metrics.items():
+        page.table(run_table(name, traces[name], values, first=True))
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from moc_opt.report.notation import Missing, Notation, missing
@@ -13,6 +14,21 @@ from moc_opt.trace.trace import Trace
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"
 """How the largest mu was found: an entry of a trace's meta."""
+
+
+MATTER: Mapping[str, str] = MappingProxyType({
+    "mu_mean": "manipulability [m^3]: how far the arm keeps from singular poses",
+    "mu_gain_percent": "the same above DCAC's with the same gains [%]",
+    "mu_fraction_of_best_from_start": "the same over that of the best course from this start",
+    "tip_error_model_mean_mm": "tip from its path [mm], as far as control can answer for it",
+    "rcm_error_model_mean_mm": "shaft from the trocar [mm], likewise",
+    "rcm_error_max_mm": "shaft from the true trocar [mm], at most",
+    "trocar_force_max_N": "force on the trocar [N], at most",
+    "torque_rate_rms_Nm_per_s": "chatter of the torque [Nm/s]; beside DCAC's or another solver's",
+    "silently_wrong": "ticks at which the solver called a wrong answer solved; 0 is right",
+    "deadline_misses": "ticks that took longer than the period, on this machine",
+})  # fmt: skip
+"""Metrics to look at first, and what each says."""
 
 
 def part(trace: Trace) -> str:
@@ -81,21 +97,30 @@ def replaced(trace: Trace) -> str:
     return f"at {total} of {len(trace)} ticks: {most}{', '.join(f'{fault} {count}' for fault, count in counts.items())}"
 
 
-def run_table(name: str, trace: Trace, metrics: Mapping[str, float]) -> Table:
+def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: bool = False) -> Table:
     """Lay out the metrics of one run, the ending in the first row, and in the second how often the solver was replaced.
 
     Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
+
+    Args:
+        name: of the run.
+        trace: of the run.
+        metrics: name -> value.
+        first: those of `MATTER` alone, each with what it says.
     """
     of = part(trace)
     rows: list[dict[str, Any]] = [{"metric": "ended", "value": str(trace.meta.get("ended", "unknown"))}]
     if replaced(trace):
         rows.append({"metric": "solver replaced", "value": replaced(trace)})
     for metric, value in metrics.items():
+        if first and metric not in MATTER:
+            continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        rows.append({"metric": marked, "value": _written(value)})
+        rows.append({"metric": marked, "value": _written(value), "says": MATTER.get(metric, "")})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
             rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})
     columns = [Column("metric", "metric"), Column("value", "value")]
+    columns += [Column("says", "what it says")] if first else []
     return Table(f"{name}{of}", columns, rows, caption="\n".join(warnings(trace)))
 
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
+from rich.console import Console
 
 from benchmarks import plan
 from benchmarks.output import default_config
+from benchmarks.planning.first_screen import answer
 from benchmarks.planning.goals import goal_rows
 from benchmarks.planning.tables import summarise
 
@@ -112,6 +115,46 @@ def test_a_goal_is_judged_by_the_end_of_its_interval(gap: tuple[float, float, fl
     (row,) = [row for row in goal_rows(summary) if row["goal"].startswith("planned: mean gap")]
     assert row["verdict"] == verdict
     assert {row["verdict"] for row in goal_rows(summary) if row is not None} <= {verdict, "not measured"}
+
+
+def made(gaps: dict[str, list[float]]) -> list[dict[str, Any]]:
+    about = {"robot": "arm", "task": "circle", "error": "", "part": "loop", "fraction_of_best": 0.9, "mu": 0.2,
+             "solve_p99_us": None, "rcm_error_model_mean_mm": 0.2}  # fmt: skip
+    return [
+        {**about, "loop": loop, "trial": f"circle/{k}", "gap_percent": gap,
+         "tip_error_model_mean_mm": 0.1 if loop == "local" else 0.11}
+        for loop, values in gaps.items() for k, gap in enumerate(values)
+    ]  # fmt: skip
+
+
+def test_the_first_screen_says_where_the_local_law_is_trapped_and_by_how_much() -> None:
+    rows = made({"local": [1.0, 22.0, 1.5, 8.0], "planned": [0.2, 0.3, 0.1, 0.2]})
+    first = answer(summarise(rows), rows)
+    assert "`planned` 0.20 [" in first.sentences[0]
+    assert "(22.0 at worst, 4 runs)" in first.sentences[0]
+    where = "arm circle/1 (22 %), arm circle/3 (8 %)"
+    assert f"trapped (more than 5 % below) at 2 of 4 starts: {where}; elsewhere it leaves 1.25" in first.sentences[1]
+    local, planned = first.table.rows
+    assert (local["gap"].symbol, local["over"], planned["gap"].symbol, planned["over"]) == ("✘", 2, "✔", 0)
+    assert (planned["tip"].symbol, planned["tip"].word, planned["rcm"].symbol) == ("✘", "+10.0", "✔")
+    assert list(first.pictures[0].figure.data[0].y) == [22.0, 8.0, 1.5, 1.0]
+    none = made({"local": [1.0, 2.0]})
+    assert "at none of 2 starts" in answer(summarise(none), none).sentences[1]
+    broken = [{**row, "error": "stopped"} for row in none]
+    assert answer(summarise(broken), broken).sentences == ["No run came to its end: see the errors below."]
+
+
+def test_the_report_opens_with_the_answer_and_folds_the_rest(results: Path) -> None:
+    page = (results / "report.html").read_text(encoding="utf-8")
+    places = [page.index(f'id="{name}"') for name in ("gaps", "rcm-cost", "in-the-loop", "courses-and-checks")]
+    assert places == sorted(places)
+    rows = [row for row in rows_of(results) if row["part"] == "loop"]
+    summary = json.loads((results / "summary.json").read_text(encoding="utf-8"))
+    screen = Console(file=io.StringIO(), width=80, color_system=None)
+    for part in answer(summary, rows).screens(80):
+        screen.print(part, markup=False)
+    assert max(map(len, screen.file.getvalue().splitlines())) <= 80
+    assert all(word in screen.file.getvalue() for word in ("trapped", "receding", "RCM"))
 
 
 def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

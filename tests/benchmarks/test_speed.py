@@ -17,7 +17,7 @@ from benchmarks import baselines as peers
 from benchmarks import output, speed
 from benchmarks.baselines import check
 from benchmarks.baselines.base import TipGradient, wrist_reference
-from benchmarks.latency import limit
+from benchmarks.latency import goals, limit
 from benchmarks.latency import setup as speed_setup
 from benchmarks.latency import solve as speed_solve
 from benchmarks.latency.bare import BARE
@@ -459,3 +459,16 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
 
 def test_settings_of_the_adapters_are_dataclasses():
     assert all(dataclasses.is_dataclass(create(name)) for name in INSTALLED)
+
+
+def test_a_missed_goal_has_a_reason_from_the_same_numbers_where_they_have_one():
+    tick = {"exact": {"tick_p50_us": 20.4, "tick_p99_9_us": 201.0}, "c": {"tick_p50_us": 3.0, "tick_p99_9_us": 62.0},
+            "rnn": {"tick_p50_us": 22.0, "tick_p99_9_us": 151.0}}  # fmt: skip
+    adapters = {"a": {"ratio": 1.0, "adapter_p50_us": 5.0, "by_hand_p50_us": 5.0},
+                "b": {"ratio": 1.2, "adapter_p50_us": 12.0, "by_hand_p50_us": 10.0}}  # fmt: skip
+    summary = {"tick": tick, "adapters": adapters}
+    assert "151 us, in C 62" in goals.reason("tick_p99_9", summary)
+    assert goals.reason("adapters", summary) == "b: 12.0 us, by hand 10.0"
+    assert goals.reason("loop", summary) == ""
+    assert goals.reason("import", summary) == ""
+    assert set(goals.WHY) <= set(goals.GOALS)

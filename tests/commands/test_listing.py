@@ -55,3 +55,14 @@ def test_an_unknown_option_is_refused_everywhere_but_in_the_study(capsys):
     with pytest.raises(SystemExit):
         main(["solvers", "--list", "--quick"])
     assert "--quick" in capsys.readouterr().err
+
+
+def test_the_list_of_solvers_fits_a_screen(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["solvers", "--list"]) == 0
+    shown = capsys.readouterr().out
+    assert len(shown.splitlines()) < 45
+    assert "steps, h, k, scale, method, eps, warm" in shown, "names of the settings, without their values"
+    with pytest.raises(SystemExit):
+        main(["solvers", "--help"])
+    assert "--list" in capsys.readouterr().out

@@ -7,7 +7,8 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.report.console import print_json
-from moc_opt.report.run_table import below_best, part, run_json, run_table, warnings
+from moc_opt.report.run_table import MATTER, below_best, part, run_json, run_table, warnings
+from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
 
 WARNING = {"of": "the RCM error", "first_s": 1.25, "largest": 11.04, "unit": "mm", "level": 6.0}
@@ -152,3 +153,16 @@ def test_numbers_are_written_as_people_write_them():
     metrics = {"claimed_solved": 4034.0, "mu_mean": 0.31471, "primal_max": 2.7e-16, "torque_rate_rms_Nm_per_s": 5069.4}
     values = [row["value"] for row in run_table("run", trace(), metrics).rows][1:]
     assert values == ["4034", "0.3147", "2.700e-16", "5069"]
+
+
+def test_what_to_look_at_first_is_a_part_of_the_whole_and_says_what_it_is():
+    figures = dict.fromkeys(METRICS, 0.5)
+    short, whole = (run_table("run", trace(), figures, first=first) for first in (True, False))
+    names = [row["metric"] for row in short.rows]
+    assert names[0] == "ended"
+    assert set(names[1:]) == set(MATTER)
+    assert all(row["says"] == MATTER[row["metric"]] for row in short.rows[1:])
+    assert set(METRICS) <= {row["metric"] for row in whole.rows}
+    assert set(MATTER) <= set(METRICS)
+    cut = run_table("run", trace("stopped: x", 3), figures, first=True)
+    assert "mu_mean (part)" in [row["metric"] for row in cut.rows]

@@ -129,7 +129,7 @@ def test_what_everything_costs(folder):
     assert readme.main(arguments(folder, "speed")) == 0
     text = (folder / "README.md").read_text()
     assert "| tick: median [us] | 13.4 | at most 25 |" in text
-    assert "| a peer over ours | 0.9 (not reached) | at least 4 |" in text
+    assert "| a peer over ours | 0.9 (not reached: tsid: 13 us for the same job) | at least 4 |" in text
     assert "| tick in C [us] | not measured | at most 5 |" in text
     assert "[us]: c 2.5, exact 13.4." in text
     assert "[us]: tsid† (torque) 12.6, mink (velocity) 79.2.\n† not installed by `make`" in text
