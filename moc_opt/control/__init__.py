@@ -3,7 +3,8 @@
 Read first: ``controller`` (a tick, from state to torque), ``tick`` (its equations) and ``law`` (their constants), then
 the levels ``tip_impedance``, ``rcm``, ``null_space``. ``supervisor`` and ``solution_check`` refuse wrong answers of
 a solver, ``isolated`` runs one in a process of its own (``worker``, ``exchange``); ``safety_filter``, ``motion`` and
-``incision`` check measurements and limits. Solvers are passed in: of ``solvers`` only ``base`` is imported here.
+``incision`` check measurements and limits, compiled in ``safety_tick``. Solvers are passed in: of ``solvers`` only
+``base`` is imported here.
 Imported by embedded, procedure, scenario and live; never by sim, which knows the safety filter as a protocol.
 """
 

@@ -93,3 +93,21 @@ def tool_pose(joints: Array, q: Array, mount: Array, tip: Array, pose: Array) ->
                 rotation_t[0, i] * mount[k, 0] + rotation_t[1, i] * mount[k, 1] + rotation_t[2, i] * mount[k, 2]
             )
     point_in_world(rotation_t, place[9:], tip, pose[3])
+
+
+@njit(cache=True, nogil=True)
+def points_along(joints: Array, poses: Array, offsets: Array, points: Array) -> None:
+    """Write where points of the last link are at many poses.
+
+    Args:
+        joints: as in `place_joints`.
+        poses: (k,n).
+        offsets: (m,3) points in the last joint's frame [m].
+        points: (m,k,3) written, world axes [m].
+    """
+    n = poses.shape[1]
+    places = np.empty((n, 12))
+    for k in range(poses.shape[0]):
+        place_joints(joints, poses[k], places)
+        for i in range(offsets.shape[0]):
+            point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[i], points[i, k])

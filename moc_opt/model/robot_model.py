@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numba import float64, types
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import RobotError, shown
@@ -30,6 +31,7 @@ _FILL_STATE = CompiledKernel(
     kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
 )
 _TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, VECTOR, MATRIX, MATRIX, MATRIX, FLAGS)
+_POINTS_ALONG = CompiledKernel(place_kernels.points_along, MATRIX, MATRIX, MATRIX, types.Array(float64, 3, "C"))
 _TOOL_POSE = CompiledKernel(place_kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
 _bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
@@ -126,12 +128,9 @@ class RobotModel:
             RobotError: another shape, or no numbers.
         """
         along = self._poses(poses)
-        tips, wrists = np.empty((2, len(along), 3))
-        last, (tip, wrist) = self._pin_data.oMi[self.n], self._offsets[:2]
-        for k, q in enumerate(along):
-            pin.forwardKinematics(self._pin, self._pin_data, q)
-            tips[k], wrists[k] = last.act(tip), last.act(wrist)
-        return tips, wrists
+        points = np.empty((2, len(along), 3))
+        _POINTS_ALONG.code(self._joints, along, self._offsets, points)
+        return points[0], points[1]
 
     def _poses(self, given: object) -> Array:
         try:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import Controller
+from moc_opt.control.supervisor import Fault
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import row_length
@@ -73,15 +74,18 @@ class ControllerAdapter:
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row; see ``sim.protocols``."""
-        solution, qp = self.controller.solution, self.controller.subproblem
+        controller = self.controller
+        solution, qp, fault = controller.solution, controller.subproblem, controller.fault
         if solution is None or qp is None:
             return
-        columns["status"][row] = solution.status.label
-        columns["solve_us"][row] = self.controller.solve_us
+        columns["solve_us"][row] = controller.solve_us
         columns["x_rad_per_s"][row] = solution.x
-        columns["applied_x_rad_per_s"][row] = self.controller.answer
+        columns["applied_x_rad_per_s"][row] = controller.answer
         if solution.y is not None:
             columns["dual"][row] = solution.y
         columns["subproblem"][row] = qp.row
-        columns["iterations"][row] = solution.iterations
-        columns["fault"][row] = self.controller.fault.label
+        columns["status"][row] = solution.status.label
+        if solution.iterations:
+            columns["iterations"][row] = solution.iterations
+        if fault is not Fault.NONE:
+            columns["fault"][row] = fault.label

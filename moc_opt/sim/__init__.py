@@ -1,7 +1,7 @@
 """The simulated plant and the closed loop: arm, trocar, sensors, faults. Knows torques; no controller and no solver.
 
 Read first: ``closed_loop`` (the one step of every closed loop), ``filtered`` (controller behind its safety filter) and
-``loop`` (``simulate``, which records), then ``plant`` (MuJoCo), built by ``mjcf``.
+``loop`` (``simulate``, which records), then ``plant`` (MuJoCo), built by ``mjcf``, and ``period``, its compiled step.
 ``protocols`` says what a controller is. ``contact``, ``sensors``, ``actuation``, ``elastic``
 and ``mismatch`` are its parts; ``faults`` and ``packets`` disturb it; docs/plant.md lists ``settings``.
 Imported by realtime, procedure, vision and scenario.

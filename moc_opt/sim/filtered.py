@@ -94,22 +94,22 @@ class FilteredController(Filtered):
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
         """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
-        safety = self._filter
+        safety, controller, applied = self._filter, self._controller, self._applied
         if safety is None:
-            return self._controller.tick(seen.q, seen.v, tip_ref, trocar)
-        if not safety.stopped:
-            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, self._applied, seen.force, trocar)
-        if not safety.stopped:
+            return controller.tick(seen.q, seen.v, tip_ref, trocar)
+        if not safety.reason:
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, applied, seen.force, trocar)
+        if not safety.reason:
             try:
-                asked = self._controller.tick(q, v, tip_ref, trocar)
-                tau = safety.limit_torque(asked, self._applied, q, v, *self._seen(tip_ref))
+                asked = controller.tick(q, v, tip_ref, trocar)
+                tau = safety.limit_torque(asked, applied, q, v, *self._seen(tip_ref))
             except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
                 safety.request_stop(f"the controller failed: {error}")
             else:
                 if safety.limited:
-                    self._controller.set_applied_torque(tau)
-        if safety.stopped:
-            tau = safety.stop_torque(self._applied)
+                    controller.set_applied_torque(tau)
+        if safety.reason:
+            tau = safety.stop_torque(applied)
         self._applied = tau
         return tau
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple, Protocol
 
@@ -83,6 +83,7 @@ class Block:
             "trocar_registered_m": self.registered[:, 0] + offset.trocar, "tau_Nm": np.empty((ticks, n)),
             "tick_us": np.empty(ticks), "limited": np.zeros(ticks, dtype=np.int8), **controller.columns(ticks),
         }  # fmt: skip
+        self.tau, self.tick_us, self.limited = (self.kept[name] for name in ("tau_Nm", "tick_us", "limited"))
         self.truth, self.wrench = np.empty((ticks, 2 * n + 9)), np.empty((ticks, 6))
         self._places = {"q_rad": n, "v_rad_per_s": n, "tip_m": 3, "wrist_m": 3, "trocar_force_N": 3}
 
@@ -121,12 +122,16 @@ class Log:
     def _open(self, first: int) -> Block:
         return self._make(first, min(self._most, self.total - first), self._begin_s)
 
-    def at(self, tick: int) -> Block:
-        """Return the block that holds a tick, the next one where the last is full."""
-        if tick - self.block.first >= self.block.ticks:
+    def rows(self) -> Iterator[tuple[Block, int, Array, Array, Array]]:
+        """Go through all ticks: the block and the row to fill, and tip reference, trocar and registered trocar."""
+        while True:
+            now = self.block
+            for row, told in enumerate(zip(now.tip_refs, now.trocars, now.registered, strict=True)):
+                yield now, row, *told
+            if now.first + now.ticks >= self.total:
+                return
             self._hand_over()
-            self.block = self._open(tick)
-        return self.block
+            self.block = self._open(now.first + now.ticks)
 
     def close(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns so far; none where a sink has them all."""

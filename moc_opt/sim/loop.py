@@ -108,35 +108,35 @@ def simulate(
     ticks, offset = len(tip_refs), TaskOffset.nothing() if offset is None else offset
     log = Log(plant, controller, Trajectories(tip_refs, trocars, registered), offset, sink, block)
     loop = ClosedLoop(plant, controller, safety_filter, stop, faults)
-    now = log.block
-    loop.start(now.tip_refs[0], now.registered[0])
-    begin_s = float(now.kept["t_s"][0])
+    loop.start(log.block.tip_refs[0], log.block.registered[0])
+    begin_s = float(log.block.kept["t_s"][0])
     broken: PlantError | None = None
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": "completed"}
     try:
         with no_collector():
-            while loop.ticks < ticks and not loop.finished and broken is None:
-                k = loop.ticks
+            for now, row, tip_ref, trocar, registered in log.rows():
                 if watch is not None:
-                    watch(k)
-                now = log.at(k)
-                row, kept = k - now.first, now.kept
+                    watch(loop.ticks)
                 plant.write_truth(now.truth[row])
                 try:
-                    loop.step(now.tip_refs[row], now.registered[row], now.trocars[row])
+                    loop.step(tip_ref, registered, trocar)
                 except PlantError as error:
                     broken = error
-                controller.note(row, kept)
-                now.wrench[row], kept["tau_Nm"][row], kept["limited"][row] = loop.seen.force, loop.tau, loop.limited
-                kept["tick_us"][row] = loop.tick_us
-                if loop.stop_reason:
-                    _blank(kept, row)
-                    if "stopped_at_s" not in found:
-                        t = float(kept["t_s"][row])
-                        found |= {"ended": f"stopped: {loop.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
-                if broken is not None:
-                    found["ended"] = f"ran away at t = {kept['t_s'][row]:.3f} s"
+                controller.note(row, now.kept)
+                now.wrench[row], now.tau[row], now.tick_us[row] = loop.seen.force, loop.tau, loop.tick_us
+                if loop.limited:
+                    now.limited[row] = loop.limited
                 now.done = row + 1
+                if loop.stop_reason:
+                    _blank(now.kept, row)
+                    if "stopped_at_s" not in found:
+                        t = float(now.kept["t_s"][row])
+                        found |= {"ended": f"stopped: {loop.stop_reason} (t = {t:.3f} s)", "stopped_at_s": t}
+                    if loop.finished:
+                        break
+                if broken is not None:
+                    found["ended"] = f"ran away at t = {now.kept['t_s'][row]:.3f} s"
+                    break
     except BaseException:
         log.close()  # what was measured is not lost, whatever ends the loop
         raise

@@ -1,7 +1,8 @@
 """One control period of the plant, compiled whole: from a commanded torque to what the sensors show.
 
 MuJoCo's two halves of a step are called at their addresses in its library: through its Python binding each call costs
-as much as all of the plant's own arithmetic.
+as much as all of the plant's own arithmetic. An error inside MuJoCo's C code, which its binding would raise as
+``FatalError``, ends the process; it has none for a compiled arm without contacts, whose memory is set aside beforehand.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import read_only, read_only_copy
+from moc_opt.numerics.arrays import read_only_copy
 from moc_opt.robots import RobotData
 from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
@@ -106,7 +106,7 @@ class Plant:
         self._at.pushes.clear()
         self.mj_model.dof_damping[:] = self._drive_damping
         self.mj_model.dof_frictionloss[:] = self._drive_friction
-        self._ticks, self._at.tissue[:] = 0, 0.0
+        self._ticks, self._inserted, self._at.tissue[:] = 0, False, 0.0
         mujoco.mj_resetData(self.mj_model, self.mj_data)
         self._at.joints.place(start - self.mismatch.encoder_bias)
         self._at.drives.start(self._at.joints.bias)
@@ -129,7 +129,9 @@ class Plant:
         """
         at = self._at
         told, asked = at.told(trocar), at.drives.command(tau)
-        at.tissue[:] = 0.0 if trocar is None else self._tissue
+        if self._inserted is not (trocar is not None):
+            self._inserted = trocar is not None
+            at.tissue[:] = self._tissue if self._inserted else 0.0
         reading = np.empty(self._shown)
         found = self._advance(
             asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
@@ -141,7 +143,9 @@ class Plant:
         self._encoder_noise.take()
         self._wrench_noise.take()
         self._ticks += 1
-        self._measurement = self._seen(reading)
+        reading.setflags(write=False)
+        n = self.data.n
+        self._measurement = Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)
 
     def _refuse(self, found: int, trocar: ArrayLike | None) -> NoReturn:
         if found == NO_TROCAR:
@@ -156,10 +160,6 @@ class Plant:
             "controller's gains or the trocar's stiffness and damping, raise substeps, or give the robot "
             "rotor inertia"
         )
-
-    def _seen(self, reading: Array) -> Measurement:
-        n, _ = self.data.n, read_only(reading)
-        return Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)
 
     def write_truth(self, row: Array) -> None:
         """Write q, v, tip, wrist and the trocar's force of now into row (2 n + 9,): all truths in one call."""

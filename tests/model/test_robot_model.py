@@ -397,3 +397,11 @@ def test_joints_are_where_pinocchio_has_them(arm: RobotModel) -> None:
         for place, known in zip(places, list(data.oMi)[1:], strict=True):
             np.testing.assert_allclose(place[:9].reshape(3, 3).T, known.rotation, atol=1e-14)
             np.testing.assert_allclose(place[9:], known.translation, atol=1e-14)
+
+
+def test_points_along_poses_are_those_of_the_states(arm):
+    poses = np.random.default_rng(8).uniform(arm.q_min, arm.q_max, (20, arm.n))
+    tips, wrists = arm.tool_along(poses)
+    for q, tip, wrist in zip(poses, tips, wrists, strict=True):
+        state = arm.state(q)
+        np.testing.assert_allclose([tip, wrist], [state.tip, state.wrist], rtol=0, atol=1e-14)

@@ -35,7 +35,8 @@ def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
         torque = plants[0].applied_torque
         for plant in plants:
             plant.step(torque, trocar)
-        for bad in ((torque * np.nan, trocar), (torque, trocar * np.inf), (torque[:3], trocar), (torque, trocar[:1])):
+        wrong = np.full((2, 3), np.inf)
+        for bad in ((torque * np.nan, trocar), (torque, wrong), (torque[:3], trocar), (torque, trocar[:1])):
             with pytest.raises(PlantError, match=r"the arm has not moved|one torque a joint"):
                 plants[1].step(*bad)
         for one, other in zip(plants[0].measure(), plants[1].measure(), strict=True):
