@@ -217,3 +217,23 @@ def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
         assert guard.stopped
         assert more * PERIOD < 0.15
         assert ("repeats one reading" if seen == "stuck" else "torque") in guard.reason
+
+
+@pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
+def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_its_size(whole, stops, robot):
+    """Frozen readings under fresh noise, a controller that integrates: the residual's mean follows it all the way."""
+    settings_, rng = MotionSettings(residual_whole_torque=whole), np.random.default_rng(0)
+    watch = MotionMonitor(settings_, PERIOD, PATIENCE, robot.tau_max)
+    q = robot.data.q_home
+    watch.start(q, np.zeros(robot.n), 0)
+    for k in range(2500):
+        state = robot.state(q, rng.normal(scale=1e-4, size=robot.n))
+        tau = robot.gravity(q)
+        tau[1] += 0.25 * robot.tau_max[1] * PERIOD * k  # to 1.25 times the largest in 5 s
+        reason = watch.check_momentum(state, tau)
+        if reason:
+            break
+    assert bool(reason) == stops
+    if stops:
+        assert "the torque went into a motion" in reason
+        assert 0.5 < 0.25 * PERIOD * k < 0.55
