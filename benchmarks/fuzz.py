@@ -31,7 +31,7 @@ KINDS = {
     "scenario": 0.25, "scenario_file": 0.15, "robot_file": 0.15, "subproblem": 0.15, "result_file": 0.2,
     "record_file": 0.05, "exported": 0.05, "name": 0.1, "option": 0.05, "urdf_number": 0.1, "hostile_file": 0.2,
     "extreme_number": 0.2, "sweep_folder": 0.05, "study_folder": 0.05, "trace_folder": 0.05,
-    "faulty_run": 0.02, "hostile_solver": 0.05, "foreign_trace": 0.1,
+    "faulty_run": 0.02, "hostile_solver": 0.05, "foreign_trace": 0.1, "wire_packet": 0.1,
 }  # fmt: skip
 """Kind of input -> its share of the cases."""
 CASE_S = 20
@@ -101,9 +101,12 @@ def lookup(kind: str) -> Kind:
         fuzz_pages,
         fuzz_runs,
         fuzz_solvers,
+        fuzz_wire,
     )
 
-    modules = (fuzz_checks, fuzz_file_checks, fuzz_names, fuzz_numbers, fuzz_pages, fuzz_runs, fuzz_solvers)
+    modules = (
+        fuzz_checks, fuzz_file_checks, fuzz_names, fuzz_numbers, fuzz_pages, fuzz_runs, fuzz_solvers, fuzz_wire,
+    )  # fmt: skip
     return next(module.KINDS[kind] for module in modules if kind in module.KINDS)
 
 

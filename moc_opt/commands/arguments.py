@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -52,15 +53,23 @@ def check_paths(given: argparse.Namespace) -> None:
         TraceError: names the option and the file.
     """
     read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source")]
-    taken = {Path(path).resolve(): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
+    taken = {_place(path): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
     for name in ("trace", "report", "out"):
         path = getattr(given, name, None)
         if path is None:
             continue
-        place = Path(path).resolve()
+        place = _place(path)
         if place in taken:
             raise TraceError(f"--{name} {path}: that file {taken[place]}; give another name")
         taken[place] = f"is written by --{name}"
+
+
+def _place(path: Path | str) -> str:
+    """The path without links; one that leads nowhere (a loop, a NUL) as it is: its reader says what is wrong."""
+    try:
+        return os.path.realpath(path)
+    except (OSError, ValueError):
+        return str(path)
 
 
 def run_command(given: argparse.Namespace, rest: Sequence[str] = ()) -> int:

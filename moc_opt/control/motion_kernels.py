@@ -7,7 +7,8 @@ Four signs, each of which a sound arm stays well below:
   enough where the wrench sensor repeats its reading too;
 - one encoder repeats its reading for longer than its noise lets it, or while the momentum residual says that its joint
   must have gathered speed;
-- the momentum residual (De Luca & Mattone 2003) leaves its own mean: the torque went into motion that no encoder shows.
+- the momentum residual (De Luca & Mattone 2003) leaves its own mean, or is larger than any load explains, as where its
+  mean follows it because the torque grows slowly: the torque went into motion that no encoder shows.
 """
 
 from __future__ import annotations
@@ -176,7 +177,7 @@ def compare_momentum(
         memory[UNSEEN, i] += period * beyond / s.M[i, i]
         if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[7]:
             found = STUCK
-        far = abs(r - memory[MEAN, i]) > levels[8] * tau_max[i]
+        far = abs(r - memory[MEAN, i]) > levels[8] * tau_max[i] or abs(r) > levels[13] * tau_max[i]
         memory[EXCEEDED, i] = memory[EXCEEDED, i] + 1.0 if far else 0.0
         if memory[EXCEEDED, i] > patience:
             return UNEXPLAINED

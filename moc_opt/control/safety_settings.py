@@ -61,6 +61,10 @@ class MotionSettings(Settings):
     residual_torque: float = Field(
         0.2, gt=0.0, description="momentum residual of a joint off its own mean, of tau_max, for patience_ticks"
     )
+    residual_whole_torque: float = Field(
+        0.5, gt=0.0,
+        description="that residual itself, its mean not taken off, for as long: no friction, load or push is as large",
+    )  # fmt: skip
     residual_rate_per_s: float = Field(40.0, gt=0.0, lt=500.0, description="rate K_o of that residual")
     residual_s: float = Field(0.25, gt=0.0, description="time constant of that mean")
 
@@ -79,12 +83,12 @@ class MotionSettings(Settings):
 
     @property
     def levels(self) -> Array:
-        """(13,) as the kernels take them."""
+        """(14,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
             self.repeat_whole_torque, _or_never(self.repeat_joint_ticks), self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
-            self.repeat_whole_m, self.repeat_whole_ticks,
+            self.repeat_whole_m, self.repeat_whole_ticks, self.residual_whole_torque,
         ])  # fmt: skip
 
 

@@ -124,6 +124,7 @@ def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str
         "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
+        "MOC_RESIDUAL_WHOLE": number(guard.residual_whole_torque),
         "MOC_RESIDUAL_RATE": number(guard.residual_rate_per_s),
         "MOC_RESIDUAL_SHARE": number(min(1.0, period / guard.residual_s)),
         "MOC_SETTLING_TICKS": str(round(SETTLED / (guard.residual_rate_per_s * period))),

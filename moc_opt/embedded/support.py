@@ -41,7 +41,7 @@ GUARDED = frozenset((
     "motion", "motion_s", "motion_rad", "motion_lag_s",
     "repeat_m", "repeat_torque", "repeat_whole_torque", "repeat_whole_m", "repeat_whole_ticks",
     "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks",
-    "residual_torque", "residual_rate_per_s", "residual_s",
+    "residual_torque", "residual_whole_torque", "residual_rate_per_s", "residual_s",
 ))  # fmt: skip
 SUPERVISED = frozenset((
     "check", "primal_limit", "box_limit", "relative_limit", "opposite_limit", "hold_ticks", "keep_off_limits",

@@ -38,7 +38,8 @@ class Quality:
     forged: int = 0
     """packets whose check is not that of the key"""
     foreign: int = 0
-    """of another session, version, direction or sender, or from a tick that has not come"""
+    """of another session, version, direction or sender, or from a tick that has not come; commands that no safety
+    filter gives"""
 
     def __post_init__(self) -> None:
         assert tuple(field.name for field in fields(self)) == COUNTERS

@@ -40,6 +40,7 @@ class RemoteController(Filtered):
         safety_filter: the plant's own, for the watchdog.
         columns: number of ticks -> the columns of the controller that is at the other end.
         applied: (n,) torque before the first tick [Nm].
+        tau_max: (n,) largest torques [Nm]: a command beyond them is not followed, like one that did not come.
         scenario: fingerprint of what both ends must agree on.
         clock: keeps the time; None is lock-step: the plant waits for each command, and sends the measurement again
             where none comes.
@@ -50,10 +51,11 @@ class RemoteController(Filtered):
 
     def __init__(
         self, link: Link, settings: WireSettings, safety_filter: SafetyFilter,
-        columns: Callable[[int], dict[str, NDArray[Any]]], applied: Array, scenario: int, clock: WallClock | None,
+        columns: Callable[[int], dict[str, NDArray[Any]]], applied: Array, tau_max: Array, scenario: int,
+        clock: WallClock | None,
     ) -> None:  # fmt: skip
         self.link, self.clock, self._settings, self._filter = link, clock, settings, safety_filter
-        self._make_columns, self._applied = columns, applied
+        self._make_columns, self._applied, self._tau_max = columns, applied, np.array(tau_max)
         self._packet = Packet(Kind.MEASUREMENT, link.n, randbits(63) | 1, scenario)
         self._friction, self._tick, self._until = np.zeros(link.n), 0, 0.0
         self._commands, self._reports, self._reported = Sequence(), Sequence(), False
@@ -203,8 +205,8 @@ class RemoteController(Filtered):
         return None
 
     def _is_usable(self, command: Packet) -> bool:
-        fine = np.isfinite(command["tau"]).all() and (command["friction"] >= 0.0).all()
-        if not (fine and np.isfinite(command["friction"]).all()):
+        fine = (np.abs(command["tau"]) <= self._tau_max).all() and (command["friction"] >= 0.0).all()
+        if not (fine and np.isfinite(command["friction"]).all() and command["limited"] <= self.link.n):
             self.link.quality.count("foreign")
             return False
         return True

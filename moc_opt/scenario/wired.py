@@ -66,7 +66,7 @@ class PlantServer(Setup):
         self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
         self._remote = RemoteController(
             self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
-            self.plant.applied_torque, fingerprint(scenario), self._clock,
+            self.plant.applied_torque, self.robot.tau_max, fingerprint(scenario), self._clock,
         )  # fmt: skip
 
     @property

@@ -146,8 +146,9 @@ def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
         TraceError: neither is there, or it is damaged.
     """
     given = as_path(path, "trace", TraceError)
-    folder = given if given.is_dir() else parts_of(given)
-    if (os.path.lexists(given) and not given.is_dir()) or not _blocks(folder):
+    is_folder = os.path.isdir(given)  # False, too, for a name that no file can have
+    folder = given if is_folder else parts_of(given)
+    if (os.path.lexists(given) and not is_folder) or not os.path.isdir(folder) or not _blocks(folder):
         return Stored([path]), None
     columns = _stored(folder)
     ended = KILLED

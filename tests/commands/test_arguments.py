@@ -22,3 +22,19 @@ def test_what_is_read_is_not_written_over(arguments, tmp_path, monkeypatch, caps
     assert "--" in said
     assert (tmp_path / "a.toml").read_text(encoding="utf-8") == "duration_s = 0.02\n"
     assert [file.name for file in tmp_path.iterdir()] == ["a.toml"]
+
+
+@pytest.mark.parametrize("name", ["loop", "x" * 300, "a\0b", "\ud800", ".", ""])
+@pytest.mark.parametrize(
+    "command", [("run",), ("report",), ("replay",), ("plan",), ("robot", "new"), ("compare", "exact")]
+)
+def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "loop").symlink_to("loop")
+    given = ["--scenario", name] if command[0] == "compare" else [name]
+    out = [] if command[0] in ("run", "compare") else ["--out", "o.toml"]
+    assert main([*command, *given, *out]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert len(said) > 15
+    assert [file.name for file in tmp_path.iterdir()] == ["loop"]

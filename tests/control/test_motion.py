@@ -227,13 +227,37 @@ def test_torque_that_moves_nothing_to_be_seen_is_noticed(robot, joint):
         assert ("repeats one reading" if seen == "stuck" else "torque") in guard.reason
 
 
+def watched(robot, settings_, torque, ticks):
+    """The reason for a stop of an arm whose readings stand but for noise while ``torque`` (k) [Nm] acts; and when."""
+    rng = np.random.default_rng(0)
+    guard = SafetyFilter(robot.data, settings_, PERIOD, robot.gravity, None, robot.state)
+    q, v = np.array(robot.data.q_home), np.zeros(N)
+    guard.start(q, v, 0)
+    for k in range(ticks):
+        shown, tau = q + 1e-5 * rng.normal(size=N), robot.gravity(q) + torque(k)
+        guard.check_measurement(shown, v, k, tau)
+        guard.limit_torque(np.zeros(N), tau, shown, v)
+        if guard.stopped:
+            return guard.reason, k
+    return "", ticks
+
+
 @pytest.mark.parametrize(("begins", "told"), [(1, False), (120, True)])
 def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, begins, told):
     """A payload, say: until the residual has had SETTLED of its time constants, its mean follows it."""
-    watch = MotionMonitor(MotionSettings(residual_s=1e6), PERIOD, PATIENCE, robot.tau_max)
-    q = np.array(robot.data.q_home)
-    watch.start(q, np.zeros(N), 0)
-    state, unknown = robot.state(q), 0.5 * robot.tau_max
-    found = [watch.check_momentum(state, robot.gravity(q) + (k >= begins) * unknown) for k in range(200)]
-    assert ("the torque went into a motion that the encoders do not show" in found) == told
-    assert any(found) == told
+    reason, _ = watched(
+        robot, SafetyFilterSettings(residual_s=1e6), lambda k: (k >= begins) * 0.4 * robot.tau_max, 200
+    )
+    assert ("the torque went into a motion that the encoders do not show" in reason) == told
+    assert bool(reason) == told
+
+
+@pytest.mark.parametrize(("whole", "stops"), [(0.5, True), (1e6, False)])
+def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_its_size(whole, stops, robot):
+    """Frozen readings under fresh noise, a controller that integrates: the residual's mean follows it all the way."""
+    rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # to 1.25 times the largest in 5 s
+    reason, k = watched(robot, SafetyFilterSettings(residual_whole_torque=whole), lambda k: rate * k, 2500)
+    assert ("the torque went into a motion" in reason) == stops
+    assert bool(reason) == stops
+    if stops:
+        assert 0.5 < 0.25 * PERIOD * k < 0.55

@@ -223,5 +223,5 @@ def test_defaults_are_those_of_the_documentation():
         "repeat_whole_m": 0.0005, "repeat_whole_ticks": 25,
         "repeat_torque": 0.06, "repeat_whole_torque": 0.0005, "stuck_torque": 0.06, "stuck_rad_per_s": 0.2,
         "stuck_friction": 6.0, "repeat_joint_ticks": None,
-        "residual_torque": 0.2, "residual_rate_per_s": 40.0, "residual_s": 0.25,
+        "residual_torque": 0.2, "residual_whole_torque": 0.5, "residual_rate_per_s": 40.0, "residual_s": 0.25,
     }  # fmt: skip

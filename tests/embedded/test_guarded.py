@@ -165,6 +165,8 @@ RUNS: dict[str, dict[str, Any]] = {
     "noise": {"faults": {"encoder_noise_rad": 5e-5}},
     "bump": {"faults": {"bump_N": 120.0, "bump_at_s": 0.8}},
     "payload": {"faults": {"payload_kg": 2.0}},
+    "payload-whole": {"faults": {"payload_kg": 2.0},
+                      "guard": {"residual_torque": 10.0, "residual_whole_torque": 0.05}},
     "slip": {"faults": {"slip_m": 0.1, "slip_at_s": 0.8}},
     "slip-loaded": {"faults": {"slip_m": 0.07, "slip_at_s": 0.8, "payload_kg": 1.0},
                     "guard": {"stop_yield_s": 0.1}},
@@ -204,7 +206,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
         "replayed-at-rest-quiet": "the measurements are a recording",
         "frozen-joint-heavy": "an encoder repeats", "frozen-joint-noise": "one encoder repeats",
-        "lagging": "measurements are more", "unwatched": "the tip",
+        "lagging": "measurements are more", "unwatched": "the tip", "payload-whole": "the torque went",
     }  # fmt: skip
     if name in stops:
         assert ended.startswith(f"stopped: {stops[name]}")

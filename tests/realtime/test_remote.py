@@ -43,7 +43,7 @@ class Peer:
         guard = make_safety_filter(robot, Scenario(guard=SafetyFilterSettings().model_dump()))
         self.hold = robot.gravity(robot.data.q_home)
         self.plant = RemoteController(
-            self.link, SETTINGS, guard, lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, 9,
+            self.link, SETTINGS, guard, lambda ticks: {"solve_us": np.full(ticks, np.nan)}, self.hold, robot.tau_max, 9,
             NoTime() if clock is None else clock,
         )  # fmt: skip
         self.columns = self.plant.columns(50)
@@ -136,6 +136,25 @@ def test_commands_are_followed_and_every_fault_has_its_count(peer):
     assert shown["sequence"] == 6
     np.testing.assert_array_equal(shown["commanded"], 5 * ones)
     assert shown["counters"].tolist() == [3, 3, 1, 1, 0, 0, 0, 2]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tau": 1e300}, {"tau": -500.0}, {"tau": np.inf}, {"limited": 8}, {"limited": 2**32 - 1}, {"friction": -1.0}],
+)
+def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
+    peer.start()
+    held = peer.plant.tick(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))
+    peer.k = 1
+    peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
+    np.testing.assert_array_equal(peer.tick(), held)
+    assert (peer.link.quality.foreign, peer.link.quality.missed) == (1, 2)
+
+
+def test_the_largest_torque_itself_is_followed(peer, robot):
+    peer.start()
+    peer.say(Kind.COMMAND, 0, tau=-robot.tau_max, limited=peer.n)
+    np.testing.assert_array_equal(peer.tick(), -robot.tau_max)
 
 
 def test_the_watchdog_holds_then_damps_then_brakes(peer):

@@ -174,7 +174,8 @@ int moc_motion_weigh(const moc_tick_report *seen, const double *v, const double 
         beyond -= moc_clip(beyond, -moc_held[i], moc_held[i]);
         state->unseen[i] += MOC_PERIOD * beyond / seen->M[i * MOC_N + i];
         stuck |= state->repeats[i] > MOC_PATIENCE_TICKS && fabs(state->unseen[i]) > MOC_STUCK_SPEED;
-        if (fabs(r - state->mean[i]) > MOC_RESIDUAL_TORQUE * moc_tau_max[i])
+        if (fabs(r - state->mean[i]) > MOC_RESIDUAL_TORQUE * moc_tau_max[i] ||
+            fabs(r) > MOC_RESIDUAL_WHOLE * moc_tau_max[i])
             state->exceeded[i] += 1.0;
         else
             state->exceeded[i] = 0.0;
