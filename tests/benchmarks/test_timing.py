@@ -119,4 +119,4 @@ def test_percentiles_leave_out_what_has_no_time():
 
 
 def test_the_clock_itself_costs_little():
-    assert 0.0 < clock_cost_us(200)
+    assert clock_cost_us(200) > 0.0
