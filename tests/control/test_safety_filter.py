@@ -136,3 +136,12 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, n
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
+
+
+def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(guard, robot):
+    q, v = np.array(robot.data.q_home), np.zeros(N)
+    for stamp, off, taken in ((0, 0.0, True), (0, 1e-3, False), (2, 2e-3, True), (1, 3e-3, False), (4, 4e-3, True)):
+        found, _ = guard.check_measurement(q + off, v, stamp)
+        assert guard.bad_ticks == (not taken)
+        assert (found == q + off).all() == taken
+    assert not guard.stopped
