@@ -71,11 +71,10 @@ def test_results_come_in_order(worker):
 
 def test_a_hang_ends_in_time_and_what_came_before_stays(worker):
     list(worker.stream(numbers, 1, patience_s=10.0))  # it is running
-    begin = time.monotonic()
-    found, error = collected(worker.stream(hangs_after, 3, patience_s=0.5, first_s=5.0))
+    found, error = collected(worker.stream(hangs_after, 3, patience_s=2.0, first_s=60.0))
     assert found == [0, 1, 2]
     assert isinstance(error, Hung)
-    assert time.monotonic() - begin < 5.0
+    assert "within 2 s" in str(error), "the patience, not that for the first result"
     assert list(worker.stream(numbers, 2, patience_s=10.0)) == [0, 1]  # a new process serves
 
 
@@ -101,8 +100,8 @@ def process_id():
 
 def test_signs_of_life_stretch_the_patience(worker):
     list(worker.stream(numbers, 1, patience_s=10.0))
-    assert list(worker.stream(beats, 6, 0.3, patience_s=1.2, first_s=0.0)) == ["done"]
-    _, error = collected(worker.stream(beats, 1, 3.0, patience_s=0.4, first_s=0.0))
+    assert list(worker.stream(beats, 10, 0.3, patience_s=2.5, first_s=0.0)) == ["done"]
+    _, error = collected(worker.stream(beats, 1, 60.0, patience_s=0.4, first_s=0.0))
     assert isinstance(error, Hung)
 
 
@@ -168,8 +167,8 @@ def alive(pid):
 
 
 def gone(pid):
-    """Whether a process has ended, or does so within five seconds."""
-    for _ in range(100):
+    """Whether a process has ended, or does so within a minute."""
+    for _ in range(1200):
         if not alive(pid):
             return True
         time.sleep(0.05)

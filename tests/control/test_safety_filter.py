@@ -136,3 +136,29 @@ def test_the_first_measurement_must_be_one(guard, bad):
 def test_wrong_settings_name_the_field(field):
     with pytest.raises(ControlError, match=next(iter(field))):
         SafetyFilterSettings(**field)
+
+
+@pytest.mark.parametrize("newton", [9.0, 30.0, 100.0])
+def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, newton):
+    """m = 1 - (1 - 50 /s T)^k of a force that acts for k ticks; in one tick the tool's own inertia may show as much."""
+    q, data = np.array(robot.data.q_home), robot.data
+    guard = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
+    guard.start(q, np.zeros(7))
+    pose = robot.tool_pose(q)
+    calm = np.zeros(6)
+    calm[:2] = -9.81 * data.tool_mass * pose[:2, 2]  # the tool's weight alone
+    guard.check_incision(q, np.array([pose[3], np.zeros(3)]), calm)  # at the tip the whole force is the trocar's
+    pressed = calm + np.array([0.0, newton, 0.0, 0.0, 0.0, 0.0])
+    opened = [not guard.brake_friction(pressed).any() for _ in range(60)]
+    first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
+    assert opened.index(True) + 1 == first
+    assert (first == 1) == (newton > 80.0)
+
+
+def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(guard, robot):
+    q, v = np.array(robot.data.q_home), np.zeros(N)
+    for stamp, off, taken in ((0, 0.0, True), (0, 1e-3, False), (2, 2e-3, True), (1, 3e-3, False), (4, 4e-3, True)):
+        found, _ = guard.check_measurement(q + off, v, stamp)
+        assert guard.bad_ticks == (not taken)
+        assert (found == q + off).all() == taken
+    assert not guard.stopped

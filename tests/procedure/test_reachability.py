@@ -2,7 +2,6 @@
 
 import dataclasses
 import re
-import time
 
 import numpy as np
 import pytest
@@ -38,9 +37,7 @@ def test_the_three_tasks_are_within_reach(robot, home, trocar, name):
     board_in_base = board_below(trocar, home.tool_direction, BOARD_TASKS[name].depth_m)
     task = Reference(Board().task_in_base(name, board_in_base), 0.05, 0.2)
     q = pose_through(robot, task.path.start, trocar, q=robot.data.q_home)
-    begin = time.process_time()
     found = check_reachable(robot, q, task, trocar)
-    assert time.process_time() - begin < 0.5
     assert found.as_given
     for t, pose in zip(found.t_s, found.q_rad, strict=True):
         state = robot.state(pose)
