@@ -15,14 +15,16 @@ from itertools import pairwise
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import SubproblemError
-from moc_opt.numerics.arrays import Array, read_only
+from moc_opt.numerics.arrays import read_only
 from moc_opt.qp import residuals as optimality
 from moc_opt.qp.layout import offsets
 from moc_opt.qp.reduction import reduce_rows
 from moc_opt.qp.residuals import Residuals
+
+Array = NDArray[np.float64]
 
 LARGEST_WEIGHT = 1e12
 REGULARIZATION = 1e-5

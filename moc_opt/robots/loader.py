@@ -12,15 +12,16 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.typing import NDArray
 
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
 from moc_opt.inputs.files import read_text
-from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.robots import urdf
 from moc_opt.robots.description import RobotDescription, Tool, read_description
 from moc_opt.robots.rebuild import rebuild
 
+Array = NDArray[np.float64]
 Gains = Mapping[str, float | tuple[float, ...]]
 _FOLDER = Path(__file__).parent
 
@@ -63,7 +64,9 @@ class RobotData:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
-                object.__setattr__(self, field.name, read_only(np.array(value, dtype=np.float64)))
+                value = np.array(value, dtype=np.float64)
+                value.flags.writeable = False
+                object.__setattr__(self, field.name, value)
         frozen = {key: MappingProxyType(dict(table)) for key, table in self.gains.items()}
         object.__setattr__(self, "gains", MappingProxyType(frozen))
 
