@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
@@ -23,6 +22,7 @@ from moc_opt.sim.filtered import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
 
+Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.REPORT, Kind.BYE)

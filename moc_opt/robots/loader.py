@@ -16,7 +16,7 @@ import numpy as np
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs import names
 from moc_opt.inputs.files import as_path, read_text
-from moc_opt.numerics.arrays import Array, read_only
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import urdf
 from moc_opt.robots.description import RobotDescription, Tool, read_description
 from moc_opt.robots.rebuild import rebuild
@@ -63,7 +63,9 @@ class RobotData:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, np.ndarray):
-                object.__setattr__(self, field.name, read_only(np.array(value, dtype=np.float64)))
+                value = np.array(value, dtype=np.float64)
+                value.flags.writeable = False
+                object.__setattr__(self, field.name, value)
         frozen = {key: MappingProxyType(dict(table)) for key, table in self.gains.items()}
         object.__setattr__(self, "gains", MappingProxyType(frozen))
 
