@@ -14,7 +14,7 @@ import numpy as np
 
 from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relative_change
 from moc_opt.comparison.trials import BASELINE, placed, variant
-from moc_opt.errors import ScenarioError, SolverError, UnknownNameError, describe, shown
+from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError, describe, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.notebook import grid_html
 from moc_opt.report.machine import busy
@@ -224,7 +224,14 @@ def compare(
     chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
     for k in range(seed, seed + trials):
-        trial, baseline = placed(base.change(seed=k, start=start)), None
+        try:
+            trial, baseline = placed(base.change(seed=k, start=start)), None
+        except MocOptError as error:
+            if not rows:
+                raise  # of the first trial: the scenario is at fault
+            failed = f"{Ending.FAILED.value}: {describe(error)}"
+            rows += [{"solver": name, "seed": k, "ended": failed, "asked": 0} for name in chosen]
+            continue
         for name, solver in chosen.items():
             if watch is not None:
                 watch(f"trial {k - seed + 1} of {trials}, {name}")
@@ -290,7 +297,9 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
         if name == solver == BASELINE:
             continue  # it is compared anyhow
         if name in chosen:
-            raise SolverError(f"two solvers are called {name!r}: give a mapping, {{'one name': ..., 'another': ...}}")
+            raise SolverError(
+                f"two solvers are called {name!r}: name each once, or give a mapping, {{'one': ..., 'another': ...}}"
+            )
         if isinstance(solver, str):
             make_solver(solver, robot, **_settings(base, solver))
         else:

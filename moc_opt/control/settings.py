@@ -134,8 +134,8 @@ class ControlSettings(Settings):
         ge=0.0,
         le=0.1,
         allow_inf_nan=False,
-        description="climb = 'gradient': where mu_shaft, what motion that leaves the tip alone does to the shaft, is "
-        "below this, the climb leads away from losing the shaft; 0 as in the paper",
+        description="third_level 'local' with climb 'gradient' alone: where mu_shaft, what motion that leaves the tip "
+        "where it is does to the shaft, is below this, the climb leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"

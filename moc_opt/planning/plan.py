@@ -132,8 +132,10 @@ def make_plan(
         TaskError: an argument is out of range, or the start is not at the first target.
     """
     _check(robot, q_start, targets, objective, margin_rad, speed_share)
-    if not _is_number(acceleration) or not acceleration > 0.0 or (np.isfinite(acceleration) and not refined):
-        raise TaskError(f"acceleration = {acceleration!r}: give above 0, and refined = True with it")
+    if not _is_number(acceleration) or not acceleration > 0.0:
+        raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
+    if np.isfinite(acceleration) and not refined:
+        raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
     began = time.perf_counter()
     found = map_of(robot, q_start, targets, swivels)
     mapped = time.perf_counter()

@@ -7,6 +7,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.comparison.compare import Comparison
+from moc_opt.comparison.trials import placed
 from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
 from moc_opt.solvers.base import Solution, Status
 
@@ -137,7 +138,7 @@ def test_runs_that_broke_off_are_counted_and_enter_no_mean():
         (["exakt"], {}, UnknownNameError, "did you mean 'exact'"),
         ("exact", {}, SolverError, r"give a list, \['exact'\]"),
         ([], {}, SolverError, "no solver to compare"),
-        ([Standing(), Standing()], {}, SolverError, "two solvers are called 'standing': give a mapping"),
+        ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
         ([object()], {}, SolverError, "is no solver: it needs a name"),
         ([Standing], {}, SolverError, r"is a class, no solver: call it, as in Standing\(\)"),
         (None, {}, SolverError, r"solvers = None: give a list of names or solvers"),
@@ -178,6 +179,22 @@ def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
     assert [row["trials"] for row in found.table.rows] == ["2", "0 of 2", "2"]
     assert "broken failed in 2: ControlError: solver 'broken'" in repr(found)
     assert len(found.to_pandas()) == 6
+
+
+def test_a_later_trial_without_a_start_costs_that_trial_alone(monkeypatch):
+    def only_even(trial):
+        if trial.seed % 2:
+            raise ScenarioError("no start")
+        return placed(trial)
+
+    monkeypatch.setattr("moc_opt.comparison.compare.placed", only_even)
+    found = mo.compare(["exact"], BRIEF, trials=3)
+    assert [row["ended"] for row in found.rows if row["solver"] == "exact"] == [
+        "completed", "failed: ScenarioError: no start", "completed",
+    ]  # fmt: skip
+    assert found.mean("exact", "mu_mean").samples == 2
+    with pytest.raises(ScenarioError, match="no start"):
+        mo.compare(["exact"], BRIEF, trials=1, seed=1)
 
 
 def test_one_run_that_fails_leaves_the_figures_of_the_others():

@@ -116,7 +116,7 @@ def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> 
     ("arguments", "message"),
     [
         (["--margin", "-1"], "--margin -1.0: give zero or more"),
-        (["--acceleration", "0"], "--acceleration 0.0: give above 0"),
+        (["--acceleration", "0"], "--acceleration 0.0: give a limit above 0"),
         (["--box", "0.1"], "--box 0.1: without --place nothing is searched"),
         (["--candidates", "3"], "--candidates 3: without --place nothing is searched"),
         (["--place", "base", "--candidates", "0"], "--candidates 0: give 1 or more"),
