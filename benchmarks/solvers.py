@@ -3,7 +3,7 @@
 python -m benchmarks.solvers [CONFIG.toml] [--out DIR] [--seed N] [--quick | --full] [--only SOLVER ...]
                              [--sets NAME ...] [--parts PART ...]
 
-About three minutes on two cores; benchmarks/configs/solvers-long.toml asks for more and takes twelve, --full
+Three to four minutes on two cores; benchmarks/configs/solvers-long.toml asks for more and takes twelve, --full
 for more yet. A run that was stopped goes on where it stopped: finished parts are kept in DIR/parts, and a part whose
 question, data, libraries or source changed is done again.
 """

@@ -186,7 +186,8 @@ class Scenario(Settings):
     wire: WireSettings = WireSettings()
     judge: bool = Field(default=True, description="judge every answer after the run")
     metrics: tuple[Name, ...] = Field(
-        default=(), description="that `moc-opt run` prints, of those that `moc-opt metrics` lists; empty: all"
+        default=(),
+        description="that `moc-opt run` prints, of those that `moc-opt metrics` lists; empty: those to look at first",
     )
     bound_samples: int = Field(
         default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
