@@ -97,6 +97,11 @@ def describe(error: BaseException, most: int = 300) -> str:
         said = f"(its text raised {_type_name(worse)})"
     text = f"{_type_name(error)}: {said}" if said else _type_name(error)
     text = text if len(text) <= most else text[: most - 3] + "..."
+    return printable(text)
+
+
+def printable(text: str) -> str:
+    """Return a text in which no character steers a terminal: it comes from foreign code, or over a wire."""
     return "".join(c if c.isprintable() else "\ufffd" for c in text)
 
 

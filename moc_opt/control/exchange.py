@@ -8,6 +8,7 @@ that another process could open, and none is left behind by a kill.
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import os
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.errors import printable
 from moc_opt.qp.problem import row_length
 from moc_opt.solvers.base import Solution, Status
 
@@ -129,7 +131,7 @@ class Exchange:
         y = self._y.copy() if head[_HAS_DUALS] else None
         solution = Solution(self._x.copy(), y, status, int(head[_ITERATIONS]) & 0x7FFFFFFF)
         length = min(max(int(head[_LENGTH]), 0), MOST_TEXT)
-        text = bytes(self._text[:length]).decode(errors="replace") if length else ""
+        text = printable(bytes(self._text[:length]).decode(errors="replace")) if length else ""
         found = Answer(number, int(head[_KIND]), solution, text)
         return found if head[_BEGIN] == number else None
 
@@ -145,6 +147,8 @@ class Exchange:
 
 def shared_file(contents: bytes, n: int) -> int:
     """Make an anonymous file: the memory for n joints, and ``contents`` after it; return its descriptor."""
-    fd = os.memfd_create("moc_opt session")
+    fd = os.memfd_create("moc_opt session", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     os.pwrite(fd, contents, size(n))
+    # For good: a process that made it shorter would end the other one, at its next look into it, by SIGBUS.
+    fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
     return fd

@@ -15,7 +15,7 @@ import threading
 import warnings
 from contextlib import suppress
 from time import monotonic
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -33,12 +33,12 @@ class Interpreter:
     """
 
     def __init__(self) -> None:
-        self._quick = self._quickly()
+        self._quick = sys.getrecursionlimit(), sys.gettrace(), sys.getprofile()
         self._errors, self._blocked = np.geterr(), signal.pthread_sigmask(signal.SIG_BLOCK, ())
         self._floats = ctypes.create_string_buffer(_ENVIRONMENT_BYTES)
         _libm.fegetenv(self._floats)
-        self._is_main = threading.current_thread() is threading.main_thread()
-        if self._is_main:
+        self._has_process = _is_main_thread()
+        if self._has_process:
             self._handlers = {number: signal.getsignal(number) for number in _HANDLED}
             self._begin_s = monotonic()
             self._timers = [signal.getitimer(which) for which in _TIMERS]
@@ -54,21 +54,17 @@ class Interpreter:
         """Put everything back."""
         self.restore()
 
-    @staticmethod
-    def _quickly() -> tuple[Any, ...]:
-        return sys.getrecursionlimit(), sys.gettrace(), sys.getprofile()
-
     def calm(self) -> None:
         """Put back what breaks into the very next lines; takes a fraction of a microsecond where nothing changed."""
-        if self._quickly() != self._quick:
-            depth, trace, profile = self._quick
+        depth, trace, profile = self._quick
+        if sys.gettrace() is not trace or sys.getprofile() is not profile or sys.getrecursionlimit() != depth:
             sys.setprofile(profile)
             sys.settrace(trace)
             sys.setrecursionlimit(depth)
 
     def answer_signals(self) -> None:
         """Put back who answers the signals by which a run is ended from outside; some microseconds."""
-        if self._is_main:
+        if self._has_process and _is_main_thread():
             self._handle(*_ENDING)
 
     def restore(self) -> None:
@@ -76,7 +72,7 @@ class Interpreter:
         self.calm()
         _libm.fesetenv(self._floats)
         np.seterr(**self._errors)
-        if self._is_main:
+        if self._has_process and _is_main_thread():
             self._restore_process()
         signal.pthread_sigmask(signal.SIG_SETMASK, self._blocked)
 
@@ -104,6 +100,10 @@ class Interpreter:
         with suppress(OSError):  # it may be gone
             if self._folder and _folder() != self._folder:
                 os.chdir(self._folder)
+
+
+def _is_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 def _umask() -> int:

@@ -131,7 +131,7 @@ class Supervisor:
         self, settings: SupervisorSettings, fallback: str, n: int, times_us: Iterator[float] | None = None
     ) -> None:
         self.settings, self._fallback, self._times = settings, fallback, times_us
-        self._rest, self._interpreter = np.zeros(n), Interpreter()
+        self._rest = np.zeros(n)
         self._residuals = RESIDUALS.code
         # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
         self._check, self._stop_late = settings.check, settings.late == "iterate"
@@ -147,7 +147,7 @@ class Supervisor:
         self.fault, self.solve_us = Fault.NONE, float("nan")
         self.counts: Counter[str] = Counter()
         self.firsts: dict[str, First] = {}
-        self._asked = 0
+        self._asked, self._interpreter = 0, Interpreter()  # of the thread in which the controller starts
 
     def warm_up(self, qp: NullSpaceQP, Z: Array) -> None:
         """Run every compiled fallback once, before the loop."""

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.errors import printable
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
 from moc_opt.realtime.settings import WireSettings
 from moc_opt.realtime.watchdog import Watchdog
-from moc_opt.realtime.words import printable, read_words
+from moc_opt.realtime.words import read_words
 from moc_opt.sim.filtered import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from moc_opt.errors import TraceError
+from moc_opt.errors import TraceError, printable
 from moc_opt.inputs.files import parse_json, to_json
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.packets import WORDS_BYTES
@@ -39,8 +39,3 @@ def read_words(words: bytes) -> dict[str, Any]:
                 check_entry(name, value)
                 told[name] = value
     return told
-
-
-def printable(text: str) -> str:
-    """Return a text in which no character steers a terminal: it came over the wire."""
-    return "".join(c if c.isprintable() else "\ufffd" for c in text)

@@ -164,3 +164,27 @@ def test_another_thread_puts_back_its_own_alone():
         sys.stdout = stdout
     assert (found.pop("folder"), found.pop("stdout")) == ("/", sys.__stderr__)
     assert set(found.values()) != {"raise"}
+
+
+def test_a_controller_may_be_made_in_one_thread_and_run_in_another():
+    """As on the live page: only the main thread may set handlers of signals."""
+    made, raised = Interpreter(), []
+    handler = signal.getsignal(signal.SIGTERM)
+
+    def work():
+        try:
+            made.calm()
+            made.answer_signals()
+            made.restore()
+        except ValueError as error:  # what signal.signal raises outside of the main thread
+            raised.append(error)
+
+    signal.signal(signal.SIGTERM, nothing)
+    try:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+        assert raised == []
+        assert signal.getsignal(signal.SIGTERM) is nothing
+    finally:
+        signal.signal(signal.SIGTERM, handler)

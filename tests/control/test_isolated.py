@@ -281,3 +281,26 @@ def test_against_a_wall_clock_no_tick_waits_for_long():
     assert (simulated.waits, simulated.budget_us) == (True, float("inf"))
     assert (real.waits, real.budget_us) == (False, 2000.0)
     assert Setup(scenario.change(solver={"isolation": "none"}), realtime=True).controller().solver.name == "exact"
+
+
+def test_a_process_cannot_cut_off_the_memory_that_it_shares(qp):
+    """Without its seal the file could be made shorter, and the next look into it would end this process by SIGBUS."""
+    session = started(bad.Misbehaving(bad.shrink), qp)
+    session.solve(qp)
+    with pytest.raises(Unanswered, match="PermissionError"):
+        session.solve(qp)
+    assert session.solve(qp).status is not None
+    assert session.restarts == []
+
+
+def test_what_a_process_writes_over_the_exchange_is_only_numbers_and_text(qp):
+    """Numbers of answers, statuses, lengths that nothing has: an answer like any other, or none; never an exception."""
+    session = started(bad.Misbehaving(bad.scribble), qp, hang_s=1.0)
+    said = []
+    for _ in range(6):
+        try:
+            said.append(str(session.solve(qp).x.shape))
+        except Unanswered as error:
+            said.append(error.text)
+    assert len(said) == 6
+    assert "".join(said).isprintable()
