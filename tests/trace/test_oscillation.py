@@ -81,7 +81,7 @@ def test_what_is_not_completed_stays_what_it_is_and_the_rest_of_meta_too():
     stopped = Trace(shaken.columns, {**shaken.meta, "ended": "stopped: x"})
     assert judged_for_oscillation(stopped, NAMES).meta == stopped.meta
     assert judged_for_oscillation(shaken, NAMES).meta["period_s"] == PERIOD
-    brief = shaken.select(shaken.t_s < 0.9)
+    brief = Trace(shaken.select(shaken.t_s < 0.9).columns, shaken.meta)
     assert judged_for_oscillation(brief, NAMES).meta["ended"] == "completed"
 
 

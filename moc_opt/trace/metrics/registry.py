@@ -150,7 +150,9 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         ticks = trace.travelling if phase == "travelling" else ~trace.travelling
         if not ticks.any():
             return {}
-        trace, baseline = trace.select(ticks), None if baseline is None else baseline.select(ticks)
+        # Whether the run was completed, and how much of it was driven, is asked of the run, not of its phase.
+        trace = Trace(trace.select(ticks).columns, trace.meta)
+        baseline = None if baseline is None else Trace(baseline.select(ticks).columns, baseline.meta)
     summary = {}
     for name, function in METRICS.items():
         try:
