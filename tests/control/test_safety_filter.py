@@ -149,10 +149,11 @@ def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, n
     calm[:2] = -9.81 * data.tool_mass * pose[:2, 2]  # the tool's weight alone
     guard.check_incision(q, np.array([pose[3], np.zeros(3)]), calm)  # at the tip the whole force is the trocar's
     pressed = calm + np.array([0.0, newton, 0.0, 0.0, 0.0, 0.0])
-    opened = [not guard.brake_friction(pressed).any() for _ in range(60)]
+    opened = [not guard.brake_friction(pressed).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
     assert opened.index(True) + 1 == first
     assert (first == 1) == (newton > 80.0)
+    assert np.flatnonzero(opened).tolist() == list(range(first - 1, first - 1 + 200))  # stop_yield_s, and not again
 
 
 def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(guard, robot):
