@@ -7,17 +7,16 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
 from benchmarks.answer import Answer, Picture, marked_answer
 from benchmarks.latency.report import GOALS
 from benchmarks.latency.wire import SAFE_RCM_M, Case, Found
+from moc_opt.numerics.arrays import Array
 from moc_opt.report import figures
 from moc_opt.report.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
-Array = NDArray[np.float64]
 Runs = Mapping[Case, Sequence[Found]]
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p99_99": 99.99, "worst": 100.0}
 TIMES = {"wake": "wake-up latency", "round": "round trip", "control": "controller"}

@@ -8,17 +8,15 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.latency.bare import BARE
 from benchmarks.timing import Timed
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Status
 from moc_opt.solvers.exact.solver import Exact, solve_rows
-
-Array = NDArray[np.float64]
 
 TOOL_M = 0.38
 

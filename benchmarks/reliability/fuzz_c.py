@@ -7,17 +7,15 @@ from typing import Any, Literal
 
 import hypothesis.strategies as st
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import Controller
 from moc_opt.embedded.guarded import GuardedController
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario, make_safety_filter, make_solver
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 TICKS = 12
 SAME_NM = 1e-9

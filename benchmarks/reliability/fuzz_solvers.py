@@ -13,16 +13,15 @@ from typing import Any
 
 import hypothesis.strategies as st
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.reliability.fuzz_case import Kind, Verdict, Wrong
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.solvers.base import Session, Solution, Status
 from moc_opt.solvers.exact.solver import Exact
 from moc_opt.trace.trace import Trace
 
-Array = NDArray[np.float64]
 Deed = Callable[[], Any]
 
 _libm = ctypes.CDLL(None)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from benchmarks.reliability.config import BASELINE, Case, Config
 from moc_opt.errors import MocOptError
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.sim.loop import RunAway
 from moc_opt.tasks import Reference
@@ -18,7 +19,6 @@ from moc_opt.tasks.waiting import WaitingReference
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.trace import Trace
 
-Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SMOOTH_S = 0.2  # errors are averaged over so long before they are compared with the run without a fault

@@ -18,10 +18,9 @@ from benchmarks.processes import Crashed, Hung, Raised, Worker, WorkerError
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.solving import RAISED, answers, cold_times, warm_times
 from benchmarks.solver_study.store import Part, Store
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.exact.solver import Exact
-
-Array = NDArray[np.float64]
 
 # What became of an answer, beside RAISED and the statuses of solvers.
 HUNG, CRASHED, NOT_ASKED, REFUSED = "hung", "crashed", "not asked", "refused"

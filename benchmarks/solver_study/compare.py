@@ -7,12 +7,11 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 
-Array = NDArray[np.float64]
 Figures = Mapping[str, Mapping[str, Any]]
 
 # Of both tables: name -> whether more is better.

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.report.figures.style import TEMPLATE, Styles, figure, label, log_axis
-
-Array = NDArray[np.float64]
 
 
 def performance_profile(tau: Array, shares: Mapping[str, Array]) -> go.Figure:

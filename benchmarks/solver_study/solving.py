@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.solver_study.open_loop import expand
 from benchmarks.solver_study.settings import SolverSetting
@@ -14,12 +13,11 @@ from benchmarks.timing import each_us
 from moc_opt.control.solution_check import received
 from moc_opt.errors import describe
 from moc_opt.model.robot_model import load_robot
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import make_solver
 from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
 from moc_opt.solvers.registry import accepts
-
-Array = NDArray[np.float64]
 
 RAISED = "raised"  # what became of an answer, beside the statuses of solvers
 WARM_UP = 16  # solves that are not counted

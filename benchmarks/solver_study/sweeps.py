@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.processes import Worker
 from benchmarks.solver_study import closed_loop, combine
@@ -17,9 +16,8 @@ from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.store import Store
+from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 # Without the supervisor's residual check: what is swept is the effect of an answer, not of its replacement.
 UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}

@@ -14,7 +14,7 @@ from moc_opt.errors import UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
-from moc_opt.scenario.config import MOST_S, SolverTable
+from moc_opt.scenario.tables import MOST_S, SolverTable
 
 MOST_LISTED = 1_000_000
 """Seeds, and random samples, of one sweep."""

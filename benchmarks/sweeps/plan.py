@@ -21,7 +21,7 @@ from benchmarks.sweeps.fields import grid_axes, random_draws, with_value
 from benchmarks.sweeps.version import code_version
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup
-from moc_opt.scenario.config import SolverTable
+from moc_opt.scenario.tables import SolverTable
 from moc_opt.trace.metrics import METRICS
 
 FORMAT = 1

@@ -67,7 +67,7 @@ def robots() -> Table:
 def tasks() -> Table:
     """Every path, its sizes with their defaults, and what it is."""
     from moc_opt.errors import MocOptError
-    from moc_opt.scenario.config import TaskTable
+    from moc_opt.scenario.tables import TaskTable
     from moc_opt.tasks.kinds import kinds, sizes
 
     rows = []

@@ -14,12 +14,11 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 
 from moc_opt.errors import MocOptError
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 RESAMPLES = 4000
 CONFIDENCE = 0.95

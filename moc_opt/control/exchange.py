@@ -14,13 +14,11 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import printable
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import row_length
 from moc_opt.solvers.base import Solution, Status
-
-Array = NDArray[np.float64]
 
 START, SOLVE = range(2)
 """What is asked for: a session for problems like this one, or the answer to this one."""

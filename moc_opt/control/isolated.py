@@ -17,8 +17,6 @@ import os
 import pickle
 from typing import ClassVar, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control.exchange import ANSWERED, MALFORMED, SOLVE, START
@@ -26,10 +24,9 @@ from moc_opt.control.supervisor import Fault, Unanswered
 from moc_opt.control.worker import STARTING, Worker
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.inputs.settings import Settings
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Solver
-
-Array = NDArray[np.float64]
 
 
 class ProcessSettings(Settings):

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.control import motion_kernels as kernels
 from moc_opt.control import replay_kernels as replays
 from moc_opt.control.safety_settings import MotionSettings
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 SETTLED = 6.0  # time constants of the residual after which it is what it will be
 WORDS = {

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from moc_opt.control.observer import momentum_residual
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-
-Array = NDArray[np.float64]
 
 GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED = range(11)
 """Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the

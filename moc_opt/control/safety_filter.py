@@ -26,10 +26,9 @@ from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.errors import ControlError
 from moc_opt.model.place_kernels import ToolPlace, tool_pose
 from moc_opt.model.robot_state import RobotState
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel
 from moc_opt.robots import RobotData
-
-Array = NDArray[np.float64]
 
 _LIMIT = CompiledKernel(kernels.limit_torque, *[VECTOR] * 5, MATRIX, VECTOR, float64)
 

@@ -10,8 +10,7 @@ from pydantic import Field, model_validator
 
 from moc_opt.errors import ControlError, MocOptError
 from moc_opt.inputs.settings import Level, Settings
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 def _or_never(ticks: int | None) -> float:

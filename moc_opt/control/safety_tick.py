@@ -12,10 +12,10 @@ from moc_opt.control.replay_kernels import count_replayed
 from moc_opt.control.safety_kernels import believable, limit_torque, squared_error
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.place_kernels import tool_pose
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel, borrowed
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 AGE, READING, INCISION, TIP, MOMENTUM = 1, 2, 4, 8, 16

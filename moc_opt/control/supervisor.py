@@ -18,7 +18,6 @@ from time import perf_counter_ns
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.control.interpreter import Interpreter
@@ -26,10 +25,9 @@ from moc_opt.control.null_space import into_the_box, least_violation
 from moc_opt.control.solution_check import RESIDUALS, received
 from moc_opt.errors import ControlError, MocOptError, describe
 from moc_opt.inputs.settings import Settings
+from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, no_answer
-
-Array = NDArray[np.float64]
 
 
 class Fault(Enum):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import printable
+from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.clock import WallClock
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
@@ -23,7 +24,6 @@ from moc_opt.sim.filtered import Filtered
 from moc_opt.sim.protocols import SafetyFilter
 from moc_opt.sim.sensors import Measurement
 
-Array = NDArray[np.float64]
 Columns = Mapping[str, NDArray[Any]]
 
 INCOMING = (Kind.HELLO, Kind.START, Kind.COMMAND, Kind.REPORT, Kind.BYE)

@@ -15,7 +15,8 @@ from moc_opt.procedure import preflight
 from moc_opt.procedure.reachability import Reach
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.robots import available_robots
-from moc_opt.scenario.config import Scenario, TaskTable
+from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.tables import TaskTable
 from moc_opt.tasks import Reference, Trocar, make_path
 from moc_opt.trace.parquet_file import MOST_ROWS
 

@@ -17,6 +17,7 @@ from moc_opt.control.guide import Guide
 from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ScenarioError, TraceError, describe, shown
 from moc_opt.inputs.files import as_path
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -47,8 +48,6 @@ from moc_opt.tasks import Trocar
 from moc_opt.trace.oscillation import judged_for_oscillation
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.writer import TraceWriter
-
-Array = NDArray[np.float64]
 
 
 class Setup:

@@ -7,9 +7,10 @@ from functools import partial
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim import period
 from moc_opt.sim.actuation import Drives
@@ -19,8 +20,6 @@ from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import FORCE_SENSOR, MOUNT_SITE, TOOL_BODY
 from moc_opt.sim.sensors import Encoders
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
 
 
 class Bindings:

@@ -7,14 +7,12 @@ from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.faults import Faults
 from moc_opt.sim.filtered import Filtered, FilteredController
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import SafetyFilter, TorqueController
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

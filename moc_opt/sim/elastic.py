@@ -15,14 +15,12 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
 
 _MOST_RAD_A_STEP = 1.0
 """Phase of the fastest oscillation in one plant step: explicit springs of MuJoCo are stable below 2."""

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Name
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.mjcf import TOOL_BODY
 from moc_opt.sim.packets import Packets, PacketSettings
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 

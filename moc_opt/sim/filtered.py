@@ -6,13 +6,11 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import MocOptError
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.protocols import SafetyFilter, TorqueController
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 
 class Filtered(ABC):

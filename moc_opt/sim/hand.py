@@ -6,13 +6,11 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
-
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 class HandSettings(Settings):

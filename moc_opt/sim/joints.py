@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim.elastic import drive, gather, stiffnesses
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
 
 _SAGGING_ROUNDS = 12
 """The weight bends a joint by milliradians, which changes the torque of the weight by a thousandth, and so on."""

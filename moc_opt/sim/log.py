@@ -9,11 +9,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import LoggedController
 from moc_opt.tasks.trocar import shaft_distance
 
-Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 Sink = Callable[[int, Columns], None]
 """Takes the columns of a block and the number of its first tick; the same block may come twice."""

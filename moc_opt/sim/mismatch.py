@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

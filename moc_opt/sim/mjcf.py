@@ -7,13 +7,11 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim.settings import GRAVITY
-
-Array = NDArray[np.float64]
 
 TOOL_BODY = "tool"
 MOUNT_SITE = "tool_mount_sensor"

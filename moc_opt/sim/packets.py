@@ -10,14 +10,11 @@ from collections import deque
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from moc_opt.errors import MocOptError, PlantError
 from moc_opt.inputs.settings import Settings
 from moc_opt.sim.sensors import Measurement
-
-Array = NDArray[np.float64]
 
 
 class PacketSettings(Settings):

@@ -16,6 +16,7 @@ from numba import int64
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
+from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, CompiledKernel, borrowed, call
 from moc_opt.sim.actuation import admit
@@ -23,7 +24,6 @@ from moc_opt.sim.contact import load_bodies, shaft_force
 from moc_opt.sim.elastic import drive, gather
 from moc_opt.sim.sensors import sample
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 DONE, NO_TROCAR, AWAY, NO_TORQUE, RAN_AWAY = range(5)

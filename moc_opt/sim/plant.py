@@ -6,10 +6,10 @@ from typing import NoReturn
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import read_only_copy
+from moc_opt.numerics.arrays import Array, read_only_copy
 from moc_opt.robots import RobotData
 from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
@@ -18,8 +18,6 @@ from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
 from moc_opt.sim.period import AWAY, DONE, NO_TORQUE, NO_TROCAR
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
-
-Array = NDArray[np.float64]
 
 if mujoco.get_mju_user_warning() is None:
     # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm

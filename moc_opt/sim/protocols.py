@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from moc_opt.numerics.arrays import Array
 
 
 class TorqueController(Protocol):

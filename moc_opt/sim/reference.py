@@ -6,12 +6,10 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from moc_opt.numerics.arrays import Array
 from moc_opt.robots import RobotData
 from moc_opt.sim.mjcf import build_spec, compile_model
-
-Array = NDArray[np.float64]
 
 
 class Terms(NamedTuple):

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from moc_opt.errors import PlantError
-from moc_opt.numerics.arrays import read_only
+from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.sim.settings import GRAVITY, PlantSettings
 
-Array = NDArray[np.float64]
 _GRAVITY = np.array(GRAVITY)
 
 

@@ -64,7 +64,7 @@ def test_every_term_is_compared(robot, monkeypatch, change):
 def test_a_run_is_refused_before_anything_moves(monkeypatch):
     arm = load_robot()
     odd = RobotModel(replace(arm.data, urdf=edited(arm.data.urdf, "link_5", "rpy", "")))
-    monkeypatch.setattr("moc_opt.scenario.config.load_robot", lambda *given, **more: odd)
+    monkeypatch.setattr("moc_opt.scenario.tables.load_robot", lambda *given, **more: odd)
     with pytest.raises(RobotError, match="pinocchio and MuJoCo differ"):
         Setup(Scenario())
 

@@ -1,0 +1,152 @@
+"""The tables of a scenario's TOML that say what is run; those of the parts lie with the parts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from moc_opt.control.isolated import ProcessSettings
+from moc_opt.inputs.settings import Name, Settings
+from moc_opt.model.robot_model import RobotModel, load_robot
+
+Vector = tuple[float, float, float]
+MOST_S = 100_000.0
+"""Longest time of a run or of a part of it [s]."""
+
+
+class RobotTable(Settings):
+    """Which arm, and which tool on it."""
+
+    KIND: ClassVar[str] = "[robot]"
+    name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
+    tool_length_m: float | None = Field(
+        default=None, gt=0.0, le=10.0, description="mount to tip; None: that of the robot's file"
+    )
+    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0, description="None: that of the robot's file")
+
+    def arm(self) -> RobotModel:
+        """Load the robot, and build its model.
+
+        Raises:
+            MocOptError: no such robot, or something is wrong with its files.
+        """
+        return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
+
+
+class StartTable(Settings):
+    """The pose of the arm at t = 0; tip and wrist are those of q whatever the swivel."""
+
+    KIND: ClassVar[str] = "[start]"
+    pose: Literal["home", "random"] = Field(
+        default="home", description="'random': drawn by the seed until the whole task can be done from it"
+    )
+    q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
+    swivel: float | Literal["given", "random"] = Field(
+        default="given",
+        description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
+    )
+    limit_margin_rad: float = Field(
+        default=0.05,
+        ge=0.0,
+        le=3.0,
+        description="under pose 'random': what a joint keeps from its limits at the start and along the path; below "
+        "control.limit_margin_rad the third level begins with a joint on its way back from the limit",
+    )
+    limit_margin_m: float = Field(default=0.05, ge=0.0, le=3.0, description="the same for a joint that slides")
+    check_path: bool = Field(
+        default=True,
+        description="refuse a path that kinematics alone cannot follow; the search may miss a way that exists",
+    )
+
+    @field_validator("swivel")
+    @classmethod
+    def _a_fraction(cls, value: float | str) -> float | str:
+        if isinstance(value, float) and not 0.0 <= value <= 1.0:
+            raise ValueError("a swivel is a fraction from 0 to 1")
+        return value
+
+    @model_validator(mode="after")
+    def _one_pose(self) -> Self:
+        if self.pose == "random" and self.q_rad is not None:
+            raise ValueError("pose = 'random' and q_rad exclude each other: leave one of them out")
+        return self
+
+
+class TrocarTable(Settings):
+    """Where the shaft enters: a point on it at t = 0, then fixed or breathing."""
+
+    KIND: ClassVar[str] = "[trocar]"
+    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="of the tip below the trocar at t = 0")
+    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5, description="of the trocar's motion; 0: it rests")
+    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S, description="of one breath")
+    breathing_direction: Vector = Field(default=(0.0, 0.0, 1.0), description="of that motion, base axes, any length")
+    breathing_known: bool = Field(
+        default=True, description="whether the registered trocar follows the breathing"
+    )
+
+
+class TaskTable(Settings):
+    """The path of the tip."""
+
+    KIND: ClassVar[str] = "[task]"
+    path: Name = Field(
+        default="circle", description="`moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"
+    )
+    sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
+        default_factory=dict, description="of the path [m]; see moc_opt.tasks"
+    )
+    waypoints_m: tuple[Vector, ...] | None = Field(
+        default=None,
+        description="where the tip goes, from where it starts: along the heading, to the left, along the normal",
+    )
+    normal: Vector = Field(default=(0.0, 0.0, 1.0), description="of the path's plane, base axes, any length")
+    heading: Vector = Field(
+        default=(1.0, 0.0, 0.0), description="in which the path begins; its part along the normal is taken out"
+    )
+    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3, description="largest speed of the tip")
+    a_max_m_per_s2: float = Field(
+        default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, bends included"
+    )
+    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path")
+    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after it")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _points_are_a_path(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and values.get("waypoints_m") is not None and "path" not in values:
+            return {**values, "path": "waypoints"}
+        return values
+
+    @model_validator(mode="after")
+    def _points_for_waypoints(self) -> Self:
+        if (self.path == "waypoints") != (self.waypoints_m is not None):
+            other = "leave waypoints_m out, or set path = 'waypoints'"
+            cure = "give waypoints_m" if self.waypoints_m is None else other
+            raise ValueError(f"path = {self.path!r}: {cure}")
+        return self
+
+    DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
+        "line": {"length": 0.04},
+        "circle": {"radius": 0.03},
+        "sinusoid": {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0},
+        "spiral": {"turns": 2.0, "radius": 0.03},
+    }
+
+
+class SolverTable(Settings):
+    """Which solver the third level asks."""
+
+    KIND: ClassVar[str] = "[solver]"
+    name: Name = Field(default="exact", description="`moc-opt solvers --list` lists them")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="of that solver: docs/solvers.md")
+    replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
+        default=None,
+        description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
+        "budget, over and over: a run with deadlines can then be repeated exactly",
+    )
+    isolation: Literal["none", "process"] = Field(
+        default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
+    )
+    process: ProcessSettings = ProcessSettings()
