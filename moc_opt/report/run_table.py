@@ -109,7 +109,9 @@ def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: b
         first: those of `MATTER` alone, each with what it says.
     """
     of = part(trace)
-    rows: list[dict[str, Any]] = [{"metric": "ended", "value": str(trace.meta.get("ended", "unknown"))}]
+    ended = str(trace.meta.get("ended", "unknown"))
+    word, _, reason = ended.partition(": ") if first else (ended, "", "")
+    rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason}]
     if replaced(trace):
         rows.append({"metric": "solver replaced", "value": replaced(trace)})
     for metric, value in metrics.items():

@@ -154,7 +154,7 @@ def test_the_report_opens_with_the_answer_and_folds_the_rest(results: Path) -> N
     for part in answer(summary, rows).screens(80):
         screen.print(part, markup=False)
     assert max(map(len, screen.file.getvalue().splitlines())) <= 80
-    assert all(word in screen.file.getvalue() for word in ("trapped", "receding", "RCM"))
+    assert all(word in screen.file.getvalue() for word in ("trapped", "planned", "RCM"))
 
 
 def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

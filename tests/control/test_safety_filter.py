@@ -142,12 +142,13 @@ def test_wrong_settings_name_the_field(field):
 def test_brakes_open_by_the_mean_of_the_trocars_force_and_not_by_a_blow(robot, newton):
     """m = 1 - (1 - 50 /s T)^k of a force that acts for k ticks; in one tick the tool's own inertia may show as much."""
     q, data = np.array(robot.data.q_home), robot.data
-    guard = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_pose)
+    guard = SafetyFilter(data, SafetyFilterSettings(), 0.002, robot.gravity, robot.tool_place)
     guard.start(q, np.zeros(7))
     pose = robot.tool_pose(q)
     calm = np.zeros(6)
     calm[:2] = -9.81 * data.tool_mass * pose[:2, 2]  # the tool's weight alone
-    guard.check_incision(q, np.array([pose[3], np.zeros(3)]), calm)  # at the tip the whole force is the trocar's
+    # At the tip the whole force is the trocar's.
+    guard.check_measurement(q, np.zeros(7), wrench=calm, trocar=np.array([pose[3], np.zeros(3)]))
     pressed = calm + np.array([0.0, newton, 0.0, 0.0, 0.0, 0.0])
     opened = [not guard.brake_friction(pressed).any() for _ in range(400)]
     first = next(k for k in range(1, 60) if newton * (1.0 - 0.9**k) > SafetyFilterSettings().stop_yield_N)
