@@ -69,7 +69,8 @@ class SafetyFilter:
     ) -> None:
         self.settings, self._period = settings, period
         margins = settings.position_margins(np.zeros(data.n, dtype=np.bool_) if slides is None else slides)
-        self._limits = np.ascontiguousarray([data.q_min, data.q_max, data.v_max, data.tau_max, margins])
+        self._walls = np.array([data.q_min + margins, data.q_max - margins])
+        self._limits = np.array([*self._walls, data.v_max, data.tau_max])
         self._wall = np.array([
             settings.wall_stiffness_Nm_per_rad, settings.wall_damping_Nm_s_per_rad, settings.wall_brake_rad_per_s2,
         ])  # fmt: skip
@@ -122,6 +123,8 @@ class SafetyFilter:
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
+        # A joint that begins inside its wall is not thrown out of it: the wall begins where the joint stands.
+        self._limits[0], self._limits[1] = np.minimum(self._walls[0], q), np.maximum(self._walls[1], q)
         self._forget(q, v, stamp)
         self.check_measurement(q, v, stamp, self._rest, _NO_WRENCH, _NO_TROCAR)
         self.limit_torque(self._rest, self._rest, q, v)

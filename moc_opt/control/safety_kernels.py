@@ -21,7 +21,7 @@ def limit_torque(
     Args:
         before: (n,) torque of the last tick [Nm].
         hold: (n,) torque that carries the arm's weight [Nm]; empty: not known yet.
-        limits: (5, n) rows q_min, q_max, v_max, tau_max, and how far inside a limit the wall begins [rad or m].
+        limits: (4, n) rows: where the walls begin, below and above [rad or m]; v_max, tau_max.
         wall: stiffness [Nm/rad], damping [Nm s/rad], brake [rad/s^2].
         step: largest change from ``before`` [Nm].
 
@@ -37,7 +37,7 @@ def limit_torque(
         if not np.isfinite(tau[i]):
             return -2
         push[0, i], push[1, i] = -np.inf, np.inf
-        below, above = q[i] - limits[0, i] - limits[4, i], limits[1, i] - limits[4, i] - q[i]
+        below, above = q[i] - limits[0, i], limits[1, i] - q[i]
         fall = min(limits[2, i], np.sqrt(2.0 * brake * max(below, 0.0)))
         rise = min(limits[2, i], np.sqrt(2.0 * brake * max(above, 0.0)))
         if below < 0.0 or v[i] < -fall:

@@ -15,10 +15,10 @@ N = 7
 
 def by_the_law(tau, before, q, v, hold, limits, wall, step):
     """What `limit_torque` says of itself, with numpy; the torque of the walls alone, and what is left of it."""
-    q_min, q_max, v_max, tau_max, margin = limits
+    low, high, v_max, tau_max = limits
     stiffness, damping, brake = wall
     ends = []
-    for side, distance in ((1.0, q_max - margin - q), (-1.0, q - q_min - margin)):
+    for side, distance in ((1.0, high - q), (-1.0, q - low)):
         depth, speed = np.maximum(-distance, 0.0), side * v
         allowed = np.minimum(v_max, np.sqrt(2.0 * brake * np.maximum(distance, 0.0)))
         acts = (distance < 0.0) | (speed > allowed)
@@ -35,7 +35,7 @@ def by_the_law(tau, before, q, v, hold, limits, wall, step):
 def test_the_torque_follows_the_law(robot, seed, step, fast):
     rng = np.random.default_rng(seed)
     margins = 0.05 * rng.uniform(0.5, 2.0, N)
-    limits = np.array([robot.q_min, robot.q_max, robot.v_max, robot.tau_max, margins])
+    limits = np.array([robot.q_min + margins, robot.q_max - margins, robot.v_max, robot.tau_max])
     wall = np.array([2000.0, 20.0, 2.0]) * rng.uniform(0.5, 2.0, 3)
     near = rng.choice([0.02, 0.3, 0.7], N) * rng.choice([-1.0, 1.0], N)  # of half the range
     q = np.where(rng.random(N) < 0.5, robot.q_min, robot.q_max) + near * (robot.q_max - robot.q_min) / 2.0

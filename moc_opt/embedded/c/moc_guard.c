@@ -12,6 +12,8 @@ void moc_guard_start(const double *q, const double *v, int64_t stamp, moc_guard_
     for (int i = 0; i < MOC_N; i++) {
         state->q[i] = q[i];
         state->v[i] = v[i];
+        state->low[i] = fmin(moc_q_min[i] + moc_wall_margin[i], q[i]);
+        state->high[i] = fmax(moc_q_max[i] - moc_wall_margin[i], q[i]);
     }
     state->tip_square = state->press = state->borne = 0.0;
     state->bad = state->yields = state->open = 0;
@@ -70,9 +72,9 @@ static double allowed_speed(double v_max, double distance)
 }
 
 /* What wall and brake leave of the torque above the weight: at least, at most. Returns whether they act. */
-static int wall(int i, double q, double v, double *least, double *most)
+static int wall(int i, const moc_guard_state *state, double *least, double *most)
 {
-    double below = q - moc_q_min[i] - moc_wall_margin[i], above = moc_q_max[i] - moc_wall_margin[i] - q;
+    double v = state->v[i], below = state->q[i] - state->low[i], above = state->high[i] - state->q[i];
     double fall = allowed_speed(moc_v_max[i], below), rise = allowed_speed(moc_v_max[i], above);
     int acts = 0;
 
@@ -91,7 +93,7 @@ static int wall(int i, double q, double v, double *least, double *most)
     return acts;
 }
 
-int moc_guard_limit(const double *before, const double *q, const double *v, double *tau)
+int moc_guard_limit(const double *before, const moc_guard_state *state, double *tau)
 {
     double least[MOC_N], most[MOC_N], weight[MOC_N];
     int braked = 0, touched = 0;
@@ -99,9 +101,9 @@ int moc_guard_limit(const double *before, const double *q, const double *v, doub
     if (!moc_all_finite(MOC_N, tau))
         return -1;
     for (int i = 0; i < MOC_N; i++)
-        braked |= wall(i, q[i], v[i], &least[i], &most[i]);
+        braked |= wall(i, state, &least[i], &most[i]);
     if (braked)
-        moc_gravity(q, weight);
+        moc_gravity(state->q, weight);
     for (int i = 0; i < MOC_N; i++) {
         double asked = tau[i];
         if (braked)

@@ -7,6 +7,7 @@
 
 typedef struct {
     double q[MOC_N], v[MOC_N]; /* the last measurement that was believed, moved on since [rad], [rad/s] */
+    double low[MOC_N], high[MOC_N]; /* where the walls begin [rad] */
     double tip_square;         /* mean square of the tip's error over a time constant [m^2] */
     double press;              /* mean of the trocar's force in a stop [N] */
     double borne;              /* of it, what the brakes were closed on when they had been open for long enough [N] */
@@ -16,7 +17,7 @@ typedef struct {
     moc_motion_state motion;   /* age of the measurements, and whether they show the arm */
 } moc_guard_state;
 
-/* Begin at a finite q, v (n,), measurement number `stamp`. */
+/* Begin at a finite q, v (n,), measurement number `stamp`. The wall of a joint that stands inside it begins there. */
 void moc_guard_start(const double *q, const double *v, int64_t stamp, moc_guard_state *state);
 
 /* The measurement, or the last believed one moved on where this one cannot be true, is old or repeats itself, is in
@@ -28,9 +29,10 @@ int moc_guard_believe(const double *q, const double *v, int64_t stamp, const dou
 /* Take note of how far the tip (3,) is from its reference (3,) [m]. Returns MOC_STOP_TIP, or 0. */
 int moc_guard_follow(const double *tip, const double *tip_ref, moc_guard_state *state);
 
-/* Walls, speed, torque rate and torque limit on tau (n,), in place; before: the torque of the last tick.
+/* Walls, speed, torque rate and torque limit on tau (n,), in place, at the state's q, v; before: the torque of the
+ * last tick.
  * Returns at how many joints they acted; -1, and tau as it was, where it is not finite. */
-int moc_guard_limit(const double *before, const double *q, const double *v, double *tau);
+int moc_guard_limit(const double *before, const moc_guard_state *state, double *tau);
 
 /* Dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses with more than MOC_STOP_YIELD [N].
  * force: of the trocar on the shaft; NaN where it is not known. */

@@ -144,7 +144,7 @@ int moc_safe_step(const double q[MOC_N], const double v[MOC_N], int64_t stamp, c
         ask(guard->q, guard->v, tip_ref, trocar, state, seen, tau);
         request_stop(state, moc_guard_follow(seen->tip, tip_ref, guard));
         request_stop(state, moc_motion_weigh(seen, guard->v, state->sent, &guard->motion));
-        state->limited = moc_guard_limit(state->sent, guard->q, guard->v, tau);
+        state->limited = moc_guard_limit(state->sent, guard, tau);
         if (state->limited < 0)
             request_stop(state, MOC_STOP_TORQUE);
         if (state->limited > 0)
