@@ -2,8 +2,8 @@
 
 python -m benchmarks.mutation [CONFIG.toml] [--out DIR] [--seed N] [--sample N] [--module NAME ...] [--quick]
 
-Mutates the control law, its guard, supervisor and the residuals of answers one place at a time and runs the tests on
-each mutant. Nothing is written into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
+Mutates the control law, its guard, supervisor, the residuals of answers and a period of the plant one place at a time
+and runs the tests on each mutant. Nothing is written into the tree. Needs cosmic-ray: pip install 'moc-opt[mutation]'.
 """
 
 from __future__ import annotations

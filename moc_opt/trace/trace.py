@@ -212,7 +212,8 @@ class Trace:
         if "ended" in self.meta:
             told["run_ended"] = self.meta.get("run_ended", self.meta["ended"])
             t = np.asarray(self.columns.get("t_s", ()), dtype=np.float64)
-            extent = f"{t[0]:.3f} to {t[-1]:.3f} s" if t.size else f"{len(self)} ticks"
+            timed = t.size and np.isfinite([t[0], t[-1]]).all()
+            extent = f"{t[0]:.3f} to {t[-1]:.3f} s" if timed else f"{len(self)} ticks"
             told["ended"] = f"{Ending.PART.value}: {extent} of a run, which ended: {told['run_ended']}"
         return self.with_meta(**told)
 

@@ -47,3 +47,38 @@ def test_a_package_without_its_library_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
     with pytest.raises(PlantError, match="install MuJoCo from its wheel"):
         period.addresses(None, None)
+
+
+@pytest.mark.parametrize("joint", range(DATA.n))
+def test_a_runaway_of_one_joint_is_found_whichever_it_is(joint):
+    plant = Plant(DATA, PlantSettings.nominal())
+    plant.reset(DATA.q_home, 2e3 * np.eye(DATA.n)[joint])
+    with pytest.raises(PlantError, match="call reset first"):
+        plant.step(plant.applied_torque)
+
+
+def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
+    """Two plants that differ in it alone move alike: what their readings differ by is the noise."""
+    force, torque = 0.1, 0.002
+    noisy = Plant(DATA, PlantSettings.realistic(force_noise_N=force, torque_noise_Nm=torque), seed=5)
+    quiet = Plant(DATA, PlantSettings.realistic(force_noise_N=0.0, torque_noise_Nm=0.0), seed=5)
+    noise = []
+    for _ in range(1000):
+        for plant in (noisy, quiet):
+            plant.step(plant.applied_torque)
+        noise.append(noisy.measure().force - quiet.measure().force)
+    np.testing.assert_array_equal(noisy.q, quiet.q)
+    np.testing.assert_allclose(np.std(noise, axis=0), np.repeat([force, torque], 3), rtol=0.1)
+
+
+@pytest.mark.parametrize("side", ["link", "motor"])
+def test_the_encoders_of_elastic_joints_show_the_side_that_they_are_on(side):
+    settings = PlantSettings.nominal(joint_stiffness_Nm_per_rad=1e4, substeps=12, encoder_side=side)
+    plant = Plant(DATA, settings)
+    for torque in plant.applied_torque + np.random.default_rng(2).uniform(-5.0, 5.0, (20, DATA.n)):
+        plant.step(torque)
+    q, v, *_ = plant.measure()
+    for shown, coordinates in ((q, plant.mj_data.qpos), (v, plant.mj_data.qvel)):
+        motor, spring = coordinates[::2], coordinates[1::2]
+        np.testing.assert_array_equal(shown, motor if side == "motor" else motor + spring)
+        assert np.abs(spring).min() > 1e-7  # the two sides differ in every joint

@@ -90,6 +90,14 @@ def test_a_part_of_a_run_says_so(trace):
         assert dict(all_of_it.meta) == dict(whole.meta)
 
 
+@pytest.mark.parametrize("where", [slice(None), 0, 9])
+def test_a_part_whose_times_are_no_numbers_is_told_by_its_ticks(trace, where):
+    t = trace.t_s.copy()
+    t[where] = np.nan
+    part = trace.with_columns(t_s=t).head(10)
+    assert part.meta["ended"] == "part: 10 ticks of a run, which ended: completed"
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [

@@ -63,6 +63,17 @@ def test_the_source_itself_survives(plain):
 
 
 @pytest.mark.parametrize(
+    ("module", "test"),
+    [("moc_opt.sim.period", "tests/sim/test_period.py"),
+     ("moc_opt.control.safety_tick", "tests/control/test_safety_tick.py")],
+)  # fmt: skip
+def test_plain_python_calls_c_and_hands_read_only_arrays_to_compiled_kernels(module, test):
+    found = trial.run_tests(ROOT, module, None, trial.dependents(ROOT, module), [test], 240.0, keep_going=True)
+    assert found.tests
+    assert all(passed for passed, _ in found.tests.values()), found.by
+
+
+@pytest.mark.parametrize(
     ("old", "new"),
     [("d -= L[j, k] * L[j, k]", "d += L[j, k] * L[j, k]"), ("import numpy as np", "import no_such_module as np")],
 )
