@@ -18,7 +18,7 @@ STUDIES = "benchmarks"
 
 
 def compare_solvers(given: argparse.Namespace) -> int:
-    """Compare, print, and write the rows; returns 0, or 3 where a solver drove no trial to its end.
+    """Compare, print, and write the rows; returns 0, 3 where a solver drove no trial to its end, 130 after Ctrl-C.
 
     Raises:
         MocOptError: see `moc_opt.comparison.compare.compare`; or the rows cannot be written.
@@ -51,6 +51,8 @@ def compare_solvers(given: argparse.Namespace) -> int:
     for name in lost:
         ended = next(row["ended"] for row in found.rows if row["solver"] == name)
         print(f"{name}: no trial came to its end; the first was {ended}", file=sys.stderr)
+    if not found.complete:
+        return 130  # as after any Ctrl-C
     return 3 if lost else 0
 
 

@@ -94,7 +94,7 @@ def _tidy(point: Array) -> Array:
 
 def _line(data: pin.Data, j: int) -> tuple[Array, Array] | None:
     """A point on joint j's axis and its direction, in the world; None where it slides."""
-    axis = data.J[3:, j - 1].copy()
+    axis = data.J.reshape(6, -1)[3:, j - 1].copy()  # of one joint pinocchio gives a vector
     return None if np.linalg.norm(axis) < 0.5 else (data.oMi[j].translation.copy(), axis)
 
 

@@ -47,12 +47,14 @@ class Comparison:
         solvers: their names in the table, the baseline first.
         scenario: from which the trials were made.
         note: from where the trials start, and that the machine was busy where it was.
+        complete: False where Ctrl-C ended it after some of the trials.
     """
 
     rows: Sequence[Mapping[str, Any]]
     solvers: Sequence[str]
     scenario: Scenario
     note: str = ""
+    complete: bool = True
 
     def values(self, solver: str, metric: str) -> dict[int, float]:
         """Return seed -> value of a metric over those trials that the solver drove to their end.
@@ -198,6 +200,7 @@ def compare(
     """Run every solver, and DCAC with the same gains, on the same trials.
 
     A solver that cannot be started, or that breaks a run off with an error, has rows that say so; the others go on.
+    Ctrl-C leaves the trials that are done, once there is one.
 
     Args:
         solvers: names, or solvers made by `solvers.create` or of one's own; a mapping gives them names of their own.
@@ -223,23 +226,39 @@ def compare(
         raise ScenarioError("[control] law = 'dcac' asks no solver: take law = 'moc', DCAC is compared anyhow")
     chosen, note, rows = _named(solvers, base), f"{_starts(base, random_start)} {busy()}".strip(), list[Row]()
     start = {"pose": "random", "q_rad": None, "swivel": "random"} if random_start else {}
-    for k in range(seed, seed + trials):
-        try:
-            trial, baseline = placed(base.change(seed=k, start=start)), None
-        except MocOptError as error:
-            if not rows:
-                raise  # of the first trial: the scenario is at fault
-            failed = f"{Ending.FAILED.value}: {describe(error)}"
-            rows += [{"solver": name, "seed": k, "ended": failed, "asked": 0} for name in chosen]
-            continue
-        for name, solver in chosen.items():
-            if watch is not None:
-                watch(f"trial {k - seed + 1} of {trials}, {name}")
-            row, trace = _row(trial, base, name, solver, baseline)
-            rows.append({"solver": name, "seed": k, **row})
-            if name == BASELINE and Ending.of(row["ended"]).whole:
-                baseline = trace
-    return Comparison(rows, list(chosen), base, note)
+    done = 0
+    try:
+        for k in range(seed, seed + trials):
+            rows += _trial(base, k, start, chosen, f"trial {k - seed + 1} of {trials}", watch, not rows)
+            done += 1
+    except KeyboardInterrupt:
+        if not done:
+            raise
+        note = f"Interrupted: {done} of {trials} trials. {note}".strip()
+    return Comparison(rows, list(chosen), base, note, done == trials)
+
+
+def _trial(
+    base: Scenario, seed: int, start: Mapping[str, Any], chosen: Mapping[str, str | Solver], where: str,
+    watch: Callable[[str], None] | None, first: bool,
+) -> list[Row]:  # fmt: skip
+    """Run every solver on one trial; an error in laying out the first one is the scenario's, and is raised."""
+    try:
+        trial, baseline = placed(base.change(seed=seed, start=start)), None
+    except MocOptError as error:
+        if first:
+            raise
+        failed = f"{Ending.FAILED.value}: {describe(error)}"
+        return [{"solver": name, "seed": seed, "ended": failed, "asked": 0} for name in chosen]
+    rows = []
+    for name, solver in chosen.items():
+        if watch is not None:
+            watch(f"{where}, {name}")
+        row, trace = _row(trial, base, name, solver, baseline)
+        rows.append({"solver": name, "seed": seed, **row})
+        if name == BASELINE and Ending.of(row["ended"]).whole:
+            baseline = trace
+    return rows
 
 
 def _row(
@@ -265,7 +284,8 @@ def _starts(base: Scenario, random_start: bool) -> str:
         fixed = base.start.pose != "random" and base.start.swivel != "random"
         return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
     said = base.start.model_fields_set & {"pose", "q_rad", "swivel"}
-    return "Starts are drawn at random: the scenario's [start] is not used (random_start keeps it)." if said else ""
+    text = "Starts are drawn at random: [start] is not used (`--keep-start`, random_start=False keep it)."
+    return text if said else ""
 
 
 def _settings(base: Scenario, name: str) -> Mapping[str, Any]:

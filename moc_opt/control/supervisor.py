@@ -64,6 +64,17 @@ class Unanswered(Exception):
         self.status = status or (Status.TIME_LIMIT if fault is Fault.LATE else Status.NUMERICAL)
 
 
+def _raise_interrupt(error: BaseException) -> None:
+    """Raise a user's Ctrl-C again where it is behind the error: a library may put one of its own over it."""
+    found: BaseException | None = error
+    for _ in range(10):  # no chain is as long, but foreign code may close one to a ring
+        if found is None or isinstance(found, KeyboardInterrupt):
+            break
+        found = found.__cause__ or found.__context__
+    if isinstance(found, KeyboardInterrupt):
+        raise found
+
+
 class First(NamedTuple):
     """The first fault of a kind: how many answers had been asked for before, and what it was."""
 
@@ -194,11 +205,10 @@ class Supervisor:
                 given = session.solve(shown)
             finally:
                 self._interpreter.calm()
-        except KeyboardInterrupt:  # a user's Ctrl-C
-            raise
         except Unanswered as error:
             fault, text, status = error.fault, error.text, error.status
         except BaseException as error:  # noqa: BLE001 - whatever a solver throws, the run goes on
+            _raise_interrupt(error)
             fault, text = Fault.RAISED, describe(error)
         self.solve_us = (perf_counter_ns() - begin) * 1e-3
         if self._times is not None:
@@ -209,9 +219,8 @@ class Supervisor:
             solution, wrong = received(given, qp.n)
             if self._stop_late and self._late and not wrong:
                 solution, wrong = received(self._stopped(session, shown, solution), qp.n)
-        except KeyboardInterrupt:
-            raise
         except BaseException as error:  # noqa: BLE001 - as above
+            _raise_interrupt(error)
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
 

@@ -41,12 +41,16 @@ class Targets:
         return len(self.t_s)
 
 
-def lay_targets(reference: TipReference, trocar: Trocar, span_m: float, duration_s: float, count: int) -> Targets:
+def lay_targets(
+    reference: TipReference, trocar: Trocar, span_m: float, duration_s: float, count: int,
+    tool_m: float = np.inf,
+) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end.
 
     Args:
         span_m: wrist to tip [m].
         duration_s: end of the run [s].
+        tool_m: mount to tip [m]: only so much of the shaft can lie in the trocar.
 
     Raises:
         TaskError: fewer than two times, or the trocar is not on the shaft at one of them.
@@ -57,10 +61,11 @@ def lay_targets(reference: TipReference, trocar: Trocar, span_m: float, duration
     tip = np.array([reference.rows(each)[0] for each in t.tolist()])
     way = trocar.at(t)[0] - tip
     depth = np.linalg.norm(way, axis=1)
-    for k in np.flatnonzero((depth < SHALLOWEST_M) | (depth > span_m))[:1].tolist():
+    deepest = min(span_m, tool_m)
+    for k in np.flatnonzero((depth < SHALLOWEST_M) | (depth > deepest))[:1].tolist():
         raise TaskError(
             f"trocar: at t = {t[k]:.2f} s it is {1e3 * depth[k]:.0f} mm from the tip: it must lie on the shaft, "
-            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * span_m:.0f} mm from its tip; make the path smaller, or change depth_m"
+            f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * deepest:.0f} mm from its tip; make the path smaller, or change depth_m"
         )
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
     wrist = tip + span_m * way / depth[:, None]

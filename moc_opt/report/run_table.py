@@ -18,13 +18,14 @@ METHOD = "mu_bound_method"
 
 MATTER: Mapping[str, str] = MappingProxyType({
     "mu_mean": "manipulability [m^3]: how far the arm keeps from singular poses",
-    "mu_gain_percent": "the same above DCAC's with the same gains [%]",
-    "mu_fraction_of_best_from_start": "the same over that of the best course from this start",
-    "tip_error_model_mean_mm": "tip from its path [mm], as far as control can answer for it",
-    "rcm_error_model_mean_mm": "shaft from the trocar [mm], likewise",
+    "mu_gain_percent": "mean mu above DCAC's with the same gains [%]",
+    "mu_fraction_of_best_from_start": "mean mu over that of the best course from this start, 0 to 1",
+    "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics",
+    "rcm_error_model_mean_mm": "shaft from the registered trocar [mm], likewise",
     "rcm_error_max_mm": "shaft from the true trocar [mm], at most",
     "trocar_force_max_N": "force on the trocar [N], at most",
     "torque_rate_rms_Nm_per_s": "chatter of the torque [Nm/s]; beside DCAC's or another solver's",
+    "verified_solved": "ticks whose answer our own residuals find optimal",
     "silently_wrong": "ticks at which the solver called a wrong answer solved; 0 is right",
     "deadline_misses": "ticks that took longer than the period, on this machine",
 })  # fmt: skip
@@ -71,6 +72,9 @@ def below_best(trace: Trace) -> str:
         return said
     there = f"at {end['best_swivel_deg']:.0f} deg ({end['best_mu']:.3f} m^3)"
     top = f"{end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m^3)"
+    left = 1.0 - float(trace.mu[-1]) / end["top_mu"]
+    if left > NEAR:
+        return f"{said}; it did not climb: it ends {100.0 * left:.1f} % below the top of its own hump"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
         return f"{said}; in the end the local law is on its hump of mu, so the loss lies on the way there"
     if end["at_limit"]:

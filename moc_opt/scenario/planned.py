@@ -81,8 +81,9 @@ def targets_of(
     spaces = int(np.clip(np.ceil(layout.duration_s / period_s), 1, MOST_TIMES - 1))
     count = times or finer * spaces + 1
     return lay_targets(
-        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count
-    )
+        layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count,
+        robot.data.tool_length,
+    )  # fmt: skip
 
 
 def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str]) -> Path:

@@ -207,6 +207,23 @@ def test_one_run_that_fails_leaves_the_figures_of_the_others():
     assert (summary["verified"], summary["solve_p50_us"], summary["trials"], summary["of"]) == (100.0, 1.0, 1, 2)
 
 
+def test_an_interrupt_leaves_the_trials_that_are_done():
+    def watch(words):
+        if words == "trial 3 of 4, exact":
+            raise KeyboardInterrupt
+
+    found = mo.compare(["exact"], BRIEF, 4, watch=watch)
+    assert not found.complete
+    runs = [(row["seed"], row["solver"]) for row in found.rows]
+    assert runs == [(k, name) for k in (0, 1) for name in ("dcac", "exact")]
+    assert found.note.startswith("Interrupted: 2 of 4 trials.")
+    whole = mo.compare(["exact"], BRIEF, 2)
+    assert whole.complete
+    assert found.values("exact", "mu_mean") == whole.values("exact", "mu_mean")
+    with pytest.raises(KeyboardInterrupt):
+        mo.compare(["exact"], BRIEF, 4, watch=lambda words: (_ for _ in ()).throw(KeyboardInterrupt()))
+
+
 def test_where_the_trials_start_is_said(tmp_path):
     file = tmp_path / "s.toml"
     BRIEF.change(start={"swivel": 0.2}).save(file)

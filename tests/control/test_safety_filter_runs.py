@@ -283,3 +283,31 @@ def test_the_command_line_keeps_the_trace_of_a_run_away(tmp_path, capsys):
     assert main(["run", str(file), "--trace", str(out)]) == 3  # the input is as it should be: the arm is not
     assert "s: ran away" in capsys.readouterr().err, "a run without a name has its file's"
     assert Trace.load(out).meta["ended"].startswith("ran away")
+
+
+@pytest.mark.parametrize("law", ["moc", "dcac"])
+@pytest.mark.parametrize("swivel", [0.0, 1.0])
+def test_a_joint_that_begins_inside_its_wall_is_not_thrown_out_of_it(swivel, law):
+    """At either end of the self-motion one joint stands on its limit; the wall used to throw the tip 25 mm off."""
+    trace = run(Scenario(start={"swivel": swivel}, control={"law": law}, duration_s=1.5, **QUICK))
+    assert trace.meta["ended"] == "completed"
+    assert trace.tip_error_m.max() < 2e-3
+    assert trace.rcm_error_m.max() < 4e-3
+
+
+@pytest.mark.parametrize("start", [-1.0, 1.0])
+def test_a_wall_that_begins_at_the_start_is_none_beyond_it(robot, start):
+    """Where the joint began there is no torque; deeper in, the wall's; other joints keep their own."""
+    settings = SafetyFilterSettings()
+    guard = SafetyFilter(robot.data, settings, PERIOD, lambda q: np.zeros(N))
+    q, rest = np.array(robot.data.q_home), np.zeros(N)
+    q[1] = start * (robot.q_max[1] - 0.5 * settings.position_margin_rad)
+    guard.start(q, rest)
+    assert not guard.limit_torque(np.zeros(N), rest, q, rest).any()
+    deeper = np.where(np.arange(N) == 1, q + 1e-3 * start, q)
+    back = guard.limit_torque(np.zeros(N), rest, deeper, rest)
+    assert back[1] == pytest.approx(-start * settings.wall_stiffness_Nm_per_rad * 1e-3)
+    q[5] = robot.q_max[5] - 0.5 * settings.position_margin_rad
+    assert guard.limit_torque(np.zeros(N), rest, q, rest)[5] < 0.0
+    guard.start(np.array(robot.data.q_home), rest)  # another run has its whole walls again
+    assert guard.limit_torque(np.zeros(N), rest, q, rest)[1] * start < 0.0

@@ -442,6 +442,36 @@ def test_whatever_a_session_raises_is_counted(error, where, qp, Z):
     assert np.isfinite(x).all()
 
 
+@pytest.mark.parametrize("linked", ["cause", "context"])
+def test_a_users_interrupt_passes_under_an_error_of_a_library(linked, qp, Z):
+    """As CasADi's: "returned a result with an exception set"."""
+
+    class Hidden:
+        def solve(self, qp):
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as error:
+                if linked == "cause":
+                    raise SystemError("a result with an exception set") from error
+                raise SystemError("a result with an exception set")  # noqa: B904 - the context is meant
+
+    with pytest.raises(KeyboardInterrupt):
+        supervisor().solve(Hidden(), qp, Z)
+
+
+def test_an_error_whose_causes_are_a_ring_is_a_fault(qp, Z):
+    class Ring:
+        def solve(self, qp):
+            error = RuntimeError("one")
+            error.__cause__ = ValueError("other")
+            error.__cause__.__cause__ = error
+            raise error
+
+    mine = supervisor()
+    mine.solve(Ring(), qp, Z)
+    assert mine.fault is Fault.RAISED
+
+
 @pytest.mark.parametrize("where", ["observe", "solve"])
 def test_a_users_interrupt_passes(where, qp, Z):
     class Interrupted:

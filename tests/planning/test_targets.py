@@ -34,6 +34,15 @@ def test_a_trocar_off_the_shaft_is_refused(point: list[float]) -> None:
         lay_targets(reference(), Trocar(point), 0.378, 3.0, 301)
 
 
+@pytest.mark.parametrize("tool_m", [0.3, 0.4])
+def test_no_more_of_the_shaft_than_the_tool_or_the_span_lies_in_the_trocar(tool_m: float) -> None:
+    """As a run's own check has it: above the mount there is no shaft."""
+    deepest = min(tool_m, 0.378)
+    beyond = Trocar(START + np.array([0.0, 0.0, deepest + 1e-3]))
+    with pytest.raises(TaskError, match=f"2 to {1e3 * deepest:.0f} mm from its tip"):
+        lay_targets(reference(), beyond, 0.378, 3.0, 2, tool_m)
+
+
 def test_one_time_is_refused() -> None:
     with pytest.raises(TaskError, match="count = 1"):
         lay_targets(reference(), Trocar(START + np.array([0.0, 0.0, 0.15])), 0.378, 3.0, 1)

@@ -58,7 +58,8 @@ END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3,
         (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends on the hump at "
          "arm angle 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
         (0.24, {"at_limit": True}, "local", "held by a joint limit"),
-        (0.24, {"top_mu": 0.298}, "local", "on its hump of mu"),
+        ([0.2, 0.22, 0.242, 0.298], {"top_mu": 0.298}, "local", "on its hump of mu"),
+        (0.24, {"top_mu": 0.298}, "local", "did not climb: it ends 19.5 % below the top of its own hump"),
         (0.24, {}, "planned", "20.0 % below"),
     ],
 )  # fmt: skip
@@ -66,10 +67,10 @@ def test_what_holds_a_run_below_its_best_course_is_said(mu, end, third_level, sa
     run = trace(
         best_courses={"absent": "", "end": {**END, **end}},
         scenario={"control": {"law": "moc", "third_level": third_level}},
-    ).with_columns(mu=[mu] * 4, mu_best_from_start=[0.3] * 4)
+    ).with_columns(mu=np.broadcast_to(mu, 4), mu_best_from_start=[0.3] * 4)
     assert said in below_best(run)
     assert bool(said) == bool(below_best(run))
-    assert ("the local law" in below_best(run)) == (bool(said) and third_level == "local")
+    assert ("the local law" in below_best(run)) == (bool(said) and third_level == "local" and "climb" not in said)
 
 
 def test_why_there_is_no_best_course_is_said():

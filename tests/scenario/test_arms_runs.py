@@ -30,12 +30,17 @@ def test_every_arm_does_the_default_task(name: str) -> None:
     assert baseline["rcm_error_max_mm"] < 2.0
 
 
-@pytest.mark.parametrize("preset", ["tuned", "robust"])
+@pytest.mark.parametrize(("preset", "more"), [(None, 2), ("tuned", 1), ("robust", 1)])
 @pytest.mark.parametrize("name", available_robots())
-def test_every_preset_is_for_every_arm(name: str, preset: str) -> None:
-    """Also where the loop has another tick of delay and no friction that would hide a joint that swings."""
-    asked = Scenario(robot={"name": name}, control={"preset": preset}, bound_samples=0, judge=False, duration_s=3.0)
-    asked = asked.change(plant={"friction": 0.0, "delay_ticks": asked.plant.delay_ticks + 1})
+def test_every_preset_is_for_every_arm(name: str, preset: str | None, more: int) -> None:
+    """Also where the loop has more ticks of delay, three in all under the default gains from a random
+    pose, and no friction that would hide a joint that swings.
+    """
+    asked = Scenario(
+        seed=1, robot={"name": name}, control={"preset": preset} if preset else {}, bound_samples=0, judge=False,
+        duration_s=3.0, start={"pose": "home" if preset else "random"},
+    )  # fmt: skip
+    asked = asked.change(plant={"friction": 0.0, "delay_ticks": asked.plant.delay_ticks + more})
     trace = run(asked)
     assert trace.meta["ended"] == "completed"
     assert summarize(trace)["tip_error_max_mm"] < 1.5
