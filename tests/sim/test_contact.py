@@ -193,8 +193,10 @@ def test_push_is_held_until_cleared_or_reset():
     assert speed_after(20) < 1e-9
 
 
-def test_trocar_force_is_the_force_now():
-    plant = Plant(DATA, PlantSettings.nominal())
+@pytest.mark.parametrize(("stiffness", "damping"), [(800.0, 10.0), (800.0, 0.0), (0.0, 10.0)])
+def test_trocar_force_is_the_force_now(stiffness, damping):
+    wall = PlantSettings.nominal(trocar_stiffness_N_per_m=stiffness, trocar_damping_Ns_per_m=damping)
+    plant = Plant(DATA, wall)
     state = MODEL.state(DATA.q_home)
     trocar = shaft_of(plant)
     trocar[1] = [0.01, -0.02, 0.005]
@@ -207,7 +209,7 @@ def test_trocar_force_is_the_force_now():
     share = u @ (p - tip) / np.linalg.norm(wrist - tip)
     w = ((1 - share) * now.J_tip + share * now.J_wrist) @ plant.v
     across = np.eye(3) - np.outer(u, u)
-    want = across @ (800 * (p - tip) + 10 * (trocar[1] - w))
+    want = across @ (stiffness * (p - tip) + damping * (trocar[1] - w))
     np.testing.assert_allclose(plant.trocar_force, want, atol=1e-9)
     assert np.linalg.norm(want) > 0.1
     plant.step(state.h)

@@ -43,6 +43,15 @@ def test_a_refused_period_leaves_the_noise_and_the_arm_as_they_were():
             np.testing.assert_array_equal(one, other, err_msg=str(k))
 
 
+@pytest.mark.parametrize("place", range(6))
+def test_a_trocar_with_one_entry_that_is_no_number_is_refused(place):
+    plant = Plant(DATA, PlantSettings.nominal())
+    trocar = np.stack([plant.tip, np.zeros(3)])
+    trocar.flat[place] = np.nan
+    with pytest.raises(PlantError, match="the arm has not moved"):
+        plant.step(plant.applied_torque, trocar)
+
+
 def test_a_package_without_its_library_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(mujoco, "__file__", str(tmp_path / "__init__.py"))
     with pytest.raises(PlantError, match="install MuJoCo from its wheel"):

@@ -120,7 +120,8 @@ def test_augmented_assignments_are_mutated_too():
 
 
 @needs_operators
-def test_the_command(tmp_path, capsys):
+def test_the_command(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")  # a narrow table breaks its headings
     config = f'sample = 3\nslowest_s = 60.0\n[modules]\n"{DENSE}" = ["tests/numerics/test_dense.py"]\n'
     (tmp_path / "small.toml").write_text(config)
     assert mutation.main([str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--seed", "5"]) == 0
