@@ -42,7 +42,7 @@ def test_linear_costs_agree_with_highs(seed, shape, size):
     assert found.most == pytest.approx(size * most, abs=1e-6 * spread)
     assert slope @ found.w == pytest.approx(found.least, abs=1e-9 * spread)
     beyond = np.maximum(size * low - Z @ found.w, Z @ found.w - size * high).max()
-    assert beyond < 1e-11 * size
+    assert beyond < 1e-11 * size * shape[1]  # rounding, which grows with the freedoms
 
 
 @settings(max_examples=60, deadline=None)

@@ -52,9 +52,10 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(weak, share, swivel):
             seed=seed, start=start, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
         ))  # fmt: skip
         assert trace.meta["ended"].startswith("stopped")
-        way, _, _ = after(trace)
+        way, _, pressed = after(trace)
         assert way < 0.025
-        assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
+        # While the trocar presses with more than 10 N the brakes are open: it still pushes the arm back.
+        assert np.abs(trace.v_rad_per_s[-1]).max() < (0.01 if pressed < 10.0 else 0.03)
 
 
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
