@@ -87,7 +87,7 @@ def test_the_tables_of_a_file_are_those_of_its_masses(name: str) -> None:
     for key, table in derived.items():
         for gain, value in table.items():
             if (name, key) == ("gen3", "default") and gain in ("K_X", "D_X", "K_N", "D_N"):
-                # Its lightest poses bear three ticks of delay with softer ones alone (tests/scenario/test_arms_runs.py).
+                # Three ticks of delay are borne with softer ones alone (tests/scenario/test_arms_runs.py).
                 assert robot.data.gains[key][gain] < value
                 continue
             np.testing.assert_array_equal(robot.data.gains[key][gain], value, err_msg=f"{key}, {gain}")
