@@ -94,10 +94,7 @@ def group_table(summary: Summary, group: str, about: str) -> Table:
     names = titles(list(summary[group]))
     rows = [
         {
-            **{
-                name: entries.get(name)
-                for name in SHOWN
-            },
+            **{name: entries.get(name) for name in SHOWN},
             "controller": names[controller],
             **{key: spread(entries, key, digits) for key, (_, _, digits) in FIGURES.items()},
         }

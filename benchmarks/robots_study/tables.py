@@ -142,9 +142,7 @@ def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
     for one, two in combinations(scores, 2):
         shared = [name for name in scores[one] if name in scores[two]]
         if len(shared) > 2 and all(len({by[name] for name in shared}) > 1 for by in (scores[one], scores[two])):
-            rho = stats.spearmanr(
-                [scores[one][n] for n in shared], [scores[two][n] for n in shared]
-            ).statistic
+            rho = stats.spearmanr([scores[one][n] for n in shared], [scores[two][n] for n in shared]).statistic
             between[f"{one}, {two}"] = float(rho)
     values = [rho for rho in between.values() if np.isfinite(rho)]
     return {"order": order, "between": between, "mean": float(np.mean(values)) if values else None}
@@ -152,9 +150,7 @@ def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
 
 def tables(summary: Mapping[str, Any]) -> list[Table]:
     """Every arm and controller, and which findings hold where."""
-    rows = [
-        {"robot": r, "controller": c, **row} for r, by in summary["robots"].items() for c, row in by.items()
-    ]
+    rows = [{"robot": r, "controller": c, **row} for r, by in summary["robots"].items() for c, row in by.items()]
     word = {True: "yes", False: "no", None: "-"}
     holds = [
         {"finding": text, **{robot: word[by[key]] for robot, by in summary["findings"].items()}}

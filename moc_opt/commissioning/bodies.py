@@ -37,23 +37,17 @@ def mend(root: ET.Element, notes: list[str]) -> None:
             continue
         moments = [0.0] * 6
         if inertia is not None:
-            moments = [
-                number(inertia.get(key, "0"), f"inertia of link {name!r}", "kg m^2") for key in _MOMENTS
-            ]
+            moments = [number(inertia.get(key, "0"), f"inertia of link {name!r}", "kg m^2") for key in _MOMENTS]
         fault = inertia_fault(moments)
         if fault is None:
             continue
         if max(abs(moment) for moment in moments) < SMALLEST_MOMENT:
             radius = (3.0 * kilograms / (4.0 * math.pi * WATER_KG_M3)) ** (1.0 / 3.0)
             added = max(0.4 * kilograms * radius**2, 10.0 * SMALLEST_MOMENT)
-            notes.append(
-                f"link {name!r} ({kilograms:.3g} kg) has no inertia: that of a ball of water is taken"
-            )
+            notes.append(f"link {name!r} ({kilograms:.3g} kg) has no inertia: that of a ball of water is taken")
         else:
             added = _lacking(moments)
-            notes.append(
-                f"link {name!r} has an inertia that no body has, {fault}: {added:.3g} kg m^2 is added"
-            )
+            notes.append(f"link {name!r} has an inertia that no body has, {fault}: {added:.3g} kg m^2 is added")
         for old in inertial.findall("inertia"):
             inertial.remove(old)
         moments = [moment + added * (k < 3) for k, moment in enumerate(moments)]

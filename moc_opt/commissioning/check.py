@@ -87,9 +87,7 @@ def _regularity(robot: RobotModel) -> Finding:
     if here.tip < SINGULAR or here.both < SINGULAR:
         return Finding("singular values", text, "cannot", f"the home pose is singular: {cure}")
     near = here.tip < REGULAR[0] or here.both < REGULAR[1]
-    return Finding(
-        "singular values", text, "care" if near else "ok", f"nearly singular: {cure}" if near else ""
-    )
+    return Finding("singular values", text, "care" if near else "ok", f"nearly singular: {cure}" if near else "")
 
 
 def _climb(robot: RobotModel) -> Iterator[Finding]:
@@ -152,12 +150,8 @@ def _weight(robot: RobotModel) -> Finding:
     j = int(np.argmax(share))
     text = f"{robot.data.joint_names[j]} holds {100 * share[j]:.0f} % of its limit"
     if share[j] >= 1.0:
-        return Finding(
-            "gravity at home", text, "cannot", "the arm cannot hold itself: check masses and torque limits"
-        )
-    return Finding(
-        "gravity at home", text, *(("care", "little torque is left to move") if share[j] > 0.7 else ("ok",))
-    )
+        return Finding("gravity at home", text, "cannot", "the arm cannot hold itself: check masses and torque limits")
+    return Finding("gravity at home", text, *(("care", "little torque is left to move") if share[j] > 0.7 else ("ok",)))
 
 
 def _bodies(robot: RobotModel) -> Finding:

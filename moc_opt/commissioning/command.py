@@ -15,9 +15,7 @@ def add_commands(commands: Any) -> None:
     """Add ``robot new`` and ``robot check`` to argparse's subparsers."""
     robot = commands.add_parser("robot", help="a robot file from a URDF, or what holds for a robot")
     kinds = robot.add_subparsers(dest="robot_command", required=True)
-    new = kinds.add_parser(
-        "new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF"
-    )
+    new = kinds.add_parser("new", help="write a robot file (TOML, and a URDF beside it) from any vendor's URDF")
     new.add_argument("source", type=Path, metavar="ARM.urdf")
     new.add_argument("--tip", metavar="LINK", help="the link that carries the tool")
     new.add_argument("--tool", type=float, default=0.30, metavar="M", help="length of the tool [m]")
@@ -25,11 +23,7 @@ def add_commands(commands: Any) -> None:
         "--wrist", type=float, metavar="M", help="from wrist point to mount along the shaft [m]; else found"
     )
     new.add_argument(
-        "--lock",
-        action="append",
-        default=[],
-        metavar="JOINT[=VALUE]",
-        help="fix this joint [rad, m]; may be repeated",
+        "--lock", action="append", default=[], metavar="JOINT[=VALUE]", help="fix this joint [rad, m]; may be repeated"
     )
     new.add_argument(
         "--base-rpy", nargs=3, type=float, default=(0.0, 0.0, 0.0), metavar=("R", "P", "Y"),

@@ -97,11 +97,7 @@ def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
     for k, q in enumerate(poses):
         left = freedoms(robot, q)
         if left.tip >= REGULAR[0] and left.both >= REGULAR[1]:
-            scores[k] = (
-                limit_shares(robot, q)[moving].min()
-                + min(left.tip, 2.0 * left.both)
-                + 0.25 * mu[k] / mu.max()
-            )
+            scores[k] = limit_shares(robot, q)[moving].min() + min(left.tip, 2.0 * left.both) + 0.25 * mu[k] / mu.max()
     best = [int(k) for k in np.argsort(-scores)[:SHORTLIST] if np.isfinite(scores[k])]
     homes: list[Home] = []
     for q in np.round(poses[best], 2):

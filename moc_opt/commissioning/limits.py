@@ -65,9 +65,7 @@ def choose_limits(arm: VendorArm) -> list[str]:
     return weak
 
 
-def _range(
-    name: str, endless: bool, unit: Unit, given: dict[str, float], notes: list[str]
-) -> tuple[float, float]:
+def _range(name: str, endless: bool, unit: Unit, given: dict[str, float], notes: list[str]) -> tuple[float, float]:
     lower, upper = given.get("lower", 0.0), given.get("upper", 0.0)
     if lower > upper and not endless:
         raise RobotError(

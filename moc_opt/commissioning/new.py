@@ -91,9 +91,7 @@ def new_robot(
     out.parent.mkdir(parents=True, exist_ok=True)
     note = "".join(f"\n  - {line}" for line in arm.notes).replace("--", "- -")
     beside.write_text(
-        text.replace(
-            ">\n", f">\n  <!-- Made from {_plain(source.name)}. What was assumed:{note}\n  -->\n", 1
-        ),
+        text.replace(">\n", f">\n  <!-- Made from {_plain(source.name)}. What was assumed:{note}\n  -->\n", 1),
         encoding="utf-8",
     )
     out.write_text(toml, encoding="utf-8")
@@ -142,8 +140,7 @@ class _Draft:
         path = self._folder / f"{self._name}.toml"
         path.with_suffix(".urdf").write_text(urdf.to_text(self._arm.root), encoding="utf-8")
         path.write_text(
-            robot_toml(self._name, self._arm, self._shaft, self._tool_m, self._drives, inside),
-            encoding="utf-8",
+            robot_toml(self._name, self._arm, self._shaft, self._tool_m, self._drives, inside), encoding="utf-8"
         )
         return load_robot(path)
 

@@ -57,9 +57,7 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
         note = "the last joint slides: the tool runs along z of the last link"
     else:
         (point, axis), before = turning[-1], turning[:-1]
-        crossing = next(
-            (line for line in reversed(before) if np.linalg.norm(np.cross(line[1], axis)) > 1e-3), None
-        )
+        crossing = next((line for line in reversed(before) if np.linalg.norm(np.cross(line[1], axis)) > 1e-3), None)
         foot = origin if crossing is None else _foot(point, axis, *crossing)
         ahead = float(axis @ (origin - foot))
         if abs(ahead) < 1e-4:  # the flange stands on the crossing: z of the link decides
@@ -79,9 +77,7 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
     elif behind < _SAME:
         behind, note = 0.0, f"{note}; the wrist point is the mount"
     else:
-        note = (
-            f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the axis before it"
-        )
+        note = f"{note}; the wrist point, {behind:.4g} m behind the mount, is the nearest to the axis before it"
     down = place.rotation.T @ direction
     mount = _tidy(place.rotation.T @ (origin - place.translation))
     return Shaft(_tidy(mount - behind * down), mount, _towards(down), behind, note)

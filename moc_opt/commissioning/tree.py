@@ -29,9 +29,7 @@ class LinkTree:
             self.carried[end(joint, "parent")].append(joint)
         bases = [link for link in self.links if link not in self.carrier]
         if len(bases) != 1:
-            raise RobotError(
-                f"urdf has {len(bases)} links that hang on no joint {bases[:5]}: one base is needed"
-            )
+            raise RobotError(f"urdf has {len(bases)} links that hang on no joint {bases[:5]}: one base is needed")
         self.base = bases[0]
         self._check_reached()
 
@@ -59,10 +57,7 @@ class LinkTree:
 
     def depth(self, link: str, locked: Mapping[str, float]) -> int:
         """Count the most moving joints in a row that hang on this link."""
-        return max(
-            (moves(j, locked) + self.depth(end(j, "child"), locked) for j in self.carried[link]), default=0
-        )
-
+        return max((moves(j, locked) + self.depth(end(j, "child"), locked) for j in self.carried[link]), default=0)
 
     def arms(self, locked: Mapping[str, float]) -> list[str]:
         """Return the links at which chains of `ARM` moving joints and more end, the longest chains first.

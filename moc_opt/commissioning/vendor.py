@@ -60,9 +60,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     text, undeclared = _declared(read_text(path, "urdf", RobotError))
     given = urdf.parse(text)
     if any("xacro" in str(element.tag) for element in given) or _in_braces(given):
-        raise RobotError(
-            f"urdf {str(path)!r} is a xacro file: expand it first (xacro {path.name} > arm.urdf)"
-        )
+        raise RobotError(f"urdf {str(path)!r} is a xacro file: expand it first (xacro {path.name} > arm.urdf)")
     mimics = {joint.get("name", ""): joint.find("mimic") for joint in given.findall("joint")}
     arm = VendorArm(_bare(given), "")
     if undeclared:
@@ -83,9 +81,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
             )
     chain = [j for j in path_to_tip if j.get("type") in MOVING and j.get("name") not in positions]
     if not chain:
-        raise RobotError(
-            f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip"
-        )
+        raise RobotError(f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip")
     arm.chain = [joint.get("name", "") for joint in chain]
     _prune(arm, tree, chain[0])
     bodies.mend(arm.root, arm.notes)
@@ -195,9 +191,7 @@ def _prune(arm: VendorArm, tree: LinkTree, first: ET.Element) -> None:
         keep.update(tree.carried[link])
     links += [tree.base, *(end(joint, "child") for joint in tree.path(still))]
     dropped = [
-        e
-        for e in arm.root
-        if (e.tag == "joint" and e not in keep) or (e.tag == "link" and e.get("name") not in links)
+        e for e in arm.root if (e.tag == "joint" and e not in keep) or (e.tag == "link" and e.get("name") not in links)
     ]
     for element in dropped:
         arm.root.remove(element)

@@ -57,9 +57,7 @@ class Arm:
             offsets=without_dust(chain.offsets),
             mass=np.array([body.mass for body in bodies]),
             first_moment=without_dust(np.array([body.mass * body.lever for body in bodies])),
-            inertia=without_dust(
-                np.array([b.inertia - b.mass * c @ c for b, c in zip(bodies, crosses, strict=True)])
-            ),
+            inertia=without_dust(np.array([b.inertia - b.mass * c @ c for b, c in zip(bodies, crosses, strict=True)])),
             rotor_inertia=robot.data.rotor_inertia,
             gravity=np.array(model.gravity.linear),
             moves=robot.moves,

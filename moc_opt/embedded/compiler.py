@@ -36,9 +36,7 @@ def find_compiler() -> list[str]:
     for command in [asked] if asked else (["cc"], ["gcc"], ["clang"]):
         if shutil.which(command[0]) is not None:
             return command
-    named = (
-        f"CC = {shlex.join(asked)!r} is not on the path" if asked else "neither cc, gcc nor clang is there"
-    )
+    named = f"CC = {shlex.join(asked)!r} is not on the path" if asked else "neither cc, gcc nor clang is there"
     raise CompilerError(f"no C compiler: {named}; install one (Debian: apt install gcc) or set CC")
 
 
@@ -60,12 +58,7 @@ def compile_library(files: Mapping[str, str]) -> Path:
     command = [*compiler, *FLAGS, "-shared", "-fPIC"]
     version = _version(*compiler)
     digest = hashlib.sha256()
-    for part in (
-        *command,
-        version,
-        platform.machine(),
-        *(text for item in sorted(files.items()) for text in item),
-    ):
+    for part in (*command, version, platform.machine(), *(text for item in sorted(files.items()) for text in item)):
         digest.update(part.encode() + b"\0")
     folder = cache_directory()
     library = folder / f"moc_tick-{digest.hexdigest()[:24]}.so"

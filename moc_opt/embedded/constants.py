@@ -129,4 +129,3 @@ def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str
         "MOC_RESIDUAL_SHARE": number(min(1.0, period / guard.residual_s)),
         "MOC_SETTLING_TICKS": str(round(SETTLED / (guard.residual_rate_per_s * period))),
     }
-

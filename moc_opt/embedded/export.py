@@ -39,9 +39,7 @@ def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) ->
     return Recording(q, v, tip_ref, trocar, np.array(tau))
 
 
-def c_files(
-    spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
-) -> tuple[Tick, dict[str, str]]:
+def c_files(spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER) -> tuple[Tick, dict[str, str]]:
     """Generate the tick, and the C files of the bare tick, text by file name.
 
     Raises:
@@ -49,17 +47,12 @@ def c_files(
     """
     tick = build_tick(spec)
     title = f"Control tick ({spec.settings.law.upper()}) of the arm {spec.robot.data.name!r}"
-    texts = {
-        "moc_tick.h": source.header(tick, title, _constants(*spec)),
-        "moc_tick.c": source.implementation(tick),
-    }
+    texts = {"moc_tick.h": source.header(tick, title, _constants(*spec)), "moc_tick.c": source.implementation(tick)}
     texts |= constants(tick, spec, guard)
     return tick, texts | program.bare(tick)
 
 
-def safe_files(
-    spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER
-) -> tuple[Tick, dict[str, str]]:
+def safe_files(spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER) -> tuple[Tick, dict[str, str]]:
     """Generate the tick, and the C files of the whole controller: bare tick, supervisor and safety filter.
 
     Raises:
@@ -107,9 +100,7 @@ def export(
     return written
 
 
-def _constants(
-    robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float
-) -> dict[str, Any]:
+def _constants(robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float) -> dict[str, Any]:
     """What is baked in, for the comment at the top of the header."""
     data = robot.data
     limits = {"q_min [rad]": data.q_min, "q_max [rad]": data.q_max, "v_max [rad/s]": data.v_max,

@@ -89,10 +89,6 @@ def layout(n: int, law: str, rows: int) -> Layout:
         report += (
             Field("x", (n,), "joint velocity that the third level followed [rad/s]"),
             Field("dual", (6,), "multipliers of the rows of tip and wrist; no meaning under a fallback"),
-            Field(
-                "subproblem",
-                (row_length(n),),
-                "A (6,n), b (6,), grad_mu, lower, upper (n,), weights (4,), q (n,)",
-            ),
+            Field("subproblem", (row_length(n),), "A (6,n), b (6,), grad_mu, lower, upper (n,), weights (4,), q (n,)"),
         )
     return Layout(inputs, state, report)

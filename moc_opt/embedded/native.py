@@ -46,18 +46,12 @@ class NativeController:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        settings: ControlSettings,
-        solver: Solver | None = None,
-        period: float = 0.002,
+        self, robot: RobotModel, settings: ControlSettings, solver: Solver | None = None, period: float = 0.002
     ) -> None:
         self.robot, self.settings, self.solver = robot, settings, solver
         plan, texts = _generated(pickle.dumps((robot.data, settings, solver, period)))
         self.library = compile_library(texts)
-        found = ctypes.PyDLL(
-            str(self.library)
-        )  # for a microsecond, letting other threads in costs more than it gives
+        found = ctypes.PyDLL(str(self.library))  # for a microsecond, letting other threads in costs more than it gives
         self._tau = np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         state, self._state = _memory(plan.state)
@@ -180,9 +174,7 @@ class NativeController:
     def _refusal(self) -> RobotError | ControlError:
         for name, value in (("q", self._q), ("v", self._v)):
             if not np.isfinite(value).all():
-                return RobotError(
-                    f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
-                )
+                return RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
         for name, reference in (("tip_ref", self._tip_ref), ("trocar", self._trocar)):
             if not np.isfinite(reference).all():
                 return ControlError(f"{name} = {reference.tolist()} is not finite: check the reference")

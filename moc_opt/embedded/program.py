@@ -39,4 +39,3 @@ def bare(tick: Tick) -> dict[str, str]:
 def guarded(tick: Tick) -> dict[str, str]:
     """Read supervisor, safety filter and what they need, for the law of this tick."""
     return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))
-

@@ -152,13 +152,9 @@ class _Law:
         distance, e, closing, turn = self._shaft_turn(dX)
         pull = -ddX_d - 2 * closing * turn
         ddN_d = ddX_d + self.span * ((pull - ca.dot(e, pull) * e) / distance - ca.dot(turn, turn) * e)
-        across = ca.vertcat(
-            *((at.R @ ca.SX(b)).T for b in _across(self.arm.offsets[0] - self.arm.offsets[1]))
-        )
+        across = ca.vertcat(*((at.R @ ca.SX(b)).T for b in _across(self.arm.offsets[0] - self.arm.offsets[1])))
         A5 = ca.vertcat(at.J_tip, across @ at.J_wrist)
-        wish = ca.vertcat(
-            ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v))
-        )
+        wish = ca.vertcat(ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v)))
         return factor @ _orthogonal_effort(ca.solve(factor, A5.T), wish)
 
     def _third_level(self, solver: Solver | None) -> None:
@@ -201,8 +197,7 @@ class _Law:
             margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         )  # fmt: skip
         box = swivel.Box(
-            ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max),
-            ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max),
+            ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max), ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max)
         )
         gradient = self.grad_mu
         if settings.shaft_margin_m2 > 0.0:

@@ -25,9 +25,7 @@ def checked_address(host: str, *, public: bool = False) -> str:
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError) as error:
-        raise LiveError(
-            f"--host {host!r}: no such host ({error}); leave it out for this machine alone"
-        ) from error
+        raise LiveError(f"--host {host!r}: no such host ({error}); leave it out for this machine alone") from error
     addresses = [str(entry[4][0]).partition("%")[0] for entry in found]
     open_ones = [address for address in addresses if not ip_address(address).is_loopback]
     if open_ones and not public:

@@ -73,9 +73,7 @@ class MovingTrocars:
         self._given, self._breathing_known = (true, registered), breathing_known
         self._true, self._registered = MovingTrocar(true), MovingTrocar(registered)
 
-    def move(
-        self, offset: Array | None = None, amplitude: float | None = None, period_s: float | None = None
-    ) -> None:
+    def move(self, offset: Array | None = None, amplitude: float | None = None, period_s: float | None = None) -> None:
         """Order another offset (3,) [m], breathing amplitude [m] or period [s]; None: as it is."""
         for trocar in (self._true, self._registered):
             trocar.offset = trocar.offset if offset is None else offset

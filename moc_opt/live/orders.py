@@ -65,9 +65,7 @@ def check_breathing(amplitude_m: float, period_s: float) -> None:
 def check_push(force_N: float, seconds: float) -> None:
     """Raise LiveError where the push is out of range."""
     if not (abs(force_N) <= MOST_PUSH_N and 0.0 < seconds <= MOST_PUSH_S):
-        raise LiveError(
-            f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s"
-        )
+        raise LiveError(f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s")
 
 
 def changed(settings: ControlSettings, **changes: Any) -> ControlSettings:

@@ -18,10 +18,7 @@ from moc_opt.live.run import LiveRun
 COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
-    "µ and the largest on its self-motion curve [m³]": [
-        ("mu", "µ", 1.0, BLUE),
-        ("mu_bound", "largest", 1.0, MUTED),
-    ],
+    "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
     "RCM error, tip error [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
@@ -59,19 +56,12 @@ class Panel:
             self._force = gui.add_slider("Push [N]", min=5.0, max=60.0, step=5.0, initial_value=30.0)
             push = gui.add_button_group("Direction", ("−", "+"))
             push.on_click(
-                lambda _: self._do(
-                    lambda: run.push_elbow(self._force.value * (1.0 if push.value == "+" else -1.0))
-                )
+                lambda _: self._do(lambda: run.push_elbow(self._force.value * (1.0 if push.value == "+" else -1.0)))
             )
         with gui.add_folder("Trocar"):
-            place = [
-                gui.add_slider(f"{axis} [mm]", min=-40.0, max=40.0, step=1.0, initial_value=0.0)
-                for axis in "xyz"
-            ]
+            place = [gui.add_slider(f"{axis} [mm]", min=-40.0, max=40.0, step=1.0, initial_value=0.0) for axis in "xyz"]
             for slider in place:
-                slider.on_update(
-                    lambda _: self._do(lambda: run.place_trocar(*(1e-3 * s.value for s in place)))
-                )
+                slider.on_update(lambda _: self._do(lambda: run.place_trocar(*(1e-3 * s.value for s in place))))
             trocar = run.scenario.trocar
             breath = gui.add_slider(
                 "breathing [mm]", min=0.0, max=30.0, step=0.5,
@@ -85,8 +75,7 @@ class Panel:
                 slider.on_update(lambda _: self._do(lambda: run.breathe(1e-3 * breath.value, period.value)))
         with gui.add_folder("Weights and gains"):
             self._fields = {
-                name: gui.add_text(label, self._written(name), hint=hint)
-                for name, (label, hint) in FIELDS.items()
+                name: gui.add_text(label, self._written(name), hint=hint) for name, (label, hint) in FIELDS.items()
             }
             gui.add_button("Apply").on_click(lambda _: self._do(self._apply))
         pause = gui.add_checkbox("Pause", initial_value=False)
@@ -159,10 +148,7 @@ class Panel:
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
     """A plot without a point yet."""
-    series = [
-        {"label": "t [s]"},
-        *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines),
-    ]
+    series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
     nothing = np.array([0.0, 1.0])
     scales: dict[str, Any] = {"x": {"time": False}}
     grid = {"stroke": "#e3e6e9", "width": 1}

@@ -78,9 +78,7 @@ class LiveRun:
         self._truth = np.empty(2 * self.robot.n + 9)
         first = Choice(self._build(self._control, self._name), self._name, self._control)
         self._in_use = ExchangeableController(self.robot, first, self.period_s, self._refused)
-        self._trocars = MovingTrocars(
-            self._setup.trocar, self._setup.registered, scenario.trocar.breathing_known
-        )
+        self._trocars = MovingTrocars(self._setup.trocar, self._setup.registered, scenario.trocar.breathing_known)
         self._begin()
 
     # --- what may be called from anywhere ---
@@ -119,9 +117,7 @@ class LiveRun:
         """
         with self._building:
             if "law" in settings or "backend" in settings:
-                raise LiveError(
-                    "law, backend: choose(solver) decides on the law; a live run computes in Python"
-                )
+                raise LiveError("law, backend: choose(solver) decides on the law; a live run computes in Python")
             self._exchange(changed(self._control, **settings), self._name)
 
     def place_trocar(self, x_m: float, y_m: float, z_m: float = 0.0) -> None:

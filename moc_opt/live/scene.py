@@ -50,9 +50,7 @@ class LiveScene:
         radii = np.linspace(HOLE_M, WALL_M, 12)
         self._wall = scene.add_frame("/wall", show_axes=False)
         patch = lathe(radii, np.sqrt(0.45**2 - radii**2) - 0.45)
-        scene.add_mesh_simple(
-            "/wall/patch", *patch, color=WALL, opacity=0.45, side="double", cast_shadow=False
-        )
+        scene.add_mesh_simple("/wall/patch", *patch, color=WALL, opacity=0.45, side="double", cast_shadow=False)
         for name, radius in (("opening", HOLE_M), ("edge", WALL_M)):
             turn = np.linspace(0.0, 2.0 * np.pi, 13)
             drop = float(np.sqrt(0.45**2 - radius**2) - 0.45)
@@ -95,8 +93,7 @@ def lathe(radii: Array, heights: Array, around: int = AROUND) -> tuple[Array, ND
     turn = 2.0 * np.pi * np.arange(around) / around
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     rings = np.concatenate(
-        [radii[:, None, None] * circle, np.broadcast_to(heights[:, None, None], (len(radii), around, 1))],
-        axis=2,
+        [radii[:, None, None] * circle, np.broadcast_to(heights[:, None, None], (len(radii), around, 1))], axis=2
     )
     ring, k = np.meshgrid(np.arange(len(radii) - 1), np.arange(around), indexing="ij")
     a, b = ring * around + k, ring * around + (k + 1) % around

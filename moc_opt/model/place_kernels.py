@@ -26,12 +26,7 @@ class ToolPlace(NamedTuple):
 def point_in_world(rotation_t: Array, origin: Array, local: Array, out: Array) -> None:
     """out = origin + R local; the rotation comes transposed, as pinocchio stores it by columns."""
     for i in range(3):
-        out[i] = (
-            origin[i]
-            + rotation_t[0, i] * local[0]
-            + rotation_t[1, i] * local[1]
-            + rotation_t[2, i] * local[2]
-        )
+        out[i] = origin[i] + rotation_t[0, i] * local[0] + rotation_t[1, i] * local[1] + rotation_t[2, i] * local[2]
 
 
 @njit(cache=True)

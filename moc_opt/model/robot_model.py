@@ -27,9 +27,7 @@ from moc_opt.robots import RobotData, load_data
 
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
-_FILL_STATE = CompiledKernel(
-    kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR
-)
+_FILL_STATE = CompiledKernel(kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR)
 _TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, VECTOR, MATRIX, MATRIX, MATRIX, FLAGS)
 _POINTS_ALONG = CompiledKernel(place_kernels.points_along, MATRIX, MATRIX, MATRIX, types.Array(float64, 3, "C"))
 _TOOL_POSE = CompiledKernel(place_kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
@@ -103,9 +101,7 @@ class RobotModel:
         )
         if code != kernels.OK:
             name, value = ("q", position) if code == kernels.BAD_Q else ("v", velocity)
-            raise RobotError(
-                f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it"
-            )
+            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
@@ -182,10 +178,7 @@ class RobotModel:
         pin.computeJointJacobians(self._pin, neutral, np.zeros(self.n))
         turned = [neutral.oMi[j + 1].rotation.T @ neutral.J[3:, j] for j in range(self.n)]
         prismatic = np.array([np.linalg.norm(axis) < 0.5 for axis in turned])
-        axes = [
-            neutral.oMi[j + 1].rotation.T @ neutral.J[:3, j] if prismatic[j] else turned[j]
-            for j in range(self.n)
-        ]
+        axes = [neutral.oMi[j + 1].rotation.T @ neutral.J[:3, j] if prismatic[j] else turned[j] for j in range(self.n)]
         placements = [self._pin.jointPlacements[j + 1] for j in range(self.n)]
         return Chain(
             rotations=np.array([placement.rotation for placement in placements]),
@@ -201,9 +194,7 @@ class RobotModel:
             self._kinematics = build_kinematics(self.data.name, self.chain)
         return self._kinematics
 
-    def random_regular_pose(
-        self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05
-    ) -> Array:
+    def random_regular_pose(self, rng: np.random.Generator, *, margin: float = 0.1, mu_min: float = 0.05) -> Array:
         """Draw a pose (n,) that keeps `margin` of each joint's range from both limits, with mu > `mu_min`.
 
         Raises:
@@ -241,10 +232,7 @@ class RobotModel:
 
 
 def load_robot(
-    name_or_path: str | os.PathLike[str] = "lwr4",
-    *,
-    tool_length: float | None = None,
-    tool_mass: float | None = None,
+    name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotModel:
     """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors.
 
@@ -278,9 +266,7 @@ def _build(data: RobotData) -> Any:
 def _frame(model: Any, name: str) -> Any:
     """The body frame of that name; it must ride on the last joint."""
     if not model.existFrame(name, pin.FrameType.BODY):
-        raise RobotError(
-            f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}"
-        )
+        raise RobotError(f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}")
     frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
     if frame.parentJoint != model.njoints - 1:
         raise RobotError(f"frame {name!r} does not ride on the last joint: fix it to the last link")

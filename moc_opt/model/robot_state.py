@@ -38,9 +38,7 @@ class RobotState:
         _put_n(self, n)
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(
-            f"RobotState is immutable: ask the model for a new state instead of setting {name!r}"
-        )
+        raise AttributeError(f"RobotState is immutable: ask the model for a new state instead of setting {name!r}")
 
     def __delattr__(self, name: str) -> None:
         raise AttributeError(f"RobotState is immutable: {name!r} cannot be deleted")

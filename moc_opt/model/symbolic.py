@@ -100,8 +100,7 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
         joints.append((ca.mtimes(rotation, axis), origin))
     tip, wrist = (origin + ca.mtimes(rotation, ca.DM(offset)) for offset in chain.offsets)
     columns = [
-        axis if slides else ca.cross(axis, tip - at)
-        for (axis, at), slides in zip(joints, chain.prismatic, strict=True)
+        axis if slides else ca.cross(axis, tip - at) for (axis, at), slides in zip(joints, chain.prismatic, strict=True)
     ]
     jacobian = ca.horzcat(*columns)
     mu = ca.sqrt(ca.det(ca.mtimes(jacobian, jacobian.T)))

@@ -43,15 +43,11 @@ class HandsOnSettings(Settings):
     registration_error_m: float = Field(
         0.001, ge=0.0, le=0.005, description="added to what the kinematics say, in a seeded direction"
     )
-    tolerance_m: float = Field(
-        0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near"
-    )
+    tolerance_m: float = Field(0.002, gt=0.0, le=0.05, description="the tip is at the incision when this near")
     rest_speed_m_per_s: float = Field(0.003, gt=0.0, le=0.1, description="a slower tip rests")
     rest_s: float = Field(0.4, gt=0.0, le=10.0, description="it has to rest this long")
     time_limit_s: float = Field(20.0, gt=0.0, le=600.0)
-    distance_max_m: float = Field(
-        0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake"
-    )
+    distance_max_m: float = Field(0.6, gt=0.0, le=3.0, description="an incision farther from the tip is a mistake")
     hand: HandSettings = HandSettings()
     guard: SafetyFilterSettings = SafetyFilterSettings()
 
@@ -89,12 +85,7 @@ class HandsOn:
 
 
 def guide_to(
-    incision: ArrayLike,
-    plant: Plant,
-    robot: RobotModel,
-    settings: HandsOnSettings | None = None,
-    *,
-    seed: int = 0,
+    incision: ArrayLike, plant: Plant, robot: RobotModel, settings: HandsOnSettings | None = None, *, seed: int = 0
 ) -> HandsOn:
     """Let a hand pull the tip to the incision while the arm only carries its own weight.
 

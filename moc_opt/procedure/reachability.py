@@ -151,9 +151,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
         )
 
 
-def _follow(
-    robot: RobotModel, q: Array, places: _Places, reference: TipReference, *, as_given: bool
-) -> Reach:
+def _follow(robot: RobotModel, q: Array, places: _Places, reference: TipReference, *, as_given: bool) -> Reach:
     count = len(places.t)
     poses, shares = np.empty((count, robot.n)), np.empty(count)
     worst: tuple[int, Array] | None = None
@@ -177,9 +175,7 @@ def _follow(
     return Reach(places.t, places.arc, poses, shares, margin, as_given)
 
 
-def _out_of_reach(
-    robot: RobotModel, places: _Places, k: int, wrist: Array, placed: Placed
-) -> UnreachableError:
+def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, placed: Placed) -> UnreachableError:
     names = [robot.data.joint_names[i] for i in placed.at_limit]
     field = "joint limits" if names else ("trocar" if k == 0 else "path")
     stuck = f", with {', '.join(names)} at the limit" if names else ""
@@ -193,9 +189,7 @@ def _out_of_reach(
     )
 
 
-def _too_fast(
-    robot: RobotModel, places: _Places, k: int, rates: Array, reference: TipReference
-) -> UnreachableError:
+def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: TipReference) -> UnreachableError:
     shares = np.abs(rates / robot.v_max)
     i = int(np.argmax(shares))
     # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
@@ -203,8 +197,7 @@ def _too_fast(
     return UnreachableError(
         "v_max",
         places.arc[k],
-        f"{robot.data.joint_names[i]} would have to turn at {abs(rates[i]):.2f} rad/s and can do "
-        f"{robot.v_max[i]:.2f}",
+        f"{robot.data.joint_names[i]} would have to turn at {abs(rates[i]):.2f} rad/s and can do {robot.v_max[i]:.2f}",
         f"lower v_max from {reference.v_max:g} to {0.99 * peak / shares[i]:.3g} m/s or less, or move the path away "
         "from the trocar",
     )

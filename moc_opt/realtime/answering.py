@@ -160,9 +160,7 @@ class Answering:
             if again["flags"] == ENDED:
                 self._link.send(bye)
 
-    def _answer(
-        self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False
-    ) -> Array:
+    def _answer(self, filtered: FilteredController, found: Packet, applied: Array, *, rehearsal: bool = False) -> Array:
         """Do one tick of the control side and send its torque; ``applied`` (n,) [Nm] is what was sent last.
 
         A rehearsal sends nothing: the first tick of a process takes milliseconds.
@@ -200,6 +198,4 @@ class Answering:
 
 def _measurement(packet: Packet) -> Measurement:
     """The measurement of a packet, as arrays of its own."""
-    return Measurement(
-        np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"])
-    )
+    return Measurement(np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"]))

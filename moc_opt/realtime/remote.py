@@ -232,4 +232,3 @@ class RemoteController(Filtered):
             if name in report and row < len(column):
                 value = report[name]
                 column[row] = printable(bytes(value[()]).decode(errors="replace")) if value.dtype.kind == "S" else value
-

@@ -91,10 +91,7 @@ def available_robots() -> list[str]:
 
 
 def load_data(
-    name_or_path: str | os.PathLike[str] = "lwr4",
-    *,
-    tool_length: float | None = None,
-    tool_mass: float | None = None,
+    name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotData:
     """Load a robot by name, from a TOML file (which names its URDF), or from a URDF with a TOML beside it.
 
@@ -202,9 +199,7 @@ def _limits(description: RobotDescription, chain: list[Element]) -> dict[str, Ar
         found = [urdf.limits(joint).get(key) for joint in chain]
         lost = [joint.get("name") for joint, value in zip(chain, found, strict=True) if value is None]
         if lost:
-            raise RobotError(
-                f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}"
-            )
+            raise RobotError(f"{field}: joints {lost} have no {key!r} in their <limit>: add it, or limits.{entry}")
         out[field] = np.array(found, dtype=np.float64)
     if np.any(out["q_min"] >= out["q_max"]):
         i = int(np.argmax(out["q_min"] >= out["q_max"]))

@@ -37,9 +37,7 @@ def number(text: str, what: str, unit: str) -> float:
         raise RobotError(f"urdf: {what} is {text!r:.80}: write a finite decimal number, such as 0.25 or -1e-3")
     value = float(text)
     if abs(value) > LARGEST[unit] or 0.0 < abs(value) < SMALLEST:
-        raise RobotError(
-            f"urdf: {what} is {text!r}: give 0 or a size from {SMALLEST:g} to {LARGEST[unit]:g} ({unit})"
-        )
+        raise RobotError(f"urdf: {what} is {text!r}: give 0 or a size from {SMALLEST:g} to {LARGEST[unit]:g} ({unit})")
     return value
 
 

@@ -93,9 +93,7 @@ def _link(link: ET.Element) -> ET.Element:
     if mass is None or inertia is None:
         raise RobotError(f"urdf link {name!r} has an <inertial> without <mass> or <inertia>: add it or drop <inertial>")
     kilograms = number(mass.get("value", ""), f"mass of link {name!r}", "kg")
-    moments = {
-        key: number(inertia.get(key, "0"), f"inertia {key} of link {name!r}", "kg m^2") for key in _MOMENTS
-    }
+    moments = {key: number(inertia.get(key, "0"), f"inertia {key} of link {name!r}", "kg m^2") for key in _MOMENTS}
     if kilograms == 0.0 and not any(moments.values()):
         return made  # how many vendors write a frame
     if kilograms < SMALLEST_MASS:

@@ -53,9 +53,7 @@ def parse(text: str) -> ET.Element:
     try:
         root = ET.fromstring(text, parser=ET.XMLParser(target=_Bounded()))
     except ET.ParseError as error:
-        raise RobotError(
-            f"urdf is not well-formed XML ({error}): expand xacro files and check the line"
-        ) from error
+        raise RobotError(f"urdf is not well-formed XML ({error}): expand xacro files and check the line") from error
     if root.tag != "robot":
         raise RobotError(f"urdf root is <{root.tag}>: a URDF begins with <robot>")
     return root
@@ -103,8 +101,7 @@ def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
                 new += fixed[link]
         if not body & heavy:
             raise RobotError(
-                f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} "
-                "an <inertial>"
+                f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} an <inertial>"
             )
 
 
@@ -123,9 +120,7 @@ def limits(joint: ET.Element) -> dict[str, float]:
         return {}
     keys = ("lower", "upper", "velocity", "effort")
     where = f"<limit> of joint {joint.get('name')!r}"
-    return {
-        key: number(element.get(key, ""), f"{where}, {key}", "a limit") for key in keys if key in element.attrib
-    }
+    return {key: number(element.get(key, ""), f"{where}, {key}", "a limit") for key in keys if key in element.attrib}
 
 
 def write_limits(joint: ET.Element, lower: float, upper: float, velocity: float, effort: float) -> None:
@@ -159,14 +154,7 @@ def append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
     _fix(root, "tool_mount", frames.last_link, TOOL_LINK, mount, frames.tool_mount_rpy_rad)
     for name, point in ((TIP_LINK, tip), (WRIST_LINK, frames.wrist_xyz_m)):
         ET.SubElement(root, "link", name=name)
-        _fix(
-            root,
-            f"{name}_frame",
-            frames.last_link,
-            name,
-            (point[0], point[1], point[2]),
-            frames.tool_mount_rpy_rad,
-        )
+        _fix(root, f"{name}_frame", frames.last_link, name, (point[0], point[1], point[2]), frames.tool_mount_rpy_rad)
 
 
 def to_text(root: ET.Element) -> str:

@@ -60,9 +60,7 @@ class Drives:
             PlantError: wrong shape.
         """
         if (tau.shape if isinstance(tau, np.ndarray) else np.shape(tau)) != self._tau.shape:
-            raise PlantError(
-                f"tau has shape {np.shape(tau)}: give {self._tau.shape}, one torque a joint [Nm]"
-            )
+            raise PlantError(f"tau has shape {np.shape(tau)}: give {self._tau.shape}, one torque a joint [Nm]")
         self._tau[:] = tau
         return self._tau
 

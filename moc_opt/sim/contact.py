@@ -137,9 +137,7 @@ def load_bodies(
     """
     wrenches[:, :] = 0.0
     if stiffness > 0.0 or damping > 0.0:
-        shaft_force(
-            xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, stiffness, damping, force, point
-        )
+        shaft_force(xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, stiffness, damping, force, point)
         add_force(wrenches[tool], force, point, xipos[tool])
     else:
         force[:] = 0.0

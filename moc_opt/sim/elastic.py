@@ -93,4 +93,3 @@ def gather(pairs: Array, rates: Array, q: Array, v: Array, theta: Array, omega: 
     for i in range(q.size):
         theta[i], omega[i] = pairs[2 * i], rates[2 * i]
         q[i], v[i] = pairs[2 * i] + pairs[2 * i + 1], rates[2 * i] + rates[2 * i + 1]
-

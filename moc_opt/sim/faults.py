@@ -24,26 +24,18 @@ class FaultSettings(PacketSettings):
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    encoder_bias_rad: float = Field(
-        default=0.0, ge=-0.1, le=0.1, description="on every joint, with seeded signs"
-    )
-    encoder_noise_rad: float = Field(
-        default=0.0, ge=0.0, le=0.01, description="more noise, standard deviation"
-    )
+    encoder_bias_rad: float = Field(default=0.0, ge=-0.1, le=0.1, description="on every joint, with seeded signs")
+    encoder_noise_rad: float = Field(default=0.0, ge=0.0, le=0.01, description="more noise, standard deviation")
     nan_at_s: float | None = Field(default=None, ge=0.0, description="the encoders say NaN from then on")
     nan_ticks: int = Field(default=1, ge=1, description="for so many ticks")
-    jump_at_s: float | None = Field(
-        default=None, ge=0.0, description="the encoders jump then, and stay there"
-    )
+    jump_at_s: float | None = Field(default=None, ge=0.0, description="the encoders jump then, and stay there")
     jump_rad: float = Field(default=0.2, description="by this much, on every joint")
 
     bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="sideways push on the elbow")
     bump_at_s: float = Field(default=2.0, ge=0.0, description="when it begins")
     bump_s: float = Field(default=0.3, gt=0.0, description="how long it lasts")
     bump_link: Name = Field(default="link_4", description="the link that is pushed")
-    payload_kg: float = Field(
-        default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model"
-    )
+    payload_kg: float = Field(default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model")
 
     slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
     slip_at_s: float = Field(default=2.0, ge=0.0, description="when it does")
@@ -58,9 +50,7 @@ class FaultSettings(PacketSettings):
     def around_the_arm(self) -> bool:
         """Whether anything but the solver is disturbed: if not, the loop need not ask at every tick."""
         solver = {"solver", "solver_share"}
-        return any(
-            getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver
-        )
+        return any(getattr(self, k) != f.default for k, f in type(self).model_fields.items() if k not in solver)
 
 
 class Faults:

@@ -57,17 +57,13 @@ def build_spec(
     try:
         spec = mujoco.MjSpec.from_string(_bare(data.urdf))
     except (ValueError, ET.ParseError) as error:
-        raise PlantError(
-            f"robot {data.name!r}: MuJoCo cannot read its URDF ({error}): correct the URDF"
-        ) from error
+        raise PlantError(f"robot {data.name!r}: MuJoCo cannot read its URDF ({error}): correct the URDF") from error
 
     spec.option.timestep = substep_s
     spec.option.gravity = GRAVITY if gravity else (0.0, 0.0, 0.0)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     # A diverged state must be reported; MuJoCo would silently put the arm back to zero.
-    spec.option.disableflags = int(
-        mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT
-    )
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CONTACT)
 
     names = tuple(joint.name for joint in spec.joints)
     if names != data.joint_names:
@@ -162,13 +158,9 @@ def _add_sensor(name: str, spec: mujoco.MjSpec) -> None:
     tool = spec.body(TOOL_BODY)
     if tool is None:
         raise PlantError(
-            f"robot {name!r}: its URDF has no link {TOOL_BODY!r}: load it with moc_opt.robots.load_data, "
-            "which adds it"
+            f"robot {name!r}: its URDF has no link {TOOL_BODY!r}: load it with moc_opt.robots.load_data, which adds it"
         )
     tool.add_site(name=MOUNT_SITE)
-    kinds = {
-        FORCE_SENSOR: mujoco.mjtSensor.mjSENS_FORCE,
-        TORQUE_SENSOR: mujoco.mjtSensor.mjSENS_TORQUE,
-    }
+    kinds = {FORCE_SENSOR: mujoco.mjtSensor.mjSENS_FORCE, TORQUE_SENSOR: mujoco.mjtSensor.mjSENS_TORQUE}
     for sensor, kind in kinds.items():
         spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=MOUNT_SITE)

@@ -23,9 +23,7 @@ class PacketSettings(Settings):
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    drop_share: float = Field(
-        default=0.0, ge=0.0, le=1.0, description="of the measurements that never arrive"
-    )
+    drop_share: float = Field(default=0.0, ge=0.0, le=1.0, description="of the measurements that never arrive")
     late_ticks: int = Field(default=0, ge=0, le=50, description="measurements arrive so much later")
     frozen_at_s: float | None = Field(default=None, ge=0.0, description="readings repeat themselves from then on")
     frozen_ticks: int = Field(default=1_000_000, ge=1, description="for so many ticks")

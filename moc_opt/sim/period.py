@@ -66,9 +66,7 @@ def write_truth(
     force = truth[2 * n + 6 :]
     force[:] = 0.0
     if tissue[0] > 0.0 or tissue[1] > 0.0:
-        shaft_force(
-            xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, tissue[0], tissue[1], force, point
-        )
+        shaft_force(xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, tissue[0], tissue[1], force, point)
 
 
 @njit(cache=True, nogil=True)

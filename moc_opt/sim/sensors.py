@@ -147,9 +147,7 @@ class Encoders:
 class WrenchSensor:
     """Noise on the wrench that the tool exerts on the mount."""
 
-    def __init__(
-        self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0
-    ) -> None:
+    def __init__(self, rng: np.random.Generator, *, force_noise_N: float = 0.0, torque_noise_Nm: float = 0.0) -> None:
         """Build it with the standard deviations of one axis."""
         self.noise = _Noise(rng, np.repeat([force_noise_N, torque_noise_Nm], 3))
 
@@ -237,9 +235,7 @@ class ToolLoad:
         columns = np.concatenate([down.reshape(-1, 1), np.tile(np.eye(3), (k, 1))], axis=1)
         mass, *force_bias = np.linalg.lstsq(columns, wrenches[:, :3].reshape(-1), rcond=None)[0]
         if not mass > 0.0:
-            raise PlantError(
-                f"the readings make a tool of {mass:.3g} kg: give what the tool exerts on the mount, in N"
-            )
+            raise PlantError(f"the readings make a tool of {mass:.3g} kg: give what the tool exerts on the mount, in N")
         # Linear in m com: column j of (m com) x g is e_j x g.
         lever = np.cross(np.eye(3), down[:, None, :]).transpose(0, 2, 1).reshape(-1, 3)
         columns = np.concatenate([lever, np.tile(np.eye(3), (k, 1))], axis=1)
@@ -257,9 +253,7 @@ class ToolLoad:
         weight = self.mass * (turn.T @ (_GRAVITY - _vector("acceleration", acceleration, (3,))))
         return np.concatenate([weight, np.cross(self.com, weight)]) + self.bias
 
-    def external(
-        self, reading: ArrayLike, rotation: ArrayLike, acceleration: ArrayLike = (0.0, 0.0, 0.0)
-    ) -> Array:
+    def external(self, reading: ArrayLike, rotation: ArrayLike, acceleration: ArrayLike = (0.0, 0.0, 0.0)) -> Array:
         """Estimate the external wrench (6,) on the tool: force [N], torque about the sensor [Nm], world axes.
 
         Args:

@@ -32,13 +32,9 @@ class PlantSettings(Settings):
     period_s: float = Field(0.002, gt=0, le=0.1, description="control period")
     substeps: int = Field(2, ge=1, le=1000, description="plant steps in a control period, each 1 ms at most")
     gravity: bool = Field(True, description="9.81 m/s^2 along -z, or none")
-    mass_error: float = Field(
-        0.10, ge=0, le=0.9, description="link masses scaled by 1 +- this, uniform per link"
-    )
+    mass_error: float = Field(0.10, ge=0, le=0.9, description="link masses scaled by 1 +- this, uniform per link")
     friction: float = Field(1.0, ge=0, le=10, description="scale on the robot's viscous and Coulomb friction")
-    friction_error: float = Field(
-        0.20, ge=0, lt=1, description="friction scaled by 1 +- this, uniform per joint"
-    )
+    friction_error: float = Field(0.20, ge=0, lt=1, description="friction scaled by 1 +- this, uniform per joint")
     calibration_error_m: float = Field(
         0.0002, ge=0, le=0.05, description="every joint's origin, and the tool's mount, is this far off the model"
     )
@@ -60,20 +56,14 @@ class PlantSettings(Settings):
     joint_spring_damping_Nm_s_per_rad: float = Field(
         30.0, ge=0, le=1e4, description="in parallel with it, mostly what the torque feedback of the drive puts there"
     )
-    torque_ripple: float = Field(
-        0.0, ge=0, le=0.5, description="amplitude, as a share of the joint's largest torque"
-    )
-    torque_ripple_per_turn: float = Field(
-        200.0, gt=0, le=1e5, description="periods of it in one turn of the joint"
-    )
+    torque_ripple: float = Field(0.0, ge=0, le=0.5, description="amplitude, as a share of the joint's largest torque")
+    torque_ripple_per_turn: float = Field(200.0, gt=0, le=1e5, description="periods of it in one turn of the joint")
     force_noise_N: float = Field(0.05, ge=0, description="standard deviation, per axis")
     torque_noise_Nm: float = Field(0.002, ge=0, description="standard deviation, per axis")
     delay_ticks: int = Field(1, ge=0, le=100, description="control periods from command to torque")
     trocar_stiffness_N_per_m: float = Field(800.0, ge=0, le=1e6, description="abdominal wall: 500 to 3000")
     trocar_damping_Ns_per_m: float = Field(10.0, ge=0, le=1e4, description="of the abdominal wall")
-    trocar_registration_error_m: float = Field(
-        0.0005, ge=0, le=0.1, description="trocar is this far from its map"
-    )
+    trocar_registration_error_m: float = Field(0.0005, ge=0, le=0.1, description="trocar is this far from its map")
 
     @model_validator(mode="after")
     def _fine_enough(self) -> Self:

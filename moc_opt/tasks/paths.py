@@ -118,9 +118,7 @@ def circle(start: ArrayLike, center_direction: ArrayLike, *, radius: float, norm
     """
     heading = np.cross(direction3("center_direction", center_direction), direction3("normal", normal))
     if math.sqrt(float(heading @ heading)) < 1e-6:
-        raise TaskError(
-            f"center_direction = {center_direction!r} is parallel to the normal {normal!r}: choose another"
-        )
+        raise TaskError(f"center_direction = {center_direction!r} is parallel to the normal {normal!r}: choose another")
     return Path(Circle(radius), start, normal=normal, heading=heading)
 
 

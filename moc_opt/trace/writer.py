@@ -168,4 +168,3 @@ def _stored(folder: Path) -> Stored:
     if not blocks:
         raise TraceError(f"{folder} holds no rows: the run ended before its first tick")
     return Stored(blocks)
-

@@ -22,9 +22,7 @@ _FINER = 2  # pixels drawn for each pixel of the picture, each way: the markers'
 class DrawnView:
     """Draws the board by a perspective warp, covers and the tool's shaft as polygons, then exposes the sensor."""
 
-    def __init__(
-        self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, camera: Camera, board: Board, *, shaft: Shaft | None = None, seed: int = 0) -> None:
         """Prepare.
 
         Args:
@@ -54,12 +52,7 @@ class DrawnView:
             flat = np.stack([pose.R[:, 0], pose.R[:, 1], pose.t], axis=1)
             onto = self._finer @ self._camera.matrix @ flat @ self._to_board
             cv2.warpPerspective(
-                self._page,
-                onto,
-                page.shape[1::-1],
-                dst=page,
-                flags=cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_TRANSPARENT,
+                self._page, onto, page.shape[1::-1], dst=page, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
             )
             for marker in scene.hidden:
                 spot = scene.board_in_base.apply(_cover(self._board, marker))

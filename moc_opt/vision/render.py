@@ -51,9 +51,7 @@ class RenderedView:
     is drawn at a given pose and never stepped. GL contexts belong to the thread that made them.
     """
 
-    def __init__(
-        self, data: RobotData, camera: Camera, board: Board, *, seed: int = 0
-    ) -> None:
+    def __init__(self, data: RobotData, camera: Camera, board: Board, *, seed: int = 0) -> None:
         """Build the scene and its GL context.
 
         Args:
