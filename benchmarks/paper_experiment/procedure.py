@@ -93,7 +93,7 @@ def _perform(job: ProcedureJob) -> dict[str, Any]:
     estimate = scene.locate(guided.q)
     path = scene.task(task, estimate)
 
-    q = pose_through(robot, path.start, guided.registered, q=robot.data.q_home)
+    q = pose_through(robot, path.start, guided.registered)
     q = self_motion(robot, q).at(np.random.default_rng(swivel_seed).uniform(0.05, 0.95))
     trocars = (guided.trocar, guided.registered)
     trace, waited, lost = _run(job, plant, scene, path, q, trocars)

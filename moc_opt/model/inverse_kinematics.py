@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -64,7 +63,10 @@ def solve_pose(
     damping, last = 1e-12, np.inf
     best, miss = pose, np.inf
     for _ in range(iterations):
-        error, jacobian = _residual(robot, pose, tip, wrist)
+        state = robot.state(pose)
+        error, jacobian = tip - state.tip, state.J_tip
+        if wrist is not None:
+            error, jacobian = np.concatenate([error, wrist - state.wrist]), state.A
         worst = float(np.abs(error).max())
         if worst < miss:
             best, miss = pose, worst
@@ -98,13 +100,11 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
     return placed.q
 
 
-def pose_through(
-    robot: RobotModel, tip: ArrayLike, trocar: ArrayLike, *, q: ArrayLike | None = None, seed: int = 0
-) -> Array:
-    """A pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m].
+def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
+    """Find a pose (n,) with the tip at a point and the shaft through the trocar, both (3,) [m].
 
-    Tried from q first, then from the home pose, then from seeded random poses, of which the solution farthest
-    from the joint limits is taken.
+    Tried from the home pose first, then from seeded random poses, of which the solution farthest from the joint limits
+    is taken.
 
     Raises:
         TaskError: the trocar is not on the shaft's length, or no pose is found.
@@ -118,11 +118,11 @@ def pose_through(
         )
     rest = np.zeros(3)
     wrist, _ = wrist_through(x, rest, p, rest, robot.state(robot.data.q_home).tool_span)
-    placed = solve_pose(robot, robot.data.q_home if q is None else q, x, wrist, iterations=100)
+    placed = solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)
     if placed.found:
         return placed.q
     nearest, good = placed, []
-    for start in _starts(robot, seed):
+    for start in np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (_RESTARTS, robot.n)):
         placed = solve_pose(robot, start, x, wrist, iterations=60)
         nearest = min(nearest, placed, key=lambda each: each.miss_m)
         if placed.found:
@@ -135,20 +135,6 @@ def pose_through(
         )
     room = np.minimum(robot.q_max - np.array(good), np.array(good) - robot.q_min).min(axis=1)
     return good[int(np.argmax(room))]
-
-
-def _starts(robot: RobotModel, seed: int) -> Iterator[Array]:
-    yield np.array(robot.data.q_home)
-    rng = np.random.default_rng(seed)
-    for _ in range(_RESTARTS):
-        yield rng.uniform(robot.q_min, robot.q_max)
-
-
-def _residual(robot: RobotModel, q: Array, tip: Array, wrist: Array | None) -> tuple[Array, Array]:
-    state = robot.state(q)
-    if wrist is None:
-        return tip - state.tip, state.J_tip
-    return np.concatenate([tip - state.tip, wrist - state.wrist]), state.A
 
 
 def _step(robot: RobotModel, q: Array, error: Array, jacobian: Array, damping: float) -> Array:

@@ -8,8 +8,7 @@ import numpy as np
 
 from moc_opt.errors import TaskError
 from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.tasks import Trocar
-from moc_opt.tasks.sequence import TipReference
+from moc_opt.tasks import Reference, Trocar
 
 SHALLOWEST_M = 0.002
 """Nearer to the trocar the shaft has no direction."""
@@ -42,7 +41,7 @@ class Targets:
 
 
 def lay_targets(
-    reference: TipReference, trocar: Trocar, span_m: float, duration_s: float, count: int,
+    reference: Reference, trocar: Trocar, span_m: float, duration_s: float, count: int,
     tool_m: float = np.inf,
 ) -> Targets:  # fmt: skip
     """Sample the reference and the trocar at ``count`` times from 0 to the end.

@@ -165,7 +165,8 @@ def _guide(
     # The arm is in no incision yet: the safety filter has no trocar to check.
     safety_filter = SafetyFilter(robot.data, guard, period, robot.gravity, slides=robot.chain.prismatic)
     loop = ClosedLoop(plant, law, safety_filter, Stop(guard.stop_damping_Nm_s_per_rad, guard.stop_s))
-    hand, point = Hand(settings.hand, period), _tip_on_tool(plant)
+    hand, tool, tip = Hand(settings.hand, period), plant.mj_data.body("tool"), plant.mj_data.body(robot.data.tip_frame)
+    point = tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos)  # where the hand holds the tool, in its own frame [m]
     gain = -math.expm1(-2.0 * math.pi * _SPEED_FILTER_Hz * period)
     needed = max(1, round(settings.rest_s / period))
     slow, reached = np.zeros(3), False
@@ -174,7 +175,8 @@ def _guide(
     ticks = math.ceil(settings.time_limit_s / period)
     loop.start(_NO_REFERENCE, _NO_TROCAR)
     while len(resting) < needed and loop.ticks < ticks and not loop.finished:
-        force = hand.pull(plant.tip, _tip_velocity(plant, robot), goal)
+        # The model has the plant's geometry, and differs in masses only: this is the tip's true velocity.
+        force = hand.pull(plant.tip, robot.state(plant.q, plant.v).J_tip @ plant.v, goal)
         plant.push("tool", force, point)
         rows.append({
             "t_s": plant.time, "q_rad": plant.q, "v_rad_per_s": plant.v, "tip_m": plant.tip, "wrist_m": plant.wrist,
@@ -198,15 +200,3 @@ def _guide(
         status = HandsOnStatus.RESTLESS if reached else HandsOnStatus.SHORT
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return columns, np.array(resting), status, np.array(law.seen.q), loop.stop_reason
-
-
-def _tip_velocity(plant: Plant, robot: RobotModel) -> Array:
-    """True velocity of the tip (3,) [m/s]: the model has the plant's geometry, and differs in masses only."""
-    state: RobotState = robot.state(plant.q, plant.v)
-    return state.J_tip @ state.v
-
-
-def _tip_on_tool(plant: Plant) -> Array:
-    """The tip in the tool's own frame (3,) [m], where the hand holds it."""
-    tool, tip = plant.mj_data.body("tool"), plant.mj_data.body(plant.data.tip_frame)
-    return np.asarray(tool.xmat.reshape(3, 3).T @ (tip.xpos - tool.xpos))

@@ -13,12 +13,13 @@ from moc_opt.errors import RobotError, ScenarioError
 from moc_opt.model.robot_model import RobotModel, RobotState
 from moc_opt.numerics.arrays import Array
 from moc_opt.procedure.reachability import Reach, UnreachableError, check_reachable
+from moc_opt.redundancy.freedoms import freedoms
 from moc_opt.tasks import Reference, Trocar
 
 Found = TypeVar("Found")
 
 SINGULAR = (1e-4, 1e-4)
-"""Smallest singular value over the largest: of the tip's Jacobian, and of the tip's and the wrist's together."""
+"""Least `Freedoms.tip` and `Freedoms.both`."""
 REGULAR = (0.1, 0.05)
 """The same at a random start and along the path from it. The home pose of the LWR4+ has 0.41 and 0.14."""
 DRAWN_MARGIN = 0.1
@@ -47,9 +48,9 @@ def check_start(robot: RobotModel, q: ArrayLike) -> RobotState:
             f"{robot.data.joint_names[i]!r}: choose {robot.q_min[i]:.6g} to {robot.q_max[i]:.6g}"
         )
     state = robot.state(pose)
-    tip, both = _regularity(state)
-    if tip < SINGULAR[0] or both < SINGULAR[1]:
-        lost = tip < SINGULAR[0]
+    left = freedoms(robot, pose)
+    lost = left.tip < SINGULAR[0]
+    if lost or left.both < SINGULAR[1]:
         what = "the tip cannot move in every direction" if lost else "the tool cannot be turned in every direction"
         raise ScenarioError(
             f"[start] q_rad = {np.round(pose, 4).tolist()} is singular (mu = {state.mu:.2g} m^3): {what}; bend the "
@@ -80,12 +81,9 @@ def check_path(
 
 
 def random_start(
-    robot: RobotModel,
-    rng: np.random.Generator,
-    swivelled: Callable[[Array], Array],
-    lay_out: Callable[[Array], tuple[Found, Reach]],
-    margins: Array,
-) -> Found:
+    robot: RobotModel, rng: np.random.Generator, swivelled: Callable[[Array], Array],
+    lay_out: Callable[[Array], tuple[Found, Reach]], margins: Array,
+) -> Found:  # fmt: skip
     """Draw poses until one can do the task, and return what was laid out from it.
 
     A pose is drawn evenly from the joints' ranges, less `DRAWN_MARGIN` at both ends, and rejected where, after its
@@ -138,21 +136,11 @@ def random_start(
 
 def _unfit(robot: RobotModel, q: Array, margins: Array) -> str:
     """Why a random start is rejected without a look at the task; "" where it is not."""
-    state = robot.state(q)
-    if any(value < least for value, least in zip(_regularity(state), REGULAR, strict=True)):
+    left, state = freedoms(robot, q), robot.state(q)
+    if left.tip < REGULAR[0] or left.both < REGULAR[1]:
         return "singular"
     if (np.minimum(q - robot.q_min, robot.q_max - q) < margins).any():
         return "joint limits"
     if min(state.tip[2], state.wrist[2]) < 0.0:
         return "below the arm's base"
     return ""
-
-
-def _regularity(state: RobotState) -> tuple[float, float]:
-    """Smallest over largest singular value of J_tip (3,n), and of [J_tip; J_wrist] (6,n).
-
-    Tip and wrist are rigidly tied: the six rows have rank five at most, so that the fifth value counts.
-    """
-    tip = np.linalg.svd(state.J_tip, compute_uv=False)
-    both = np.linalg.svd(state.A, compute_uv=False)
-    return float(tip[2] / tip[0]), float(both[4] / both[0])

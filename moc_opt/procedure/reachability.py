@@ -9,14 +9,14 @@ from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError, TaskError
 from moc_opt.model.inverse_kinematics import Placed, solve_pose, wrist_through
-from moc_opt.model.robot_model import RobotModel, RobotState
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.tasks import Trocar
-from moc_opt.tasks.sequence import TipReference
+from moc_opt.tasks import Reference, Trocar
 
 _TIMES = 1500
 _SHALLOWEST_M = 0.002
+_START_TOLERANCE_M = 0.002
 
 
 class UnreachableError(TaskError):
@@ -64,15 +64,9 @@ class _Places:
 
 
 def check_reachable(
-    robot: RobotModel,
-    q_start: ArrayLike,
-    reference: TipReference,
-    trocar: Trocar | ArrayLike,
-    *,
-    spacing_m: float = 0.002,
-    start_tolerance_m: float = 0.002,
-    until_s: float = np.inf,
-) -> Reach:
+    robot: RobotModel, q_start: ArrayLike, reference: Reference, trocar: Trocar | ArrayLike, *,
+    spacing_m: float = 0.002, until_s: float = np.inf,
+) -> Reach:  # fmt: skip
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
     Each point is solved from the pose before it, with the joints that have room taking over from those at a
@@ -84,7 +78,6 @@ def check_reachable(
         reference: where the tip has to be, and when.
         trocar: where the shaft has to pass; a point (3,) [m] rests.
         spacing_m: distance of the points that are looked at [m].
-        start_tolerance_m: how far the tip may be from the start of the reference [m].
         until_s: time at which the run ends [s]: what the reference does later is not looked at.
 
     Raises:
@@ -94,7 +87,10 @@ def check_reachable(
     """
     state = robot.state(q_start)
     places = _places(reference, trocar if isinstance(trocar, Trocar) else Trocar(trocar), spacing_m, until_s)
-    _check_start(state, places, start_tolerance_m)
+    away = float(np.linalg.norm(state.tip - places.tip[0]))
+    if away > _START_TOLERANCE_M:
+        problem = f"the reference begins {1e3 * away:.1f} mm from the tip"
+        raise UnreachableError("start", 0.0, problem, "begin it at the tip, or put a line from the tip before it")
     _check_depth(robot, places)
     try:
         return _follow(robot, state.q, places, reference, as_given=True)
@@ -109,7 +105,7 @@ def check_reachable(
         raise
 
 
-def _places(reference: TipReference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
+def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
     end = max(reference.t_start, min(reference.t_start + reference.duration, until_s))
     times = np.linspace(reference.t_start, end, _TIMES)
     rows = np.array([reference.rows(t) for t in times.tolist()])
@@ -119,17 +115,6 @@ def _places(reference: TipReference, trocar: Trocar, spacing_m: float, until_s: 
     points = np.array([trocar.rows(t) for t in times[chosen].tolist()])
     kept = rows[chosen]
     return _Places(times[chosen], arc[chosen], kept[:, 0], kept[:, 1], points[:, 0], points[:, 1])
-
-
-def _check_start(state: RobotState, places: _Places, tolerance: float) -> None:
-    away = float(np.linalg.norm(state.tip - places.tip[0]))
-    if away > tolerance:
-        raise UnreachableError(
-            "start",
-            0.0,
-            f"the reference begins {1e3 * away:.1f} mm from the tip",
-            "begin it at the tip, or put a line from the tip before it",
-        )
 
 
 def _check_depth(robot: RobotModel, places: _Places) -> None:
@@ -151,7 +136,7 @@ def _check_depth(robot: RobotModel, places: _Places) -> None:
         )
 
 
-def _follow(robot: RobotModel, q: Array, places: _Places, reference: TipReference, *, as_given: bool) -> Reach:
+def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference, *, as_given: bool) -> Reach:
     count = len(places.t)
     poses, shares = np.empty((count, robot.n)), np.empty(count)
     worst: tuple[int, Array] | None = None
@@ -189,7 +174,7 @@ def _out_of_reach(robot: RobotModel, places: _Places, k: int, wrist: Array, plac
     )
 
 
-def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: TipReference) -> UnreachableError:
+def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, reference: Reference) -> UnreachableError:
     shares = np.abs(rates / robot.v_max)
     i = int(np.argmax(shares))
     # Joint speeds go with the tip's, which may peak below v_max where the acceleration is what limits it.
@@ -220,11 +205,9 @@ def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
     base = shortest / robot.v_max
     ones = np.ones((robot.n, 1))
     found = linprog(
-        c=[*([0.0] * free.shape[1]), 1.0],
-        A_ub=np.block([[free, -ones], [-free, -ones]]),
-        b_ub=np.concatenate([-base, base]),
-        bounds=[(None, None)] * (free.shape[1] + 1),
-    )
+        c=[*([0.0] * free.shape[1]), 1.0], A_ub=np.block([[free, -ones], [-free, -ones]]),
+        b_ub=np.concatenate([-base, base]), bounds=[(None, None)] * (free.shape[1] + 1),
+    )  # fmt: skip
     return shortest if found.x is None else shortest + right[rank:].T @ found.x[:-1]
 
 

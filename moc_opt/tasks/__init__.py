@@ -2,8 +2,8 @@
 
 Read first: ``curves`` (shapes; add yours to ``CURVES``) and ``paths`` (a shape put into space), then
 ``kinds`` (paths by name, those of other packages too), ``waypoints`` (any points in space),
-``timelaw`` (``Reference``: X_d and its derivatives) and ``trocar``. ``sequence`` joins references,
-``waiting`` lets one wait. Imports ``errors``, ``inputs`` and numpy alone.
+``timelaw`` (``Reference``: X_d and its derivatives) and ``trocar``. ``waiting`` lets one wait.
+Imports ``errors``, ``inputs`` and numpy alone.
 """
 
 from __future__ import annotations

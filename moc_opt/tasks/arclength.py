@@ -88,10 +88,7 @@ def _hermite(w: Floats, lengths: Floats, speed: Floats, slope: Floats) -> Floats
     c0, c1 = second[:-1] * lengths**2, second[1:] * lengths**2
     return np.stack(
         [
-            w[:-1],
-            m0,
-            0.5 * c0,
-            10.0 * rise - 6.0 * m0 - 4.0 * m1 - 1.5 * c0 + 0.5 * c1,
+            w[:-1], m0, 0.5 * c0, 10.0 * rise - 6.0 * m0 - 4.0 * m1 - 1.5 * c0 + 0.5 * c1,
             -15.0 * rise + 8.0 * m0 + 7.0 * m1 + 1.5 * c0 - c1,
             6.0 * rise - 3.0 * m0 - 3.0 * m1 - 0.5 * c0 + 0.5 * c1,
         ],

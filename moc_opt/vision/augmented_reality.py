@@ -54,11 +54,6 @@ class Watch:
     boards: tuple[Pose, ...]
     """the tracked board in the base frame; the last one while it is lost"""
 
-    def shifts(self, anchor: Pose, point: ArrayLike) -> Array:
-        """Return how far a point (3,) of a task, planned at the pose `anchor`, has moved with the board, (k, 3) [m]."""
-        place = np.asarray(point, dtype=np.float64)
-        return np.array([(board @ anchor.inverse()).apply(place) - place for board in self.boards])
-
 
 class Augmented:
     """An endoscope that looks at a phantom's board, and what the robot makes of its pictures.
@@ -68,15 +63,9 @@ class Augmented:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        phantom_in_base: Pose,
-        *,
-        camera: CameraSettings | None = None,
-        board: BoardSettings | None = None,
-        tracker: TrackerSettings | None = None,
-        seed: int = 0,
-    ) -> None:
+        self, robot: RobotModel, phantom_in_base: Pose, *, camera: CameraSettings | None = None,
+        board: BoardSettings | None = None, tracker: TrackerSettings | None = None, seed: int = 0,
+    ) -> None:  # fmt: skip
         """Set everything up.
 
         Args:
@@ -111,11 +100,9 @@ class Augmented:
             TaskError: t does not rise.
         """
         scene = Scene(
-            self.phantom if board_in_base is None else board_in_base,
-            self.hidden,
-            self.settings.is_lost(t),
+            self.phantom if board_in_base is None else board_in_base, self.hidden, self.settings.is_lost(t),
             None if q is None else np.asarray(q, dtype=np.float64),
-        )
+        )  # fmt: skip
         picture = self.view.picture(scene)
         sighting = self._finder.find(picture)
         in_base = None

@@ -105,12 +105,9 @@ class Board:
                 f"{1e3 * self.size_m[0]:.0f} x {1e3 * self.size_m[1]:.0f} mm: make its sizes smaller or move start_m"
             )
         return make_path(
-            wanted.kind,
-            board_in_base.apply(own.start),
-            normal=board_in_base.turn(own.normal),
-            heading=board_in_base.turn(own.heading),
-            **wanted.sizes,
-        )
+            wanted.kind, board_in_base.apply(own.start), normal=board_in_base.turn(own.normal),
+            heading=board_in_base.turn(own.heading), **wanted.sizes,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

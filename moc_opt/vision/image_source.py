@@ -41,13 +41,9 @@ def make_view(robot: RobotModel, camera: Camera, board: Board, *, seed: int = 0)
 
 
 def pose_accuracy(
-    robot: RobotModel,
-    camera: CameraSettings | None = None,
-    board: BoardSettings | None = None,
-    *,
-    poses: int = 100,
+    robot: RobotModel, camera: CameraSettings | None = None, board: BoardSettings | None = None, *, poses: int = 100,
     seed: int = 0,
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Accuracy of single pictures: the board found at random poses before the camera, against the truth.
 
     The board is 0.12 to 0.20 m away, up to 35 degrees from facing the camera and turned as it likes within 45,
@@ -73,14 +69,11 @@ def pose_accuracy(
     figures = np.array(found).reshape(-1, 4) if found else np.full((1, 4), np.nan)
     way, turn = 1e3 * figures[:, 0], np.degrees(figures[:, 1])
     return {
-        "seen": len(found) / poses,
-        "position_median_mm": float(np.median(way)),
-        "position_p95_mm": float(np.percentile(way, 95)),
-        "angle_median_deg": float(np.median(turn)),
-        "angle_p95_deg": float(np.percentile(turn, 95)),
-        "fit_median_px": float(np.median(figures[:, 2])),
+        "seen": len(found) / poses, "position_median_mm": float(np.median(way)),
+        "position_p95_mm": float(np.percentile(way, 95)), "angle_median_deg": float(np.median(turn)),
+        "angle_p95_deg": float(np.percentile(turn, 95)), "fit_median_px": float(np.median(figures[:, 2])),
         "markers_mean": float(figures[:, 3].mean()),
-    }
+    }  # fmt: skip
 
 
 def _random_pose(rng: np.random.Generator) -> Pose:

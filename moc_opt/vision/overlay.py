@@ -32,15 +32,9 @@ class Overlay:
         self._camera = camera
 
     def draw(
-        self,
-        picture: Picture,
-        *,
-        task: ArrayLike | None = None,
-        progress: float = 0.0,
-        tip: ArrayLike | None = None,
-        trocar: ArrayLike | None = None,
-        text: str = "",
-    ) -> Picture:
+        self, picture: Picture, *, task: ArrayLike | None = None, progress: float = 0.0, tip: ArrayLike | None = None,
+        trocar: ArrayLike | None = None, text: str = "",
+    ) -> Picture:  # fmt: skip
         """Draw the overlay into a copy of the picture.
 
         Args:

@@ -81,10 +81,6 @@ class Pose:
         turn = rotation_from(share * rotation_vector(self.R.T @ other.R))
         return Pose(_orthonormal(self.R @ turn), self.t + share * (other.t - self.t))
 
-    def to_list(self) -> list[list[float]]:
-        """Return the (3, 4) matrix [rotation | translation] as JSON can hold it."""
-        return [[*row, place] for row, place in zip(self.R.tolist(), self.t.tolist(), strict=True)]
-
 
 def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
     """Return the pose of a camera in the frame that its arguments are given in: x right, y down, z forward.

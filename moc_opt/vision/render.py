@@ -143,13 +143,9 @@ def _spec(data: RobotData, camera: Camera, board: Board) -> mujoco.MjSpec:
     _add_board(spec, board)
     tool = spec.body(TOOL_BODY)
     tool.add_geom(
-        name="shaft",
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[0.0, 0.0, 0.0, 0.0, 0.0, data.tool_length],
-        size=[SHAFT_RADIUS_M, 0.0, 0.0],
-        rgba=[*_rgb(STEEL), 1.0],
-        **_WEIGHTLESS,
-    )
+        name="shaft", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, 0.0, 0.0, data.tool_length],
+        size=[SHAFT_RADIUS_M, 0.0, 0.0], rgba=[*_rgb(STEEL), 1.0], **_WEIGHTLESS,
+    )  # fmt: skip
     return spec
 
 
@@ -158,14 +154,9 @@ _WEIGHTLESS: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
 
 def _add_background(spec: mujoco.MjSpec) -> None:
     spec.add_texture(
-        name="tissue",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=_rgb(TISSUE),
-        rgb2=_rgb(TISSUE),
-        width=64,
-        height=64,
-    )
+        name="tissue", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=_rgb(TISSUE), rgb2=_rgb(TISSUE), width=64, height=64,
+    )  # fmt: skip
 
 
 def _add_board(spec: mujoco.MjSpec, board: Board) -> None:
@@ -181,12 +172,9 @@ def _add_board(spec: mujoco.MjSpec, board: Board) -> None:
     width, height = board.size_m
     body = spec.worldbody.add_body(name="board", mocap=True)
     body.add_geom(
-        name="board",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.5 * width, 0.5 * height, 0.1],
-        material="print",
+        name="board", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0.5 * width, 0.5 * height, 0.1], material="print",
         **_WEIGHTLESS,
-    )
+    )  # fmt: skip
     for marker in board.ids:
         body.add_geom(
             name=_cover_name(marker),

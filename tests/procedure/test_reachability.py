@@ -13,7 +13,6 @@ from moc_opt.procedure import reachability as reach
 from moc_opt.procedure.reachability import UnreachableError, check_reachable
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.tasks import Reference, Trocar, line, make_path, shaft_distance
-from moc_opt.tasks.sequence import ReferenceSequence
 from moc_opt.vision.board import BOARD_TASKS, Board, board_below
 
 
@@ -36,7 +35,7 @@ def reference(home, kind="circle", v_max=0.05, a_max=0.2, **sizes):
 def test_the_three_tasks_are_within_reach(robot, home, trocar, name):
     board_in_base = board_below(trocar, home.tool_direction, BOARD_TASKS[name].depth_m)
     task = Reference(Board().task_in_base(name, board_in_base), 0.05, 0.2)
-    q = pose_through(robot, task.path.start, trocar, q=robot.data.q_home)
+    q = pose_through(robot, task.path.start, trocar)
     found = check_reachable(robot, q, task, trocar)
     assert found.as_given
     for t, pose in zip(found.t_s, found.q_rad, strict=True):
@@ -152,13 +151,11 @@ def test_another_swivel_is_tried_where_the_given_one_gets_stuck(robot, home, tro
     assert found.margin_rad[0] == pytest.approx(room.max(), abs=1e-6)
 
 
-def test_breathing_trocars_and_sequences_are_followed(robot, home, trocar):
-    first = Reference(line(home.tip, home.tip + np.array([0.0, 0.0, -0.02])), 0.05, 0.2, t_start=0.2)
-    end = first.path.at(first.path.length)[0]
-    second = Reference(make_path("circle", end, normal=(0, 0, 1), heading=(1, 0, 0), radius=0.02), 0.05, 0.2)
-    both = ReferenceSequence([first, second])
+def test_breathing_trocars_are_followed(robot, home, trocar):
+    path = make_path("circle", home.tip, normal=(0, 0, 1), heading=(1, 0, 0), radius=0.02)
+    circle = Reference(path, 0.05, 0.2, t_start=0.2)
     breathing = Trocar(trocar, breathing_amplitude_m=0.01)
-    found = check_reachable(robot, robot.data.q_home, both, breathing)
+    found = check_reachable(robot, robot.data.q_home, circle, breathing)
     for t, pose in zip(found.t_s[::7], found.q_rad[::7], strict=True):
         state = robot.state(pose)
         assert shaft_distance(state.tip, state.wrist, breathing.at(t)[0]) < 2e-6

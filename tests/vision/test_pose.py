@@ -92,4 +92,3 @@ def test_a_long_chain_stays_a_rotation_and_is_read_only():
     assert np.abs(pose.R @ pose.R.T - np.eye(3)).max() < 1e-14
     with pytest.raises(ValueError, match="read-only"):
         pose.R[0, 0] = 2.0
-    assert np.shape(pose.to_list()) == (3, 4)
