@@ -147,16 +147,9 @@ def _gains(arm: Arm) -> str:
 
 
 ERRATA = {
-    "projector": _projector,
-    "wrist": _wrist,
-    "third": _third,
-    "sign": _sign,
-    "gradient": _gradient,
-    "clock": _clock,
-    "act": _act,
-    "lambda": _lambda,
-    "gains": _gains,
-}
+    "projector": _projector, "wrist": _wrist, "third": _third, "sign": _sign, "gradient": _gradient, "clock": _clock,
+    "act": _act, "lambda": _lambda, "gains": _gains,
+}  # fmt: skip
 """Row of benchmarks/templates/errata.md -> the numbers that show it."""
 
 

@@ -32,7 +32,7 @@ import numpy as np
 
 from benchmarks import cli
 from benchmarks.crew import run_parallel
-from benchmarks.maintenance.tune_space import Candidate, Config, Range, Values, draw
+from benchmarks.maintenance.tune_space import Candidate, Config, Values, draw
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect
 from moc_opt.errors import ScenarioError
@@ -189,8 +189,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the search; see `cli.run` for the exit status."""
     return cli.run(cli.parser("tune", "Search for control settings that reach the goals."), tune, arguments)
 
-
-__all__ = ["Candidate", "Config", "Range", "draw", "main", "objective", "score", "search"]
 
 if __name__ == "__main__":
     sys.exit(main())

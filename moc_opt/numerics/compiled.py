@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar
@@ -69,15 +70,23 @@ def _borrowed(array: Any) -> Callable[..., Any] | None:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def call(typing_context: Any, function: Any, first: Any, second: Any) -> Any:
-    """Call the C function ``void f(void *, void *)`` inside a kernel; all three are addresses (int64).
-
-    Both objects have to outlive the call: an address keeps nothing alive.
-    """
-
+def _call(typing_context: Any, function: Any, first: Any, second: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         kind = ir.FunctionType(ir.VoidType(), [ir.IntType(64)] * 2)
         builder.call(builder.inttoptr(given[0], kind.as_pointer()), given[1:])
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.int64), emit
+
+
+def call(function: int, first: int, second: int) -> None:
+    """Call the C function ``void f(void *, void *)``, inside a kernel or in Python; all three are addresses.
+
+    Both objects have to outlive the call: an address keeps nothing alive.
+    """
+    ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(int(function))(int(first), int(second))
+
+
+@overload(call, strict=False)
+def _called(function: Any, first: Any, second: Any) -> Callable[..., Any]:
+    return lambda function, first, second: _call(function, first, second)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -31,6 +32,27 @@ FORMS: Mapping[str, Any] = {
     },
 }  # fmt: skip
 """Entry -> its form. A name that ends in "!" must be there, and a table that has such names has no others."""
+
+
+def plain(meta: Mapping[str, Any]) -> dict[str, Any]:
+    """Return meta as JSON gives it back.
+
+    Raises:
+        TraceError: it is not JSON, or an entry is not what its reader takes it for.
+    """
+    for name, value in meta.items():
+        if not isinstance(name, str):
+            raise TraceError(f"meta key {name!r} is not a text: give names as texts")
+        try:
+            json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise TraceError(
+                f"meta[{name!r}] cannot be written as JSON ({error}): "
+                f"give texts, finite numbers, flags, None, and lists and dicts of them"
+            ) from error
+        check_entry(name, value)
+    found: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
+    return found
 
 
 def check_entry(name: str, value: Any) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -13,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TraceError, shown
+from moc_opt.numerics.arrays import read_only
 from moc_opt.trace import parquet as trace_file
 from moc_opt.trace import views
 from moc_opt.trace import writer as trace_writer
 from moc_opt.trace.columns import COLUMNS, Column, check_column, column
 from moc_opt.trace.ending import Ending
-from moc_opt.trace.meta import check_entry
+from moc_opt.trace.meta import plain
 
 if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_xarray()
     from pandas import DataFrame
@@ -68,7 +68,7 @@ class Trace:
                     "give one row per tick"
                 )
         object.__setattr__(self, "columns", MappingProxyType(checked))
-        object.__setattr__(self, "meta", MappingProxyType(_plain(meta or {})))
+        object.__setattr__(self, "meta", MappingProxyType(plain(meta or {})))
 
     def __len__(self) -> int:
         """Number of ticks."""
@@ -129,9 +129,7 @@ class Trace:
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
-        columns = {"tick": np.arange(len(self)), **self.columns}
-        chosen = {name: array[mask] for name, array in columns.items()}
-        return Trace(chosen, self.meta)._as_part_of(self)
+        return self._at(mask)._as_part_of(self)
 
     def between(self, start_s: float, stop_s: float) -> Trace:
         """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
@@ -204,6 +202,11 @@ class Trace:
             columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
         return self._of(columns, self.meta)._as_part_of(self)
 
+    def _at(self, mask: NDArray[np.bool_]) -> Trace:
+        """Return the ticks of a mask (N,), with their numbers, under the meta of the whole run."""
+        columns = {"tick": np.arange(len(self)), **self.columns}
+        return self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
+
     def _as_part_of(self, run: Trace) -> Trace:
         """Say in ``meta`` that these are some of the run's ticks, where they are not all."""
         if len(self) == len(run):
@@ -223,14 +226,14 @@ class Trace:
         Raises:
             TraceError: a value is not JSON.
         """
-        return self._of(self.columns, MappingProxyType(_plain({**self.meta, **values})))
+        return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
     def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
         """Return a trace whose columns stay in their files; meta, and errors, as for the constructor."""
         for name, dtype in columns.types.items():
             check_column(_name(name), dtype, columns.shape(name))
-        return cls._of(columns, MappingProxyType(_plain(meta)))
+        return cls._of(columns, MappingProxyType(plain(meta)))
 
     @classmethod
     def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
@@ -280,23 +283,6 @@ def _name(name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
         raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     return name
-
-
-def _plain(meta: Mapping[str, Any]) -> dict[str, Any]:
-    """Return meta as JSON gives it back."""
-    for name, value in meta.items():
-        if not isinstance(name, str):
-            raise TraceError(f"meta key {name!r} is not a text: give names as texts")
-        try:
-            json.dumps(value, allow_nan=False)
-        except (TypeError, ValueError, RecursionError) as error:
-            raise TraceError(
-                f"meta[{name!r}] cannot be written as JSON ({error}): "
-                f"give texts, finite numbers, flags, None, and lists and dicts of them"
-            ) from error
-        check_entry(name, value)
-    plain: dict[str, Any] = json.loads(json.dumps(dict(meta), allow_nan=False))
-    return plain
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:

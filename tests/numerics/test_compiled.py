@@ -1,5 +1,6 @@
 """The short way into compiled kernels: the same numbers, compiled late, and objects of another kind refused."""
 
+import ctypes
 import sys
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from numba import float64, njit
 from numba.core.errors import TypingError
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed
+from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed, call
 
 
 def scaled_sums():
@@ -79,3 +80,18 @@ def test_only_arrays_are_lent():
 
     with pytest.raises(TypingError):
         wrong(1.0)
+
+
+def test_c_is_called_alike_from_a_kernel_and_from_python():
+    seen = []
+    callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(lambda *given: seen.append(given))
+    address = ctypes.cast(callback, ctypes.c_void_p).value
+
+    @njit
+    def kernel(function, first, second):
+        call(function, first, second)
+        call(function, second, first)
+
+    for run in (kernel, kernel.py_func):
+        run(address, 3, 1 << 40)
+    assert seen == 2 * [(3, 1 << 40), (1 << 40, 3)]

@@ -7,7 +7,6 @@ it, run as plain Python: a kernel from numba's cache would still be the one befo
 from __future__ import annotations
 
 import ast
-import ctypes
 import importlib.abc
 import importlib.util
 import os
@@ -102,15 +101,9 @@ def _imported(tree: ast.Module, ours: Collection[str]) -> set[str]:
 
 
 def run_tests(
-    root: Path,
-    module: str,
-    source: str | None,
-    plain: Collection[str],
-    tests: Sequence[str],
-    limit_s: float,
-    *,
+    root: Path, module: str, source: str | None, plain: Collection[str], tests: Sequence[str], limit_s: float, *,
     keep_going: bool = False,
-) -> Outcome:
+) -> Outcome:  # fmt: skip
     """Run tests against a mutated module, at most ``limit_s``.
 
     Args:
@@ -226,8 +219,6 @@ def _interpret(modules: Iterable[str]) -> None:
         return decorate(given[0]) if given and callable(given[0]) else decorate
 
     numba.njit = njit
-    # `moc_opt.numerics.compiled.call` is the one intrinsic that kernels name themselves.
-    numba.core.extending._Intrinsic.__call__ = _c_call
 
 
 def _code(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -242,9 +233,3 @@ def _code(function: Callable[..., Any]) -> Callable[..., Any]:
         ))  # fmt: skip
 
     return code
-
-
-def _c_call(intrinsic: Any, function: int, first: int, second: int) -> None:
-    """What ``moc_opt.numerics.compiled.call`` does, in Python."""
-    kind = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
-    kind(int(function))(int(first), int(second))

@@ -151,8 +151,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         if not ticks.any():
             return {}
         # Whether the run was completed, and how much of it was driven, is asked of the run, not of its phase.
-        trace = Trace(trace.select(ticks).columns, trace.meta)
-        baseline = None if baseline is None else Trace(baseline.select(ticks).columns, baseline.meta)
+        trace, baseline = trace._at(ticks), None if baseline is None else baseline._at(ticks)
     summary = {}
     for name, function in METRICS.items():
         try:
@@ -194,6 +193,21 @@ def known(trace: Trace, column: str) -> Floats:
     if values.size == 0:
         raise MissingDataError(f"column {column!r} is NaN at every tick: there was nothing to measure")
     return values
+
+
+def figure(
+    name: str, column: str, unit: str, about: str, of: Callable[[Any], float],
+    read: Callable[[Trace, str], Floats] = floats,
+) -> Metric:  # fmt: skip
+    """Register a figure ``of`` one column, which ``read`` takes out of the trace; metres are told in mm."""
+    factor = 1e3 if unit == "mm" else 1.0
+
+    def function(trace: Trace) -> float:
+        return factor * of(read(trace, column))
+
+    function.__name__ = function.__qualname__ = name
+    function.__doc__ = about
+    return _registered(unit, function)
 
 
 def count(ticks: NDArray[Any]) -> float:

@@ -2,35 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from moc_opt.errors import TraceError
-from moc_opt.trace.metrics.registry import count, known, metric
+from moc_opt.trace.metrics.registry import count, figure, known, metric
 from moc_opt.trace.trace import MissingDataError, Trace
 
-
-@metric("us")
-def solve_p50_us(trace: Trace) -> float:
-    """Median time of a solve [us]."""
-    return np.percentile(known(trace, "solve_us"), 50)
-
-
-@metric("us")
-def solve_p99_us(trace: Trace) -> float:
-    """99th percentile of the time of a solve [us]."""
-    return np.percentile(known(trace, "solve_us"), 99)
-
-
-@metric("us")
-def tick_p50_us(trace: Trace) -> float:
-    """Median time of a whole tick [us]."""
-    return np.percentile(known(trace, "tick_us"), 50)
-
-
-@metric("us")
-def tick_p99_us(trace: Trace) -> float:
-    """99th percentile of the time of a whole tick [us]."""
-    return np.percentile(known(trace, "tick_us"), 99)
+solve_p50_us, solve_p99_us, tick_p50_us, tick_p99_us = (
+    figure(f"{what}_p{q}_us", f"{what}_us", "us", f"{words} time of a {of} [us].", partial(np.percentile, q=q), known)
+    for what, of in (("solve", "solve"), ("tick", "whole tick"))
+    for q, words in ((50, "Median"), (99, "99th percentile of the"))
+)
 
 
 @metric
@@ -74,19 +58,14 @@ def limited_ticks(trace: Trace) -> float:
     return count(trace.limited)
 
 
-@metric("rad/s, m/s")
-def primal_max(trace: Trace) -> float:
-    """Largest max(|A x - b|_inf, box violation) over the subproblems [rad/s, m/s]."""
-    return known(trace, "primal").max()
-
-
-@metric("rad/s")
-def natural_max(trace: Trace) -> float:
-    """Largest natural residual over the subproblems [rad/s]."""
-    return known(trace, "natural").max()
-
-
-@metric
-def loss_max(trace: Trace) -> float:
-    """Largest share of the cost's range that an answer gave away: 0 at the optimum, 1 at the worst point."""
-    return known(trace, "loss").max()
+primal_max = figure(
+    "primal_max", "primal", "rad/s, m/s",
+    "Largest max(|A x - b|_inf, box violation) over the subproblems [rad/s, m/s].", np.max, known,
+)  # fmt: skip
+natural_max = figure(
+    "natural_max", "natural", "rad/s", "Largest natural residual over the subproblems [rad/s].", np.max, known
+)
+loss_max = figure(
+    "loss_max", "loss", "1", "Largest share of the cost's range that an answer gave away: 0 at the optimum, 1 at the "
+    "worst point.", np.max, known,
+)  # fmt: skip

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 
-from moc_opt.trace.metrics.registry import Metric, floats, metric
-from moc_opt.trace.trace import Trace
-
-
-def _figure(name: str, column: str, unit: str, about: str, of: Callable[[Any], float]) -> Metric:
-    factor = 1e3 if unit == "mm" else 1.0
-
-    def figure(trace: Trace) -> float:
-        return factor * of(floats(trace, column))
-
-    figure.__name__ = figure.__qualname__ = name
-    figure.__doc__ = about
-    return metric(unit)(figure)  # type: ignore[return-value]
+from moc_opt.trace.metrics.registry import Metric, figure
 
 
 def _mean_and_max(column: str, unit: str, about: str, of_mean: str = "") -> tuple[Metric, Metric]:
     """Register NAME_mean_UNIT and NAME_max_UNIT of the column NAME_m or NAME_N; ``of_mean`` is of the mean alone."""
     stem = column.rpartition("_")[0]
     return (
-        _figure(f"{stem}_mean_{unit}", column, unit, f"Mean {about} [{unit}]{of_mean}.", np.mean),
-        _figure(f"{stem}_max_{unit}", column, unit, f"Largest {about} [{unit}].", np.max),
+        figure(f"{stem}_mean_{unit}", column, unit, f"Mean {about} [{unit}]{of_mean}.", np.mean),
+        figure(f"{stem}_max_{unit}", column, unit, f"Largest {about} [{unit}].", np.max),
     )
 
 

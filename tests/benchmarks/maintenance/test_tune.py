@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.maintenance import tune
+from benchmarks.maintenance import tune, tune_space
 from benchmarks.output import default_config
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
@@ -205,13 +205,13 @@ def test_wrong_input_is_named(tmp_path, capsys):
     assert tune.main([str(file), "--out", str(tmp_path / "out")]) == 2
     assert "circel" in capsys.readouterr().err
     with pytest.raises(MocOptError):
-        tune.Range(low="a", high=1.0)
+        tune_space.Range(low="a", high=1.0)
     with pytest.raises(ScenarioError, match="low < high"):
-        tune.Range(low=2.0, high=1.0)
+        tune_space.Range(low=2.0, high=1.0)
     with pytest.raises(ScenarioError, match="above 0 where log"):
-        tune.Range(low=0.0, high=1.0, log=True)
+        tune_space.Range(low=0.0, high=1.0, log=True)
 
 
 def test_choices_are_drawn_evenly():
-    span = tune.Range(choices=[False, True])
+    span = tune_space.Range(choices=[False, True])
     assert [span.at(place) for place in (0.0, 0.49, 0.51, 1.0)] == [False, False, True, True]
