@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import cli
-from benchmarks.output import write_atomically
+from benchmarks.output import parquet_bytes, write_atomically
 from benchmarks.testsets import RECIPES, TestSet
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.qp.problem import NullSpaceQP
@@ -89,7 +89,6 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         UnknownNameError: no such set.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     chosen = problems(names, every)
     if not chosen:
@@ -101,10 +100,8 @@ def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1,
         for key in table:
             table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
     kinds = {key: pa.string() if key == "name" else pa.list_(pa.float64()) for key in table}
-    sink = pa.BufferOutputStream()
     columns = {key: pa.array(column, kinds[key]) for key, column in table.items()}
-    pq.write_table(pa.table(columns), sink, compression="zstd")
-    write_atomically(folder / f"{NAME}.parquet", sink.getvalue().to_pybytes())
+    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(pa.table(columns)))
     text = MODULE.format(
         title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
         joints=next(iter(chosen.values())).n,

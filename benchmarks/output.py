@@ -69,7 +69,6 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """One Parquet row per mapping; a column that a row lacks is null there, and so is what is not finite."""
     import pyarrow as pa
     import pyarrow.compute as pc
-    import pyarrow.parquet as pq
 
     def column(values: list[Any]) -> pa.Array:
         try:
@@ -81,9 +80,18 @@ def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     kept = [dict(row) for row in rows]
     names = list(dict.fromkeys(name for row in kept for name in row))
     table = pa.table({name: column([row.get(name) for row in kept]) for name in names})
+    write_atomically(path, parquet_bytes(table))
+
+
+def parquet_bytes(table: Any) -> bytes:
+    """Make a Parquet file out of a pyarrow.Table, in memory."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd")
-    write_atomically(path, sink.getvalue().to_pybytes())
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
 
 
 def close_page(

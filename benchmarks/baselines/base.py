@@ -28,7 +28,6 @@ class Peer(Protocol):
     @property
     def level(self) -> Literal["torque", "velocity"]:
         """What a tick returns; a velocity still needs a servo."""
-        ...
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Return the joint torques (n,) [Nm] or velocities (n,) [rad/s].
@@ -38,7 +37,6 @@ class Peer(Protocol):
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
             trocar: (2, 3) rows P_t, dP_t.
         """
-        ...
 
 
 @njit(cache=True)

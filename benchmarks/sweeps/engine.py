@@ -69,21 +69,15 @@ class Pool(Protocol):
 
     def window(self) -> int:
         """Tell how many runs to keep in flight."""
-        ...
 
     def submit(self, work: Work, table: Table, limit_s: float) -> Future[dict[str, Any]]:
         """Send one run."""
-        ...
 
 
 def run_all(
-    pool: Pool,
-    todo: Iterable[int],
-    table_of: Callable[[int], Table],
-    keep: Callable[[int, dict[str, Any]], None],
-    limit_s: float,
-    work: Work = execute,
-) -> dict[int, str]:
+    pool: Pool, todo: Iterable[int], table_of: Callable[[int], Table], keep: Callable[[int, dict[str, Any]], None],
+    limit_s: float, work: Work = execute,
+) -> dict[int, str]:  # fmt: skip
     """Do all runs; each result is kept as soon as it is there.
 
     A run whose worker dies is done again, alone, so that one that kills its worker harms no other. It is given up

@@ -26,11 +26,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from benchmarks.output import write_atomically
+from benchmarks.output import parquet_bytes, write_atomically
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, differences, digest_of
 from benchmarks.sweeps.record import opened, owner, sealed, shard_indices
-from benchmarks.sweeps.table import BLOCK, PLAN_KEY, parquet_bytes, read_shard, record_table, write_final
+from benchmarks.sweeps.table import BLOCK, PLAN_KEY, read_shard, record_table, write_final
 from moc_opt.inputs.files import file_in, read_json, to_json
 
 SHARD = 1000

@@ -136,14 +136,6 @@ def whole_parquet(path: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table]
         raise
 
 
-def parquet_bytes(table: pa.Table) -> bytes:
-    """Make a Parquet file of one row group, in memory."""
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    data: bytes = sink.getvalue().to_pybytes()
-    return data
-
-
 def read_shard(path: Path, digest: str) -> pa.Table:
     """Read a table of records that was written whole, ``N-CRC.parquet``, for the sweep of this digest.
 

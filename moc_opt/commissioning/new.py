@@ -147,15 +147,9 @@ class _Draft:
     def toml(self, home: Home, robot: RobotModel) -> str:
         """The finished text, with gains."""
         return robot_toml(
-            self._name,
-            self._arm,
-            self._shaft,
-            self._tool_m,
-            self._drives,
-            home.q,
-            home=home,
+            self._name, self._arm, self._shaft, self._tool_m, self._drives, home.q, home=home,
             gains=derived_gains(robot),
-        )
+        )  # fmt: skip
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
@@ -189,6 +183,3 @@ def _stand(arm: VendorArm, rpy: tuple[float, float, float]) -> None:
     ET.SubElement(joint, "child", link=base)
     ET.SubElement(joint, "origin", xyz="0 0 0", rpy=as_text(*rpy))
     arm.notes.append(f"the base stands turned by {', '.join(f'{a:g}' for a in rpy)} rad about x, y, z")
-
-
-__all__ = ["NewRobot", "new_robot"]

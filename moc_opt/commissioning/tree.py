@@ -1,16 +1,21 @@
-"""Which link of a URDF carries which."""
+"""Which link of a URDF carries which, and which of them carries the tool."""
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from collections import defaultdict
 from collections.abc import Mapping
 
 from moc_opt.errors import RobotError
 from moc_opt.robots.rebuild import MOVING
+from moc_opt.robots.urdf import end
 
+FINGERS = 2
+"""Moving joints in a row that a branch may have to count as a finger."""
 ARM = 5
 """Moving joints in a row that a chain must have to be an arm."""
+_JAW = re.compile("grip|finger|jaw", re.IGNORECASE)
 
 
 class LinkTree:
@@ -78,14 +83,51 @@ class LinkTree:
         return [link for _, link in sorted(found, key=lambda each: (-each[0], each[1]))]
 
 
-def end(joint: ET.Element, which: str) -> str:
-    """Return the link at the joint's "parent" or "child" end."""
-    found = joint.find(which)
-    if found is None or not found.get("link"):
-        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{which} link=...>: add it")
-    return str(found.get("link"))
-
-
 def moves(joint: ET.Element, locked: Mapping[str, float]) -> bool:
     """Say whether it is a moving joint that nobody locks."""
     return joint.get("type") in MOVING and joint.get("name") not in locked
+
+
+def last_link(tree: LinkTree, locked: Mapping[str, float], notes: list[str]) -> str:
+    """Follow the one long chain from the base to where fingers branch off, or to its end.
+
+    Raises:
+        RobotError: two chains of more than `FINGERS` joints leave one link.
+    """
+    link, joints = tree.base, 0
+    while True:
+        branches = [j for j in tree.carried[link] if moves(j, locked) or tree.depth(end(j, "child"), locked)]
+        depths = [moves(j, locked) + tree.depth(end(j, "child"), locked) for j in branches]
+        if not branches:
+            break
+        if len(branches) > 1:
+            long = [j for j, depth in zip(branches, depths, strict=True) if depth > FINGERS]
+            if not long and joints >= FINGERS:
+                notes.append(f"the chain ends at {link!r}, where {len(branches)} fingers branch off")
+                return link
+            if len(long) != 1:
+                ends = [end(j, "child") for j in (long or branches)]
+                arms = tree.arms(locked)[:8]
+                raise RobotError(
+                    f"urdf: {len(ends)} chains leave link {link!r}, towards {ends[:6]}: say with --tip which link "
+                    f"carries the tool{f', such as {arms}' if arms else ''}"
+                )
+            branches = long
+        joints += moves(branches[0], locked)
+        link = end(branches[0], "child")
+    last = next((j for j in reversed(tree.path(link)) if moves(j, locked)), None)
+    if last is not None and joints > 1 and _JAW.search(f"{last.get('name')} {end(last, 'child')}"):
+        link = end(last, "parent")
+        notes.append(f"{last.get('name')!r} is taken for the jaw of a gripper: the chain ends before it, at {link!r}")
+        return link
+    # Behind the last moving joint only frames are left: the flange is the one that is named so, else the link itself.
+    reached = [link]
+    for found in reached:
+        reached += [end(joint, "child") for joint in tree.carried[found]]
+    for word in ("tool0", "flange", "link8", "end_effector", "link_ee", "ee_link", "eef"):
+        for found in reached:
+            if found.endswith(word):
+                notes.append(f"last link: {found!r}, the flange by its name")
+                return found
+    notes.append(f"last link: {link!r}, carried by the last moving joint")
+    return link

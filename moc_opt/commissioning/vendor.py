@@ -14,20 +14,18 @@ import numpy as np
 import pinocchio as pin
 
 from moc_opt.commissioning import bodies
-from moc_opt.commissioning.tree import LinkTree, end, moves
+from moc_opt.commissioning.tree import LinkTree, last_link
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
 from moc_opt.robots.numbers import as_text, triple
 from moc_opt.robots.rebuild import MOVING, rebuild
+from moc_opt.robots.urdf import end
 
 _RESERVED = {"tool", "tip", "wrist", "tool_mount", "tip_frame", "wrist_frame", "world"}
 _KEPT = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
 _PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_]")
 _QUOTED = re.compile(r'"[^"]*"|\'[^\']*\'')
-_JAW = re.compile("grip|finger|jaw", re.IGNORECASE)
-FINGERS = 2
-"""Moving joints in a row that a branch may have to count as a finger."""
 TURN = 2.0 * math.pi
 
 
@@ -70,7 +68,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     tree = LinkTree(arm.root)
     if tip is not None and tip not in tree.links:
         raise UnknownNameError("link (--tip)", tip, tree.links)
-    arm.last_link = tip or _last_link(tree, positions, arm.notes)
+    arm.last_link = tip or last_link(tree, positions, arm.notes)
     path_to_tip = tree.path(arm.last_link)
     for joint in path_to_tip:
         name = joint.get("name", "")
@@ -126,51 +124,6 @@ def _rename(arm: VendorArm) -> None:
                     for end in arm.root.iterfind("joint/*[@link]"):
                         if end.get("link") == old:
                             end.set("link", f"{old}_{kind}")
-
-
-def _last_link(tree: LinkTree, locked: Mapping[str, float], notes: list[str]) -> str:
-    """Follow the one long chain from the base to where fingers branch off, or to its end.
-
-    Raises:
-        RobotError: two chains of more than `FINGERS` joints leave one link.
-    """
-    link, joints = tree.base, 0
-    while True:
-        branches = [j for j in tree.carried[link] if moves(j, locked) or tree.depth(end(j, "child"), locked)]
-        depths = [moves(j, locked) + tree.depth(end(j, "child"), locked) for j in branches]
-        if not branches:
-            break
-        if len(branches) > 1:
-            long = [j for j, depth in zip(branches, depths, strict=True) if depth > FINGERS]
-            if not long and joints >= FINGERS:
-                notes.append(f"the chain ends at {link!r}, where {len(branches)} fingers branch off")
-                return link
-            if len(long) != 1:
-                ends = [end(j, "child") for j in (long or branches)]
-                arms = tree.arms(locked)[:8]
-                raise RobotError(
-                    f"urdf: {len(ends)} chains leave link {link!r}, towards {ends[:6]}: say with --tip which link "
-                    f"carries the tool{f', such as {arms}' if arms else ''}"
-                )
-            branches = long
-        joints += moves(branches[0], locked)
-        link = end(branches[0], "child")
-    last = next((j for j in reversed(tree.path(link)) if moves(j, locked)), None)
-    if last is not None and joints > 1 and _JAW.search(f"{last.get('name')} {end(last, 'child')}"):
-        link = end(last, "parent")
-        notes.append(f"{last.get('name')!r} is taken for the jaw of a gripper: the chain ends before it, at {link!r}")
-        return link
-    # Behind the last moving joint only frames are left: the flange is the one that is named so, else the link itself.
-    reached = [link]
-    for found in reached:
-        reached += [end(joint, "child") for joint in tree.carried[found]]
-    for word in ("tool0", "flange", "link8", "end_effector", "link_ee", "ee_link", "eef"):
-        for found in reached:
-            if found.endswith(word):
-                notes.append(f"last link: {found!r}, the flange by its name")
-                return found
-    notes.append(f"last link: {link!r}, carried by the last moving joint")
-    return link
 
 
 def _known(root: ET.Element, lock: dict[str, float]) -> dict[str, float]:

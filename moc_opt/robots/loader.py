@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import partial
 from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
@@ -73,16 +74,12 @@ class RobotData:
         # Mapping proxies cannot be pickled, and unpickled arrays would be writable: build it anew.
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         values["gains"] = {key: dict(table) for key, table in self.gains.items()}
-        return _rebuild, (values,)
+        return partial(RobotData, **values), ()
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
-
-
-def _rebuild(values: dict[str, Any]) -> RobotData:
-    return RobotData(**values)
 
 
 def available_robots() -> list[str]:

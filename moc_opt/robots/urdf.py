@@ -59,6 +59,14 @@ def parse(text: str) -> ET.Element:
     return root
 
 
+def end(joint: ET.Element, which: str) -> str:
+    """Return the link at the joint's "parent" or "child" end."""
+    found = joint.find(which)
+    if found is None or not found.get("link"):
+        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{which} link=...>: add it")
+    return str(found.get("link"))
+
+
 def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
     """The movable joints of a rebuilt tree from base to `last_link`, in that order; no other joint may move."""
     links = [link.get("name", "") for link in root.findall("link")]
@@ -67,12 +75,12 @@ def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
         raise RobotError(
             f"frames.last_link = {last_link!r} is no link of the urdf: did you mean one of {near or links[:20]}?"
         )
-    by_child = {_name(joint, "child"): joint for joint in root.findall("joint")}
+    by_child = {end(joint, "child"): joint for joint in root.findall("joint")}
     path: list[ET.Element] = []
     link = last_link
     while link in by_child:
         path.append(by_child[link])
-        link = _name(path[-1], "parent")
+        link = end(path[-1], "parent")
     chain = [joint for joint in reversed(path) if joint.get("type") in MOVING]
     if not chain:
         raise RobotError(f"frames.last_link = {last_link!r}: no movable joint lies between the base and it")
@@ -91,9 +99,9 @@ def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
     fixed: dict[str, list[str]] = defaultdict(list)
     for joint in root.findall("joint"):
         if joint.get("type") == "fixed":
-            fixed[_name(joint, "parent")].append(_name(joint, "child"))
+            fixed[end(joint, "parent")].append(end(joint, "child"))
     for joint in chain:
-        body, new = set(), [_name(joint, "child")]
+        body, new = set(), [end(joint, "child")]
         while new:
             link = new.pop()
             if link not in body:
@@ -101,7 +109,7 @@ def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
                 new += fixed[link]
         if not body & heavy:
             raise RobotError(
-                f"urdf joint {joint.get('name')!r} moves no mass: give link {_name(joint, 'child')!r} an <inertial>"
+                f"urdf joint {joint.get('name')!r} moves no mass: give link {end(joint, 'child')!r} an <inertial>"
             )
 
 
@@ -192,10 +200,3 @@ def _mount_axis(rpy: Point) -> Point:
     """Third column of Rz(yaw) Ry(pitch) Rx(roll)."""
     (sr, sp, sy), (cr, cp, cy) = map(math.sin, rpy), map(math.cos, rpy)
     return (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)
-
-
-def _name(joint: ET.Element, end: str) -> str:
-    element = joint.find(end)
-    if element is None or not element.get("link"):
-        raise RobotError(f"urdf joint {joint.get('name')!r} has no <{end} link=...>: add it")
-    return str(element.get("link"))

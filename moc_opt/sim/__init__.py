@@ -9,7 +9,8 @@ Imported by realtime, procedure, vision and scenario.
 
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.plant import Plant
-from moc_opt.sim.sensors import Measurement, ToolLoad
+from moc_opt.sim.sensors import Measurement
 from moc_opt.sim.settings import PlantSettings
+from moc_opt.sim.tool_load import ToolLoad
 
 __all__ = ["Measurement", "Mismatch", "Plant", "PlantSettings", "ToolLoad"]

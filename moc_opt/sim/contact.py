@@ -20,17 +20,9 @@ from moc_opt.numerics.cache import njit
 
 @njit(cache=True, nogil=True)
 def shaft_force(
-    tip: Array,
-    wrist: Array,
-    twist: Array,
-    origin: Array,
-    trocar: Array,
-    elapsed: float,
-    stiffness: float,
-    damping: float,
-    force: Array,
-    point: Array,
-) -> None:
+    tip: Array, wrist: Array, twist: Array, origin: Array, trocar: Array, elapsed: float, stiffness: float,
+    damping: float, force: Array, point: Array,
+) -> None:  # fmt: skip
     """Compute the force of the trocar on the tool shaft.
 
     With the tool direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's
@@ -96,24 +88,10 @@ def add_force(wrench: Array, force: Array, point: Array, com: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def load_bodies(
-    wrenches: Array,
-    xpos: Array,
-    xmat: Array,
-    xipos: Array,
-    cvel: Array,
-    origin: Array,
-    tool: int,
-    tip: int,
-    wrist: int,
-    trocar: Array,
-    force: Array,
-    point: Array,
-    elapsed: float,
-    stiffness: float,
-    damping: float,
-    pushed: NDArray[np.int64],
-    pushes: Array,
-) -> None:
+    wrenches: Array, xpos: Array, xmat: Array, xipos: Array, cvel: Array, origin: Array, tool: int, tip: int,
+    wrist: int, trocar: Array, force: Array, point: Array, elapsed: float, stiffness: float, damping: float,
+    pushed: NDArray[np.int64], pushes: Array,
+) -> None:  # fmt: skip
     """Write the outside wrenches of one plant substep: trocar on the tool, held forces on the pushed bodies.
 
     Args:

@@ -24,11 +24,9 @@ class Trajectory(Protocol):
 
     def __len__(self) -> int:
         """Number of ticks, N."""
-        ...
 
     def __getitem__(self, ticks: slice, /) -> Array:
         """Rows of consecutive ticks, (k, rows, 3)."""
-        ...
 
 
 class Trajectories(NamedTuple):

@@ -60,21 +60,11 @@ _STOPPED = {
 
 
 def simulate(
-    plant: Plant,
-    controller: LoggedController,
-    tip_refs: Trajectory,
-    trocars: Trajectory,
-    registered: Trajectory,
-    *,
-    safety_filter: SafetyFilter | None = None,
-    faults: Faults | None = None,
-    stop: Stop = DEFAULT_STOP,
-    offset: TaskOffset | None = None,
-    watch: Callable[[int], None] | None = None,
-    meta: Mapping[str, Any] | None = None,
-    sink: Sink | None = None,
-    block: int = BLOCK,
-) -> Trace:
+    plant: Plant, controller: LoggedController, tip_refs: Trajectory, trocars: Trajectory, registered: Trajectory, *,
+    safety_filter: SafetyFilter | None = None, faults: Faults | None = None, stop: Stop = DEFAULT_STOP,
+    offset: TaskOffset | None = None, watch: Callable[[int], None] | None = None,
+    meta: Mapping[str, Any] | None = None, sink: Sink | None = None, block: int = BLOCK,
+) -> Trace:  # fmt: skip
     """Run the closed loop from the plant's present state, and record it.
 
     Args:

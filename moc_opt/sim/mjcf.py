@@ -19,16 +19,10 @@ FORCE_SENSOR, TORQUE_SENSOR = "mount_force", "mount_torque"
 
 
 def build_spec(
-    data: RobotData,
-    *,
-    substep_s: float,
-    gravity: bool = True,
-    mass_scale: Mapping[str, float] | None = None,
-    viscous: Array | None = None,
-    coulomb: Array | None = None,
-    origin_shift: Array | None = None,
+    data: RobotData, *, substep_s: float, gravity: bool = True, mass_scale: Mapping[str, float] | None = None,
+    viscous: Array | None = None, coulomb: Array | None = None, origin_shift: Array | None = None,
     origin_turn: Array | None = None,
-) -> mujoco.MjSpec:
+) -> mujoco.MjSpec:  # fmt: skip
     """Build the editable MuJoCo model of the arm; cameras or boards can be added before it is compiled.
 
     Every link stays a body of its own (MuJoCo would weld the tool to the flange, and the sensor between them

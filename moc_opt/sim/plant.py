@@ -54,15 +54,10 @@ class Plant:
         links = heavy_links(build_spec(data, substep_s=settings.substep_s))
         self.mismatch = Mismatch.draw(data, settings, links, mismatch)
         spec = build_spec(
-            data,
-            substep_s=settings.substep_s,
-            gravity=settings.gravity,
-            mass_scale=self.mismatch.mass_scale,
-            viscous=self.mismatch.viscous_friction,
-            coulomb=self.mismatch.coulomb_friction,
-            origin_shift=self.mismatch.origin_shift,
-            origin_turn=self.mismatch.origin_turn,
-        )
+            data, substep_s=settings.substep_s, gravity=settings.gravity, mass_scale=self.mismatch.mass_scale,
+            viscous=self.mismatch.viscous_friction, coulomb=self.mismatch.coulomb_friction,
+            origin_shift=self.mismatch.origin_shift, origin_turn=self.mismatch.origin_turn,
+        )  # fmt: skip
         if settings.elastic:
             add_springs(data, spec, settings)
         self.mj_model = compile_model(data.name, spec)

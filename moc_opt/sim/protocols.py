@@ -19,15 +19,12 @@ class TorqueController(Protocol):
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
         """Forget the past, and prepare for a run that begins at this measurement."""
-        ...
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
-        ...
 
     def set_applied_torque(self, tau: Array) -> None:
         """Replace the last torque by the one (n,) [Nm] that was applied, where the safety filter changed it."""
-        ...
 
 
 class LoggedController(TorqueController, Protocol):
@@ -35,11 +32,9 @@ class LoggedController(TorqueController, Protocol):
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's values into a row of ``columns``."""
-        ...
 
     def columns(self, ticks: int) -> dict[str, NDArray[Any]]:
         """Create the columns that ``note`` fills, ``ticks`` rows each."""
-        ...
 
 
 class SafetyFilter(Protocol):
@@ -51,20 +46,16 @@ class SafetyFilter(Protocol):
     @property
     def stopped(self) -> bool:
         """Whether a stop was requested; ``reason`` says why."""
-        ...
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
         """What exceeded a warning level since the start, as JSON values."""
-        ...
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
         """Begin at the first measurement."""
-        ...
 
     def request_stop(self, reason: str) -> None:
         """Request the stop; the first reason stays."""
-        ...
 
     def check_measurement(
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
@@ -74,7 +65,6 @@ class SafetyFilter(Protocol):
 
         With the registered trocar (2, 3), RCM error and trocar force are checked too.
         """
-        ...
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
@@ -84,12 +74,9 @@ class SafetyFilter(Protocol):
 
         With it, the tip is held against its reference (3, 3), and the motion at (q, v) against the torque ``before``.
         """
-        ...
 
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop, where ``before`` was applied last."""
-        ...
 
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop, for the wrench (6,) at the mount."""
-        ...
