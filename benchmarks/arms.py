@@ -91,7 +91,7 @@ def problem_of(arm: Arm, q: Array, x_inside: Array, lower: Array, upper: Array, 
     """Return the subproblem of ``arm`` at q whose references are met by ``x_inside``."""
     J_tip, J_wrist = arm.jacobians(q)
     return NullSpaceQP(
-        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower, upper, q=q, **weights
+        J_tip, J_wrist, J_tip @ x_inside, J_wrist @ x_inside, arm.grad_mu(q), lower=lower, upper=upper, q=q, **weights
     )
 
 

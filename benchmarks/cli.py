@@ -86,11 +86,9 @@ def seed_number(text: str) -> int:
 
 
 def run(
-    options: ArgumentParser,
-    work: Callable[[Namespace], Results | int],
-    arguments: Sequence[str] | None = None,
+    options: ArgumentParser, work: Callable[[Namespace], Results | int], arguments: Sequence[str] | None = None,
     stopped: str = "stopped",
-) -> int:
+) -> int:  # fmt: skip
     """Parse the command line, work, write and print the results.
 
     Args:

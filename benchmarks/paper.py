@@ -123,8 +123,9 @@ def experiment(given: Namespace) -> cli.Results:
     best = (config.best, config.best_solver)
     first = answer(summary, list(groups), drawn)
     page = report.page(
-        summary, groups, best, drawn, environment, lambda page: look.add_section(page, looks, out, config), first
-    )
+        summary, groups, best, drawn, environment,
+        look=lambda page: look.add_section(page, looks, out, config), first=first,
+    )  # fmt: skip
     return cli.Results(
         summary, environment, rows=[*measured, *broken, *failed, *swivel, *procedure], page=page,
         files=["replay.html", "figures/"], answer=first,

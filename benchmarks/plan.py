@@ -9,8 +9,6 @@ A trial that is done is kept in DIR/jobs: the same command goes on where it was 
 
 from __future__ import annotations
 
-import hashlib
-import json
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -23,13 +21,12 @@ from pydantic import Field
 from benchmarks import cli
 from benchmarks.config import Configuration
 from benchmarks.crew import run_parallel
-from benchmarks.output import write_json
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.first_screen import answer
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise
+from benchmarks.solver_study.store import Part, Store
 from moc_opt.control import ControlSettings
-from moc_opt.inputs.files import to_json
 from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario
 
@@ -93,16 +90,15 @@ def study(given: Namespace) -> cli.Results:
 
 
 def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
-    """The rows of a job: from its file, if it was done before at this commit, or else worked out."""
-    asked = [commit, job.part, job.robot, job.trial.model_dump(mode="json"), job.count, dict(job.loops)]
-    file = folder / f"{hashlib.sha256(to_json(asked, indent=None, sort_keys=True).encode()).hexdigest()[:24]}.json"
-    if file.exists():
-        found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))
-        return found
-    rows = run_job(job)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(file, rows)
-    return rows
+    """Return the rows of a job: from the folder, if it was done before at this commit, or else worked out."""
+    store = Store(folder)
+    key = store.key(
+        commit=commit, part=job.part, robot=job.robot, trial=job.trial.model_dump(mode="json"), count=job.count,
+        loops=dict(job.loops),
+    )  # fmt: skip
+    part = store.get(key)
+    found: list[dict[str, Any]] = (part or store.put(key, Part({"rows": run_job(job)}, {}))).values["rows"]
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

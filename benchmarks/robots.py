@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import ClassVar, Self
+from typing import Self
 
 from pydantic import Field
 
@@ -31,8 +31,6 @@ STREAM = 8
 class Config(Configuration):
     """benchmarks/configs/robots.toml."""
 
-    KIND: ClassVar[str] = "configuration:"
-    seed: int = Field(0, ge=0)
     robots: list[str] = Field(["lwr4", "iiwa14", "panda", "gen3", "xarm7", "lwr4_rail"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     starts: int = Field(5, ge=1, description="random starts per task and robot")

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,9 @@ Rng = np.random.Generator
 
 VERSION = 1
 SIZE = 128  # problems a set
+ARGUMENTS = (
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+)  # fmt: skip
 FOLDER = Path(__file__).parent / "testsets" / f"v{VERSION}"
 
 
@@ -100,8 +104,9 @@ def at_pose(
     velocity_damper(q, np.array([robot.q_min, robot.q_max, robot.v_max]), k0, lower, upper)
     v_wrist = consistent_wrist_velocity(v_tip, v_wrist, state.tool_direction)
     return NullSpaceQP(
-        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower, upper, regularization=regularization, q=q
-    )
+        state.J_tip, state.J_wrist, v_tip, v_wrist, state.grad_mu, lower=lower, upper=upper, q=q,
+        regularization=regularization,
+    )  # fmt: skip
 
 
 # Of the control law that was recorded, whatever the defaults become: the elbow travels as fast as its joints can.
@@ -166,9 +171,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
         while True:
             qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05))
             u = robot.state(qp.q if qp.q is not None else np.zeros(robot.n)).tool_direction
-            yield NullSpaceQP(
-                qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist + size * u, qp.grad_mu, qp.lower, qp.upper, q=qp.q
-            )
+            yield changed(qp, v_wrist=qp.v_wrist + size * u)
 
     return make
 
@@ -178,9 +181,7 @@ def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp
-        yield NullSpaceQP(
-            qp.J_tip, qp.J_wrist, qp.v_tip, qp.v_wrist, -qp.grad_mu, qp.lower, qp.upper, regularization=0.0, q=qp.q
-        )
+        yield changed(qp, grad_mu=-qp.grad_mu)
 
 
 RECIPES: dict[str, Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]] = {
@@ -229,9 +230,12 @@ def straightened(qp: NullSpaceQP) -> NullSpaceQP:
     five = qp.reduced()
     b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
     b[3:] += five_row_gap(qp, b)
-    return NullSpaceQP(
-        qp.J_tip, qp.J_wrist, b[:3], b[3:], qp.grad_mu, qp.lower, qp.upper, qp.c0, qp.c1, qp.c2, qp.regularization
-    )
+    return changed(qp, v_tip=b[:3], v_wrist=b[3:], q=None)
+
+
+def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
+    """Return the same subproblem with other values of some of its arguments."""
+    return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
 
 
 def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:

@@ -25,11 +25,9 @@ def clock_cost_us(samples: int = 2000) -> float:
 
 
 def each_us(
-    call: Callable[[Any], Any],
-    items: Iterable[Any],
-    results: list[Any] | None = None,
+    call: Callable[[Any], Any], items: Iterable[Any], results: list[Any] | None = None,
     prepare: Callable[[Any], Any] | None = None,
-) -> Array:
+) -> Array:  # fmt: skip
     """Time ``call(item)`` one by one [us], without garbage-collection pauses.
 
     Args:

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.baselines.check import Inputs
-from benchmarks.latency.tick import spread
-from benchmarks.timing import Timed
 from moc_opt.control import ControlSettings
 from moc_opt.embedded import NativeController, TickSpec, export, record
 from moc_opt.model.robot_model import RobotModel
@@ -30,12 +28,6 @@ def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> Nat
         MocOptError: no C compiler here, or a setting that C cannot do.
     """
     return NativeController(robot, settings, make_solver(SOLVER, robot), period_s)
-
-
-def timed(brain: NativeController, inputs: list[Inputs]) -> Timed:
-    """Return the compiled tick, called from Python."""
-    brain.start(*inputs[0])
-    return Timed(spread(brain.tick), inputs)
 
 
 def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: list[Inputs]) -> float:

@@ -61,17 +61,10 @@ def factors(
             busy[name].append(cpu / simulated)
             ticks[name].append(trace.tick_us)
             factor, factor_cpu = simulated / wall, simulated / cpu
-            rows.append(
-                {
-                    "part": "loop",
-                    "name": name,
-                    "round": turn,
-                    "factor": factor,
-                    "factor_cpu": factor_cpu,
-                    "wall_s": wall,
-                    "us_per_tick": 1e6 * wall / len(trace),
-                }
-            )
+            rows.append({
+                "part": "loop", "name": name, "round": turn, "factor": factor, "factor_cpu": factor_cpu,
+                "wall_s": wall, "us_per_tick": 1e6 * wall / len(trace),
+            })  # fmt: skip
         if turn and beside is not None:
             beside()
     found = {

@@ -23,6 +23,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Setup
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.solvers import available
+from moc_opt.solvers.exact.solver import Exact
 
 Advance = Callable[[str], None]
 CHUNK = 100
@@ -70,9 +71,7 @@ class Run:
         summary: dict[str, Any] = {"embedded": self._compile(inputs)}
         advance("compiled the tick to C")
         summary |= self._ticks(inputs, advance)
-        summary["tick_parts"] = self._timed(
-            "tick_parts", self._parts(inputs), table.rounds, "tick"
-        )  # fmt: skip
+        summary["tick_parts"] = self._timed("tick_parts", self._parts(inputs), table.rounds, "tick")
         advance("parts of a tick")
         summary["exact"] = self._exact(problems)
         advance("exact")
@@ -132,7 +131,8 @@ class Run:
         self._missing |= {f"solver {k}": v for k, v in refused.items()} | {f"peer {k}": v for k, v in absent.items()}
         entries = dict(own)
         if self._native is not None:
-            entries["c"] = embedded.timed(self._native, inputs)
+            self._native.start(*inputs[0])
+            entries["c"] = Timed(tick.spread(self._native.tick), inputs)
         entries |= {f"peer {name}": run.timed for name, run in runs.items()}
         shortest = min(len(entry.items) for entry in entries.values())
         rounds = max(self.config.tick.rounds, round(self.config.tick.rounds * len(inputs) / shortest))
@@ -158,7 +158,7 @@ class Run:
         by_name = {"recorded": problems}
         by_name |= {f"n = {n}": solve.random_problems(n, table.problems, rng) for n in table.joints}
         rows = {name: np.array([qp.row for qp in found]) for name, found in by_name.items()}
-        entries = solve.exact_entries(by_name)
+        entries = {name: Timed(Exact().start(found[0]).solve, found) for name, found in by_name.items()}
         shortest = min(map(len, by_name.values()))
         times = self._timed("exact", entries, max(2, self.config.tick.ticks // shortest), "solve")
         return {

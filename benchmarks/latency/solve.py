@@ -83,11 +83,6 @@ def residuals(problems: list[NullSpaceQP]) -> dict[str, float]:
     }  # fmt: skip
 
 
-def exact_entries(by_name: dict[str, list[NullSpaceQP]]) -> dict[str, Timed]:
-    """Map the name of some subproblems to one solve from Python."""
-    return {name: Timed(Exact().start(problems[0]).solve, problems) for name, problems in by_name.items()}
-
-
 def adapters(
     names: Iterable[str], robot: RobotModel, problems: list[NullSpaceQP]
 ) -> tuple[dict[str, dict[str, Timed]], dict[str, str]]:

@@ -148,8 +148,8 @@ def _read(trace: Trace, said: dict[str, Any]) -> Found:
     cycles = len(trace) if whole else int(np.searchsorted(trace.t_s, float(trace.meta["stopped_at_s"]))) + 1
     wake, round_trip, control = (columns[name][:cycles] for name in ("wake_us", "tick_us", "control_us"))
     return Found(
-        wake, round_trip, control, int(columns["missed"][:cycles].sum()), int(wire["overruns"]), ended, clean,
-        1e3 * rcm, system,
+        wake, round_trip, control, missed=int(columns["missed"][:cycles].sum()), overruns=int(wire["overruns"]),
+        ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
-from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Outcome
+from benchmarks.paper_experiment.trials import BASELINES, Outcome
 from moc_opt.report import figures
 from moc_opt.report.export import browser, save_figures
 from moc_opt.report.figures.style import MUTED, SERIES, figure, label
@@ -97,6 +97,3 @@ def save(drawn: Mapping[str, go.Figure], folder: Path) -> list[Path]:
             page.locator("svg").first.screenshot(path=pixels)
             written.append(pixels)
     return written
-
-
-__all__ = ["MATCHED", "box_figures", "save", "swivel_figure", "titles", "trial_figure"]

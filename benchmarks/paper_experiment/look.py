@@ -123,10 +123,6 @@ def add_section(page: Page, found: Mapping[str, Look], folder: Path, config: Con
     look = next(iter(found.values()))
     pair = {name: look.traces[name] for name in (BASELINES[MATCHED], best) if name in look.traces}
     add_replay(
-        page,
-        folder,
-        config.scenario.robot.arm(),
-        pair,
-        f"Trial {look.trial}: {' and '.join(pair)}",
+        page, folder, config.scenario.robot.arm(), pair, f"Trial {look.trial}: {' and '.join(pair)}",
         Styles(look.traces),
-    )
+    )  # fmt: skip

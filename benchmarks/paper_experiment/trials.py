@@ -106,12 +106,9 @@ def trials(base: Scenario, tasks: Sequence[str], seeds_of_trials: Sequence[int])
         virtual = board_task(name)
         for k, seed in enumerate(seeds_of_trials[i * per_task : (i + 1) * per_task]):
             scene = base.change(
-                name=f"{name}/{k}",
-                seed=seed,
-                task={"path": virtual.kind, "sizes": dict(virtual.sizes)},
-                trocar={"depth_m": virtual.depth_m},
-                start={"swivel": "random"},
-            )
+                name=f"{name}/{k}", seed=seed, task={"path": virtual.kind, "sizes": dict(virtual.sizes)},
+                trocar={"depth_m": virtual.depth_m}, start={"swivel": "random"},
+            )  # fmt: skip
             found.append((name, scene))
     return found
 

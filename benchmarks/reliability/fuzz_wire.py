@@ -73,7 +73,7 @@ def wire_packet(case: list[Any]) -> Verdict:
     peer, hold = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), robot.gravity(robot.data.q_home)
     plant = RemoteController(
         link, WireSettings(hold_ticks=1, damp_ticks=1, wait_s=1.0), make_safety_filter(robot, scenario),
-        setup.adapter().columns, hold, robot.tau_max, _SCENARIO, _NoTime(),  # type: ignore[arg-type]
+        setup.adapter().columns, hold, robot.tau_max, scenario=_SCENARIO, clock=_NoTime(),  # type: ignore[arg-type]
     )  # fmt: skip
     columns, limited = plant.columns(TICKS), np.zeros(TICKS, dtype=np.int8)
     seen = Measurement(np.array(robot.data.q_home), np.zeros(robot.n), np.zeros(6))

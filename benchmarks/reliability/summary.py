@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from benchmarks.reliability.config import Config
@@ -78,7 +78,7 @@ def goals(config: Config, summary: Summary) -> list[dict[str, Any]]:
     found = [
         row(
             "runs that diverge without saying so", 0, total("diverged"),
-            _list(f"{c}, {n}" for c, n, f in everything if f["diverged"]),
+            "; ".join(f"{c}, {n}" for c, n, f in everything if f["diverged"]),
         ),
         row("runs that the plant could not go on with", 0, total("ran_away") + total("refused")),
         row("injected solver faults that were not noticed", 0, total("missed")),
@@ -101,7 +101,3 @@ def goals(config: Config, summary: Summary) -> list[dict[str, Any]]:
         row("speed of any joint at the end of a stop [rad/s]", AT_REST_RAD_PER_S, speed, slowest),
     ]  # fmt: skip
     return [goal for goal in found if goal["value"] is not None]
-
-
-def _list(names: Iterable[str]) -> str:
-    return "; ".join(names)

@@ -185,7 +185,7 @@ def run_one(
         store.put(key, part)
     values, faults = part.values, part.values.get("faults", {})
     return Run(
-        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed, faults,
+        label, trial.name, values["metrics"], part.arrays, values["error"], values["ended"], timed=timed, faults=faults,
         begun=values.get("begun", {}),
     )  # fmt: skip
 

@@ -70,7 +70,7 @@ def all_sweeps(study: Study, so_far: Findings) -> Findings:
 
     def work(worker: Worker, job: tuple[Sweep, Point]) -> tuple[dict[str, Any], Cell | None]:
         sweep, point = job
-        metrics = sweeps.run_sweep(store, worker, sweep, point, trials, baselines, default)
+        metrics = sweeps.run_sweep(store, worker, sweep, point, trials, baselines, default=default)
         cell = _in_open_loop(study, worker, point, data, limits)
         study.advance(f"sweep {sweep.name} {point.label}")
         return metrics, cell

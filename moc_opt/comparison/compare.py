@@ -229,7 +229,7 @@ def compare(
     done = 0
     try:
         for k in range(seed, seed + trials):
-            rows += _trial(base, k, start, chosen, f"trial {k - seed + 1} of {trials}", watch, not rows)
+            rows += _trial(base, k, start, chosen, f"trial {k - seed + 1} of {trials}", watch, first=not rows)
             done += 1
     except KeyboardInterrupt:
         if not done:

@@ -89,24 +89,16 @@ def _guard(robot: RobotModel, guard: SafetyFilterSettings, period: float) -> dic
         "MOC_TORQUE_STEP": number(guard.torque_rate_Nm_per_s * period),
         "MOC_WALL_STIFFNESS": number(guard.wall_stiffness_Nm_per_rad),
         "MOC_WALL_DAMPING": number(guard.wall_damping_Nm_s_per_rad),
-        "MOC_WALL_BRAKE": number(guard.wall_brake_rad_per_s2),
-        "MOC_JUMP": number(guard.jump_rad),
-        "MOC_SPEED_FACTOR": number(guard.speed_factor),
-        "MOC_PATIENCE_TICKS": str(guard.patience_ticks),
-        "MOC_TIP_ERROR": number(guard.tip_error_m),
-        "MOC_TIP_SHARE": number(min(1.0, period / guard.tip_error_s)),
-        "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)),
-        "MOC_TIP_FORCE": number(guard.tip_force_N),
-        "MOC_TOOL_MASS": number(robot.data.tool_mass),
-        "MOC_TOOL_LENGTH": number(robot.data.tool_length),
-        **_motion(guard, robot.n, period),
-        "MOC_STOP_HOLDING": number(guard.stop_holding),
-        "MOC_STOP_YIELD": number(guard.stop_yield_N),
-        "MOC_STOP_YIELD_TICKS": str(round(guard.stop_yield_s / period)),
+        "MOC_WALL_BRAKE": number(guard.wall_brake_rad_per_s2), "MOC_JUMP": number(guard.jump_rad),
+        "MOC_SPEED_FACTOR": number(guard.speed_factor), "MOC_PATIENCE_TICKS": str(guard.patience_ticks),
+        "MOC_TIP_ERROR": number(guard.tip_error_m), "MOC_TIP_SHARE": number(min(1.0, period / guard.tip_error_s)),
+        "MOC_INCISION_SHARE": number(min(1.0, period / guard.incision_s)), "MOC_TIP_FORCE": number(guard.tip_force_N),
+        "MOC_TOOL_MASS": number(robot.data.tool_mass), "MOC_TOOL_LENGTH": number(robot.data.tool_length),
+        **_motion(guard, robot.n, period), "MOC_STOP_HOLDING": number(guard.stop_holding),
+        "MOC_STOP_YIELD": number(guard.stop_yield_N), "MOC_STOP_YIELD_TICKS": str(round(guard.stop_yield_s / period)),
         "MOC_PRESS_SHARE": number(min(1.0, PRESS_PER_S * period)),
-        "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad),
-        "MOC_STOP_SECONDS": number(guard.stop_s),
-    }
+        "MOC_STOP_DAMPING": number(guard.stop_damping_Nm_s_per_rad), "MOC_STOP_SECONDS": number(guard.stop_s),
+    }  # fmt: skip
 
 
 def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str]:

@@ -64,13 +64,10 @@ def safe_files(spec: TickSpec, guard: SafetyFilterSettings = DEFAULT_SAFETY_FILT
 
 
 def export(
-    spec: TickSpec,
-    recording: Recording,
-    out: str | os.PathLike[str],
-    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
-    safe_recording: SafeRecording | None = None,
+    spec: TickSpec, recording: Recording, out: str | os.PathLike[str],
+    guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER, safe_recording: SafeRecording | None = None,
     extra: Mapping[str, str] = MappingProxyType({}),
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Write the C files of the whole controller, their tests and a Makefile into the folder `out`.
 
     Args:

@@ -45,13 +45,9 @@ class GuardedController:
     """
 
     def __init__(
-        self,
-        robot: RobotModel,
-        settings: ControlSettings,
-        solver: Solver | None = None,
-        period: float = 0.002,
+        self, robot: RobotModel, settings: ControlSettings, solver: Solver | None = None, period: float = 0.002,
         guard: SafetyFilterSettings = DEFAULT_SAFETY_FILTER,
-    ) -> None:
+    ) -> None:  # fmt: skip
         _, texts = safe_files(TickSpec(robot, settings, solver, period), guard)
         self._n = robot.n
         self.library = found = ctypes.PyDLL(str(compile_library(texts | program.read("access.c"))))

@@ -142,14 +142,9 @@ def _no_tunnel(server: object, verbose: bool = True) -> None:
 
 
 def serve(
-    scenario: Scenario,
-    *,
-    host: str = "127.0.0.1",
-    port: int = PORT,
-    public: bool = False,
-    seconds: float | None = None,
-    title: str = "",
-) -> int:
+    scenario: Scenario, *, host: str = "127.0.0.1", port: int = PORT, public: bool = False,
+    seconds: float | None = None, title: str = "",
+) -> int:  # fmt: skip
     """Open the page and keep it until Ctrl-C; return the exit code.
 
     Raises:

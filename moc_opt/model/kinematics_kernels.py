@@ -69,21 +69,11 @@ def state_views(record: Array, n: int) -> StateViews:
     m = g + 2 * n
     h = m + n * n
     return StateViews(
-        record[0:n],
-        record[n : 2 * n],
-        record[2 * n : 2 * n + 3],
-        record[2 * n + 3 : 2 * n + 6],
-        record[2 * n + 6 : a],
-        record[a:d].reshape((6, n)),
-        record[d:g],
-        record[g : g + n],
-        record[g + n : m],
-        record[m:h].reshape((n, n)),
-        record[h : h + n],
-        record[h + n : h + 2 * n],
-        record[h + 2 * n : h + 3 * n],
+        record[0:n], record[n : 2 * n], record[2 * n : 2 * n + 3], record[2 * n + 3 : 2 * n + 6],
+        record[2 * n + 6 : a], record[a:d].reshape((6, n)), record[d:g], record[g : g + n], record[g + n : m],
+        record[m:h].reshape((n, n)), record[h : h + n], record[h + n : h + 2 * n], record[h + 2 * n : h + 3 * n],
         record[h + 3 * n : h + 3 * n + 3],
-    )
+    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -145,19 +135,9 @@ def tip_manipulability(q: Array, axes: Array, joints: Array, offsets: Array, mov
 
 @njit(cache=True)
 def fill_state(
-    record: Array,
-    q: Array,
-    v: Array,
-    axes: Array,
-    joints: Array,
-    places: Array,
-    bodies: Array,
-    field: Array,
-    offsets: Array,
-    moves: Array,
-    inertia: Array,
-    bias: Array,
-) -> int:
+    record: Array, q: Array, v: Array, axes: Array, joints: Array, places: Array, bodies: Array, field: Array,
+    offsets: Array, moves: Array, inertia: Array, bias: Array,
+) -> int:  # fmt: skip
     """Fill a record; returns OK, BAD_Q or BAD_V (not finite).
 
     Args:

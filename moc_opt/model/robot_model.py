@@ -65,7 +65,10 @@ class RobotModel:
         self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
         self._moves = read_only(np.ones((2, n), dtype=np.bool_))
-        self._moves = self._find_moves()
+        # Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis.
+        drawn = np.random.default_rng(0).uniform(self.q_min, self.q_max, (4, n))
+        columns = [np.linalg.norm(self.state(q).A.reshape(2, 3, n), axis=1) for q in drawn]
+        self._moves = read_only(np.max(columns, axis=0) > _STRUCTURAL_ZERO)
         self._kinematics: Kinematics | None = None
 
     def __repr__(self) -> str:
@@ -86,19 +89,9 @@ class RobotModel:
         _bias_forces(model, data, position, velocity)
         _inertia(model, data, position, _IN_THE_WORLD)  # there, axes and places come with it
         code = self._fill_state(
-            record,
-            position,
-            velocity,
-            self._axes,
-            self._joints,
-            self._places,
-            self._bodies,
-            self._field,
-            self._offsets,
-            self._moves,
-            self._inertia,
-            self._bias,
-        )
+            record, position, velocity, self._axes, self._joints, self._places, self._bodies, self._field,
+            self._offsets, self._moves, self._inertia, self._bias,
+        )  # fmt: skip
         if code != kernels.OK:
             name, value = ("q", position) if code == kernels.BAD_Q else ("v", velocity)
             raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
@@ -182,11 +175,9 @@ class RobotModel:
         placements = [self._pin.jointPlacements[j + 1] for j in range(self.n)]
         return Chain(
             rotations=np.array([placement.rotation for placement in placements]),
-            origins=np.array([placement.translation for placement in placements]),
-            axes=np.array(axes),
-            prismatic=prismatic,
-            offsets=self._offsets,
-        )
+            origins=np.array([placement.translation for placement in placements]), axes=np.array(axes),
+            prismatic=prismatic, offsets=self._offsets,
+        )  # fmt: skip
 
     def kinematics(self) -> Kinematics:
         """CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
@@ -222,13 +213,6 @@ class RobotModel:
         if array.shape != self._shape:
             raise RobotError(f"{name} has shape {array.shape}: the arm has {self.n} joints, give ({self.n},)")
         return array
-
-    def _find_moves(self) -> NDArray[np.bool_]:
-        """Which joints ever move tip and wrist: the last joint, for one, moves no tool on its own axis."""
-        rng = np.random.default_rng(0)
-        states = [self.state(rng.uniform(self.q_min, self.q_max)) for _ in range(4)]
-        columns = np.array([np.linalg.norm(s.A.reshape(2, 3, self.n), axis=1) for s in states])
-        return read_only(columns.max(axis=0) > _STRUCTURAL_ZERO)
 
 
 def load_robot(

@@ -81,7 +81,7 @@ def _maxima(robot: RobotModel, target: Array, starts: Array) -> tuple[Array, flo
     """The `KEPT` best different maxima reached from the starts, and the largest mu."""
     chain = robot.chain
     moving = np.flatnonzero(robot.moves.any(axis=0)).astype(np.int64)
-    arm = Constraint(chain.joints, chain.offsets, robot.moves, robot.q_min, robot.q_max, moving, target)
+    arm = Constraint(chain.joints, chain.offsets, robot.moves, robot.q_min, robot.q_max, active=moving, target=target)
     mus = np.empty(len(starts))
     ascend_all(arm, starts, mus)
     order = [int(i) for i in np.argsort(-mus) if mus[i] > 0.0]

@@ -172,13 +172,15 @@ def make_plan(
     return Plan(
         objective, targets, mine, best,
         make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
-        np.nan if mine is None else bounds[0].value, np.nan if best is None else bounds[1].value,
-        None if mine is not None else blocked(
+        np.nan if mine is None else bounds[0].value,
+        bound=np.nan if best is None else bounds[1].value,
+        blocked=None if mine is not None else blocked(
             robot, found, answers[0], start[0], step, margin_rad, proven=bounds[0].q_rad is None
         ),
-        float(elbow.swivel(start[0][None])[0]),
-        np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
-        np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)), *took,
+        start_swivel_rad=float(elbow.swivel(start[0][None])[0]),
+        best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
+        swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
+        map_s=took[0], search_s=took[1], refine_s=took[2],
     )  # fmt: skip
 
 

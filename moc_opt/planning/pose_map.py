@@ -152,7 +152,9 @@ def spherical_map(
     window = _window(robot, arm, targets, swivels)
     shared = np.broadcast_to(mu[:, None], room.shape)
     idle_rad = 0.0 if start is None else float(start[6])
-    return SphericalMap(targets, shared, room, window, arm, swivel, angles, reference, idle_rad)
+    return SphericalMap(
+        targets, shared, room, window, arm=arm, swivel_rad=swivel, angles=angles, reference=reference, idle_rad=idle_rad
+    )
 
 
 def _evaluate(

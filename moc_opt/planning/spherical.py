@@ -72,7 +72,7 @@ def spherical(robot: RobotModel) -> Spherical | None:
         offset[j] = np.arctan2(x, z) if j % 2 else np.arctan2(-x, y)
         turned = turned @ _turn(1 if j % 2 else 2, offset[j])
     middle = 0.5 * (robot.q_max + robot.q_min)[:6]
-    return Spherical(base, shoulder, upper, fore, float((tip - center) @ axes[6]), offset, middle, half)
+    return Spherical(base, shoulder, upper, fore, float((tip - center) @ axes[6]), offset, middle=middle, half=half)
 
 
 def branch_of(arm: Spherical, q: Array) -> int:

@@ -165,7 +165,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
     if comb(n, r) << r <= MOST_CORNERS:
         return max(cost(w), _largest_corner(Z, low, high, slope, rho))
     axis = np.eye(r)[0]
-    return max(_uphill(Z, low, high, slope, rho, w, way) for way in (slope, -slope, axis, -axis))
+    return max(_uphill(Z, low, high, slope, rho, w, way=way) for way in (slope, -slope, axis, -axis))
 
 
 def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array, way: Array) -> float:

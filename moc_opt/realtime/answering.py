@@ -145,7 +145,8 @@ class Answering:
                 sequence.take(number)
                 applied = self._answer(filtered, found, applied)
             elif said == "doubled" and number == last:  # the plant has not heard the answer
-                self._send()
+                link.send(self._command)
+                link.send(self._report)
             elif said == "reordered":
                 sequence.take(number)
             found = link.receive(monotonic() + self._settings.silence_s)
@@ -190,10 +191,6 @@ class Answering:
         if not rehearsal:
             self._link.send(self._report)
         return tau
-
-    def _send(self) -> None:
-        self._link.send(self._command)
-        self._link.send(self._report)
 
 
 def _measurement(packet: Packet) -> Measurement:

@@ -122,7 +122,8 @@ def manipulability_map(
         read_only(array)
     names = tuple(robot.data.joint_names[j] for j in sorted(held) if robot.moves[:, j].any())
     return SwivelMap(
-        guide.t_s[ticks], swivel, mu, q, limit, best[0], best[1], MappingProxyType(trajectories), names
+        guide.t_s[ticks], swivel, mu, q, limit, best_swivel_rad=best[0], best_mu=best[1],
+        trajectories=MappingProxyType(trajectories), held=names,
     )  # fmt: skip
 
 

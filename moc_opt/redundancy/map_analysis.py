@@ -71,21 +71,23 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
     trajectory, known = found.trajectories[name], np.isfinite(found.best_mu)
     travel = float(np.unwrap(trajectory.swivel_rad)[-1] - trajectory.swivel_rad[0])
     nan = float("nan")
-    if not known.any():
-        return Reading(name, nan, nan, travel, nan, End.UNKNOWN, 0, nan, ())
-    if trajectory.gap_rad > OTHER_BRANCH_RAD:
-        return Reading(name, nan, nan, travel, nan, End.OTHER_BRANCH, 0, nan, ())
-    edge = _at_edge(found, trajectory)
+    if not known.any() or trajectory.gap_rad > OTHER_BRANCH_RAD:
+        end = End.OTHER_BRANCH if known.any() else End.UNKNOWN
+        return Reading(name, nan, nan, travel, from_s=nan, end=end, joint=0, at_edge=nan, limits=())
+    at_edge, limits = _at_edge(found, trajectory)
     best = np.interp(trajectory.t_s, found.t_s[known], found.best_mu[known])
     near = trajectory.mu >= (1.0 - NEAR) * best
     late = trajectory.t_s >= trajectory.t_s[-1] - END * (trajectory.t_s[-1] - trajectory.t_s[0])
     share = float(trajectory.mu.mean() / best.mean())
+    since, end, joint = nan, End.OPTIMUM, 0
     if np.median(trajectory.mu[late] / best[late]) >= 1.0 - NEAR:
         off = np.flatnonzero(~near)
-        since = trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0]
-        return Reading(name, float(near.mean()), share, travel, float(since), End.OPTIMUM, 0, *edge)
-    end, joint = _what_holds(found, trajectory, late)
-    return Reading(name, float(near.mean()), share, travel, nan, end, joint, *edge)
+        since = float(trajectory.t_s[min(off[-1] + 1, len(near) - 1)] if len(off) else trajectory.t_s[0])
+    else:
+        end, joint = _what_holds(found, trajectory, late)
+    return Reading(
+        name, float(near.mean()), share, travel, from_s=since, end=end, joint=joint, at_edge=at_edge, limits=limits
+    )
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:

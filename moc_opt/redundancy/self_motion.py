@@ -146,14 +146,9 @@ class _Curve:
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
         chain = robot.chain
         self._arm = kernels.Constraint(
-            chain.joints,
-            chain.offsets,
-            robot.moves,
-            robot.q_min,
-            robot.q_max,
-            np.array(active, dtype=np.int64),
-            target,
-        )
+            chain.joints, chain.offsets, robot.moves, robot.q_min, robot.q_max,
+            active=np.array(active, dtype=np.int64), target=target,
+        )  # fmt: skip
         self._step = step
         # Far longer than any real curve; it only bounds the memory of one that never ends.
         self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2

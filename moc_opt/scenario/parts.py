@@ -89,8 +89,9 @@ def make_safety_filter(robot: RobotModel, scenario: Scenario) -> SafetyFilter:
     """Make the safety filter of an arm in its incision, with everything it can check."""
     period_s = scenario.plant.period_s
     return SafetyFilter(
-        robot.data, scenario.told_guard, period_s, robot.gravity, robot.tool_place, robot.state, robot.chain.prismatic
-    )
+        robot.data, scenario.told_guard, period_s, robot.gravity, robot.tool_place, robot.state,
+        slides=robot.chain.prismatic,
+    )  # fmt: skip
 
 
 def make_stop(scenario: Scenario) -> Stop:

@@ -66,7 +66,7 @@ class PlantServer(Setup):
         self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
         self._remote = RemoteController(
             self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
-            self.plant.applied_torque, self.robot.tau_max, fingerprint(scenario), self._clock,
+            self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario), clock=self._clock,
         )  # fmt: skip
 
     @property
@@ -137,6 +137,7 @@ def answer(
         return setup.adapter(), make_safety_filter(setup.robot, scenario)
 
     try:
-        return Answering(link, scenario.wire, make, tip_refs, registered, fingerprint(scenario), ready).run()
+        end = Answering(link, scenario.wire, make, tip_refs, registered, scenario=fingerprint(scenario), ready=ready)
+        return end.run()
     finally:
         link.close()
