@@ -261,3 +261,15 @@ def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_it
     assert bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55
+
+
+@pytest.mark.parametrize("patience", [0, 3])
+def test_from_the_start_on_a_reading_may_be_late_for_the_patience_and_no_longer(robot, patience):
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(patience_ticks=patience), PERIOD, robot.gravity)
+    q, rest = robot.data.q_home, np.zeros(robot.n)
+    guard.start(q, rest, 5)
+    for _ in range(patience):
+        guard.check_measurement(q, rest, 4)
+    assert not guard.stopped
+    guard.check_measurement(q, rest, 4)
+    assert "ticks late" in guard.reason
