@@ -93,6 +93,41 @@ def test_equal_at_the_edge_of_what_can_be_computed():
     assert_equal(kernels.batch_residuals(rows, x, y), compute_residuals(rows, x, y))
 
 
+@pytest.mark.parametrize("left", [0.0, 1e-11, 1e-7])
+def test_a_gradient_that_the_self_motion_does_not_see(left):
+    """Of the size of rounding on ker A, or just above it: the first asks for nothing, and every place is right."""
+    rng, problems = np.random.default_rng(8), []
+    for _ in range(20):
+        qp = random_problem(rng, regularization=0.0)
+        part = fields(row := np.array(qp.row))
+        line = np.append(np.linalg.svd(qp.A[:, :6])[2][-1], 0.0)
+        across = np.append(rng.normal(size=6), 0.0)
+        part.grad_mu[:] = across - line * (line @ across) + left * line / np.abs(line).max()
+        x = Exact().start(qp).solve(qp).x
+        low, high = (np.where(line > 0.0, part.lower, part.upper) - x, np.where(line > 0.0, part.upper, part.lower) - x)
+        step = np.divide(low, line, where=line != 0.0, out=np.full(7, -np.inf)).max()
+        problems.append((row, x + 0.9 * step * line, np.full(6, np.nan)))
+        problems.append((row, x + 0.9 * np.divide(high, line, where=line != 0.0, out=np.full(7, np.inf)).min() * line,
+                         np.full(6, np.nan)))  # fmt: skip
+    rows, x, y = (np.array(column) for column in zip(*problems, strict=True))
+    found = kernels.batch_residuals(rows, x, y)
+    assert judged(rows, x, y)[0].all()
+    assert_equal(found, compute_residuals(rows, x, y))
+    assert found.verified().all() == (left < 1e-9)
+
+
+def test_a_joint_that_the_self_motion_leaves_alone_may_be_the_first():
+    """Nothing of its unit vector is left beside the rows: the line begins at another joint."""
+    rng = np.random.default_rng(9)
+    for _ in range(20):
+        A = np.vstack([np.eye(6)[0], rng.normal(size=(4, 6)) * np.r_[0.0, np.ones(5)], np.zeros(6)])
+        A[5] = A[1] - 2.0 * A[2]
+        Q, z = np.empty((5, 6)), np.empty(6)
+        assert kernels.row_space(A, 6, Q, z, np.empty((6, 6)))
+        np.testing.assert_allclose(A @ z, 0.0, atol=1e-13)
+        assert np.linalg.norm(z) == pytest.approx(1.0)
+
+
 def test_ticks_without_a_subproblem():
     """Rows of zeros, as a trace has them after a stop, beside sound ones."""
     rows, x, y = cases(5, each=2)
