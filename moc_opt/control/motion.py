@@ -14,7 +14,8 @@ WORDS = {
     kernels.RAN_AWAY: "the encoders' positions do not follow their velocities",
     kernels.REPEATED: "all encoders repeat one reading, as no arm that moves or has noise does",
     kernels.STUCK: "an encoder repeats one reading while torque acts on its joint",
-    kernels.UNEXPLAINED: "the torque went into a motion that the encoders do not show",
+    kernels.UNEXPLAINED: "the measured motion is not what the torque makes: a wrong encoder, an unknown force, or a "
+    "loop that shakes at too long a delay",
     kernels.ONE_REPEATED: "one encoder repeats its reading, as its noise does not let it",
     kernels.RECORDED: "the measurements are a recording: they came before, to the last bit",
 }

@@ -26,7 +26,7 @@ REASONS = (
     "the wrench sensor's readings are no numbers", "the RCM error has been above",
     "the trocar's force has been above", "the tip has been", "the controller's torque is not finite",
     "measurements are more than", "all encoders repeat one reading", "the encoders' positions do not follow",
-    "an encoder repeats one reading", "the torque went into a motion",
+    "an encoder repeats one reading", "the measured motion is not what the torque makes",
     "the measurements are a recording", "one encoder repeats",
 )  # fmt: skip
 """How the safety filter in Python begins the reasons to stop in moc_safe.h, in its order."""

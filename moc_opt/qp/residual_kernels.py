@@ -175,7 +175,7 @@ def along_a_line(z: Array, m: int, slope: float, rho: float, low: Array, high: A
     if wide_first > wide_last:
         return np.inf, 1.0
     if first > last:
-        first = last = 0.5 * (wide_first + wide_last)
+        first = last = min(max(0.5 * (first + last), wide_first), wide_last)
     return on_an_interval(slope, rho, first, last)
 
 

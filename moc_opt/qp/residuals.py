@@ -240,7 +240,8 @@ def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -
         return first.max(-1), last.min(-1)
 
     (first, last), (wide_first, wide_last) = interval(0.0), interval(FEASIBLE)
-    empty, point = wide_first > wide_last, 0.5 * (wide_first + wide_last)
+    # Bounds that miss each other by no more than FEASIBLE: midway, which is where they meet as the gap closes.
+    empty, point = wide_first > wide_last, np.clip(0.5 * (first + last), wide_first, wide_last)
     step, loss = _on_an_interval(
         slope, rho, np.where(first > last, point, first), np.where(first > last, point, last)
     )

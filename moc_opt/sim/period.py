@@ -60,13 +60,13 @@ def write_truth(
     point: Array, elapsed: float, truth: Array,
 ) -> None:  # fmt: skip
     """Write q, v, tip, wrist and the trocar's force into truth (2 n + 9,); other arguments as for `advance`."""
-    n, tool, tip, wrist = q.size, numbers[0], numbers[1], numbers[2]
+    n, tip, wrist = q.size, numbers[1], numbers[2]
     truth[:n], truth[n : 2 * n] = q, v
     truth[2 * n : 2 * n + 3], truth[2 * n + 3 : 2 * n + 6] = xpos[tip], xpos[wrist]
     force = truth[2 * n + 6 :]
     force[:] = 0.0
     if tissue[0] > 0.0 or tissue[1] > 0.0:
-        shaft_force(xpos[tip], xpos[wrist], cvel[tool], origin, trocar, elapsed, tissue[0], tissue[1], force, point)
+        shaft_force(xpos[tip], xpos[wrist], cvel[tip], origin, trocar, elapsed, tissue[0], tissue[1], force, point)
 
 
 @njit(cache=True, nogil=True)

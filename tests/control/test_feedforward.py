@@ -92,3 +92,15 @@ def test_a_straight_elbow_leaves_out_what_it_cannot_do(robot, angle):
     size = np.linalg.norm(across @ s.J_wrist @ free.T, axis=0)
     assert np.abs(missing @ s.J_wrist @ free.T).max() <= (1e-9 + 2.0 * abs(angle)) * size.max()
     assert np.linalg.norm(missing) > 0.01
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+@pytest.mark.parametrize("angle", [2e-4, 5e-3, 0.5])
+def test_the_unit_of_mass_does_not_matter(robot, angle, scale):
+    """Neither to the torque nor to which elbow is a straight one."""
+    rng, s = np.random.default_rng(5), straight(robot, angle)
+    rest = np.array(s.A), np.array(s.tool_direction)
+    accelerations = np.r_[s.drift_tip, s.drift_wrist], rng.normal(size=3), rng.normal(size=3)
+    tau = motion_feedforward(*rest, cholesky(np.array(s.M)), *accelerations)
+    scaled = motion_feedforward(*rest, cholesky(scale * s.M), *accelerations)
+    assert_allclose(scaled, scale * tau, rtol=1e-7, atol=1e-9 * scale * np.abs(tau).max())

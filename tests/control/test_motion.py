@@ -248,7 +248,7 @@ def test_what_the_model_does_not_know_from_the_beginning_on_is_no_motion(robot, 
     reason, _ = watched(
         robot, SafetyFilterSettings(residual_s=1e6), lambda k: (k >= begins) * 0.4 * robot.tau_max, 200
     )
-    assert ("the torque went into a motion that the encoders do not show" in reason) == told
+    assert ("the measured motion is not what the torque makes" in reason) == told
     assert bool(reason) == told
 
 
@@ -257,7 +257,19 @@ def test_a_torque_that_grows_slowly_at_a_pose_that_does_not_change_is_told_by_it
     """Frozen readings under fresh noise, a controller that integrates: the residual's mean follows it all the way."""
     rate = 0.25 * robot.tau_max[1] * PERIOD * np.eye(N)[1]  # to 1.25 times the largest in 5 s
     reason, k = watched(robot, SafetyFilterSettings(residual_whole_torque=whole), lambda k: rate * k, 2500)
-    assert ("the torque went into a motion" in reason) == stops
+    assert ("not what the torque makes" in reason) == stops
     assert bool(reason) == stops
     if stops:
         assert 0.5 < 0.25 * PERIOD * k < 0.55
+
+
+@pytest.mark.parametrize("patience", [0, 3])
+def test_from_the_start_on_a_reading_may_be_late_for_the_patience_and_no_longer(robot, patience):
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(patience_ticks=patience), PERIOD, robot.gravity)
+    q, rest = robot.data.q_home, np.zeros(robot.n)
+    guard.start(q, rest, 5)
+    for _ in range(patience):
+        guard.check_measurement(q, rest, 4)
+    assert not guard.stopped
+    guard.check_measurement(q, rest, 4)
+    assert "ticks late" in guard.reason

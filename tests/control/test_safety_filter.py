@@ -1,5 +1,6 @@
 """Limits that hold at every tick."""
 
+import dataclasses
 
 import numpy as np
 import pytest
@@ -164,3 +165,14 @@ def test_a_measurement_that_is_no_newer_than_the_last_is_not_taken(guard, robot)
         assert guard.bad_ticks == (not taken)
         assert (found == q + off).all() == taken
     assert not guard.stopped
+
+
+@pytest.mark.parametrize("share", [1.0, 0.05])
+def test_the_brakes_hold_their_share_of_each_drive_and_what_the_drive_cannot_carry(robot, share):
+    weak = dataclasses.replace(robot.data, tau_max=share * robot.data.tau_max)
+    guard = SafetyFilter(weak, SafetyFilterSettings(), PERIOD, robot.gravity)
+    guard.start(weak.q_home, np.zeros(robot.n))
+    left = np.maximum(np.abs(robot.gravity(weak.q_home)) - weak.tau_max, 0.0)
+    assert (left.max() > 0.0) == (share < 1.0)
+    expected = guard.settings.stop_holding * weak.tau_max + 1.5 * left
+    np.testing.assert_allclose(guard.brake_friction(np.zeros(6)), expected, rtol=1e-12)

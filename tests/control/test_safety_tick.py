@@ -107,6 +107,20 @@ def test_after_limits_as_the_law_alone_does_and_adds_what_it_found(robot, seed, 
     assert guard._counts[safety_tick.CHECKED] == 1
 
 
+@pytest.mark.parametrize("lost", [0, 1, 4])
+def test_a_gap_leaves_room_for_the_way_of_all_its_periods(robot, lost):
+    """After readings that were none, each joint may be as much farther as it can go in them, and no farther."""
+    for share in (0.95, 1.05):
+        for joint in range(N):
+            guard = guard_of(robot, patience_ticks=9)
+            for _ in range(lost):
+                guard.check_measurement(np.full(N, np.nan), REST)
+            way = guard.settings.jump_rad + (1 + lost) * robot.v_max[joint] * PERIOD
+            there = robot.data.q_home + share * way * np.eye(N)[joint]
+            q, _ = guard.check_measurement(there, REST)
+            np.testing.assert_array_equal(q, there if share < 1.0 else robot.data.q_home)
+
+
 @pytest.mark.parametrize("shown", ["its state", "its tip", "nothing"])
 def test_a_tip_is_checked_wherever_the_controller_shows_it(robot, shown):
     guard = guard_of(robot, tip_error_s=PERIOD)

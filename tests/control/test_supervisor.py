@@ -718,11 +718,25 @@ def test_the_check_can_be_switched_off(qp, Z):
     assert mine.fault is Fault.NONE
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
+    """Five joints for five independent rows, and one that moves neither tip nor wrist."""
+    qp, joints = random_problem(np.random.default_rng(seed)), [0, 1, 2, 3, 4, 6]
+    A, x = qp.A[:, joints], 0.5 * (qp.lower + qp.upper)[joints]
+    one = NullSpaceQP(*np.split(A, 2), *np.split(A @ x, 2), np.r_[qp.grad_mu[:5], 0.2],
+                      qp.lower[joints], qp.upper[joints])  # fmt: skip
+    for end, wrong in ((one.lower[5], True), (one.upper[5], False)):
+        x[5] = end
+        *_, natural, off, opposite = answer_residuals(one.row, 6, np.eye(6)[5:], x)
+        assert (natural > 0.1) == (off > opposite) == wrong
+        assert one.residuals(x).verified() != wrong
+
+
 @pytest.mark.parametrize("late", ["hold", "zero", "iterate"])
 def test_late_answers(late, qp, Z):
     good = solved(qp)
     other = Solution(good.x + 1e-6, None, Status.SOLVED)
-    mine = supervisor(times=[10.0, 3000.0, 10.0], budget_us=2000.0, late=late)
+    mine = supervisor(times=[10.0, 3000.0, 2000.0], budget_us=2000.0, late=late)
     mine.solve(Scripted(good), qp, Z)
     assert mine.fault is Fault.NONE
     assert mine.solve_us == 10.0

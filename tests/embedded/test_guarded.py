@@ -202,11 +202,11 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str) -> None:
         "slip": "the trocar's force", "slip-loaded": "the trocar's force",
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
-        "frozen-forged-way": "all encoders repeat", "frozen-joint": "the torque went",
+        "frozen-forged-way": "all encoders repeat", "frozen-joint": "the measured motion is not",
         "frozen-whole-at-rest": "all encoders repeat", "replayed-at-rest": "the measurements are a recording",
         "replayed-at-rest-quiet": "the measurements are a recording",
         "frozen-joint-heavy": "an encoder repeats", "frozen-joint-noise": "one encoder repeats",
-        "lagging": "measurements are more", "unwatched": "the tip", "payload-whole": "the torque went",
+        "lagging": "measurements are more", "unwatched": "the tip", "payload-whole": "the measured motion is not",
     }  # fmt: skip
     if name in stops:
         assert ended.startswith(f"stopped: {stops[name]}")

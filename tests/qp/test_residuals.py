@@ -480,3 +480,11 @@ def test_arms_of_many_freedoms_are_judged_too(n, regularization):
     middle = qp.residuals(0.5 * (x + opposite))
     assert middle.loss > 0.05
     assert not middle.verified()
+
+
+def test_without_rows_every_joint_is_idle_and_the_worst_one_counts():
+    """Two of three joints are right: of their sum a third would be lost."""
+    nothing, bound = np.zeros((6, 3)), np.ones(3)
+    problem = optimality.Problem(nothing, np.zeros(6), np.ones(3), -bound, bound, np.array([1.0, 1.0, 1.0, 0.0]))
+    assert optimality.residuals(problem, np.array([1.0, 1.0, -1.0])).loss == 1.0
+    assert optimality.residuals(problem, bound).verified()

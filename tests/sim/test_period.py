@@ -66,6 +66,14 @@ def test_a_runaway_of_one_joint_is_found_whichever_it_is(joint):
         plant.step(plant.applied_torque)
 
 
+@pytest.mark.parametrize(("speed", "found"), [(999.0, False), (1000.5, True)])
+def test_a_thousand_radians_a_second_is_no_arm(speed, found):
+    """Whichever way it turns."""
+    q, v = np.zeros(DATA.n), np.zeros(DATA.n)
+    v[2] = -speed
+    assert period._sound(q, v) != found
+
+
 def test_the_noise_of_the_wrench_sensor_reaches_the_measurement():
     """Two plants that differ in it alone move alike: what their readings differ by is the noise."""
     force, torque = 0.1, 0.002

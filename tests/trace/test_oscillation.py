@@ -85,6 +85,30 @@ def test_what_is_not_completed_stays_what_it_is_and_the_rest_of_meta_too():
     assert judged_for_oscillation(brief, NAMES).meta["ended"] == "completed"
 
 
+@pytest.mark.parametrize(("seconds", "says"), [(0.1, False), (0.5, True), (1.0, True)])
+def test_a_jerk_is_no_oscillation(seconds, says):
+    """However hard it is, and wherever it falls; what lasts is one."""
+    for begin in (1.0, 1.07, 1.9):
+        trace = made(4, 2.0, 30.0, where=(begin, begin + seconds))
+        assert shaking(trace, "v_rad_per_s").rms > LIMIT_RAD_PER_S
+        assert bool(describe(trace, NAMES)) == says
+
+
+@pytest.mark.parametrize(("begin", "amplitude", "says"), [(1.0, 2.0, True), (1.0, 0.1, False), (2.01, 9.0, False)])
+def test_a_stop_says_what_had_oscillated_before_it_and_not_what_braking_did(begin, amplitude, says):
+    trace = made(3, amplitude, 24.0, where=(begin, 3.0)).with_meta(ended="stopped: x (t = 2.000 s)", stopped_at_s=2.0)
+    said = judged_for_oscillation(trace, NAMES).meta["ended"]
+    assert said.startswith("stopped: x (t = 2.000 s)")
+    assert ("; oscillated before: joint_4 at 24 Hz, " in said) == says
+    assert said == trace.meta["ended"] or says
+
+
+def test_a_loop_that_its_delay_makes_unstable_is_stopped_and_says_that_it_shook():
+    trace = run(Scenario(seed=300, start={"pose": "random"}, plant={"delay_ticks": 4}, **QUICK))
+    assert trace.meta["ended"].startswith("stopped: the measured motion is not what the torque makes")
+    assert "; oscillated before: joint_" in trace.meta["ended"]
+
+
 def test_what_cannot_be_judged_says_why():
     trace = made()
     with pytest.raises(MissingDataError, match="lie apart"):

@@ -183,7 +183,8 @@ const char *moc_safe_reason(int reason)
         "all encoders repeat one reading, as no arm that moves or has noise does",
         "the encoders' positions do not follow their velocities",
         "an encoder repeats one reading while torque acts on its joint",
-        "the torque went into a motion that the encoders do not show",
+        "the measured motion is not what the torque makes: a wrong encoder, an unknown force, or a loop that shakes "
+        "at too long a delay",
         "the measurements are a recording: they came before, to the last bit",
         "one encoder repeats its reading, as its noise does not let it",
     };

@@ -33,7 +33,7 @@ enum {
     MOC_STOP_REPEATED,    /* all encoders repeat one reading, as no arm that moves or has noise does */
     MOC_STOP_RAN_AWAY,    /* the encoders' positions do not follow their velocities */
     MOC_STOP_STUCK,       /* an encoder repeats one reading while torque acts on its joint */
-    MOC_STOP_UNEXPLAINED, /* the torque went into a motion that the encoders do not show */
+    MOC_STOP_UNEXPLAINED, /* the measured motion is not what the torque makes */
     MOC_STOP_REPLAYED,    /* the measurements are a recording: they came before, to the last bit */
     MOC_STOP_ONE_REPEATED, /* one encoder repeats its reading, as its noise does not let it */
     MOC_REASONS
