@@ -113,7 +113,7 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     load_plugins()
     for name in scenario.metrics:
         if name not in METRICS:
-            raise UnknownNameError("metric", name, METRICS)
+            raise UnknownNameError("metric", name, METRICS, "moc-opt metrics")
     return scenario
 
 

@@ -20,6 +20,7 @@ class RobotTable(Settings):
     """Which arm, and which tool on it."""
 
     KIND: ClassVar[str] = "[robot]"
+    MEANT_KEY: ClassVar[str] = "name"
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
         default=None, gt=0.0, le=10.0, description="mount to tip; None: that of the robot's file"
@@ -91,6 +92,7 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
+    MEANT_KEY: ClassVar[str] = "path"
     path: Name = Field(
         default="circle", description="`moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"
     )
@@ -139,6 +141,7 @@ class SolverTable(Settings):
     """Which solver the third level asks."""
 
     KIND: ClassVar[str] = "[solver]"
+    MEANT_KEY: ClassVar[str] = "name"
     name: Name = Field(default="exact", description="`moc-opt solvers --list` lists them")
     settings: dict[Name, Any] = Field(default_factory=dict, description="of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(

@@ -115,6 +115,20 @@ def test_json_begins_with_the_ending_and_is_json(capsys):
 
 
 @pytest.mark.parametrize(
+    ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
+)
+def test_verdicts_of_the_linear_problem_are_not_passed_on_answers_to_another(solver, law, shown):
+    run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
+    metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
+    table = run_table("x", run, metrics, first=True)
+    (value,) = (cells for column in table.columns if column.key == "value" for cells in [table.cells(column)])
+    assert [cell.text for cell in value] == ["completed", "0.2000", shown, shown]
+    assert ("nonlinear" in table.caption) == (shown == "–")
+    assert run_json(run, metrics)["silently_wrong"] == (None if shown == "–" else 4.0)
+    assert "silently_wrong" not in run_json(run, {})
+
+
+@pytest.mark.parametrize(
     ("table", "status", "ended"),
     [
         ("", 0, "completed"),

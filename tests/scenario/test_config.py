@@ -125,7 +125,7 @@ def test_unknown_names_list_the_nearest(tables, message):
         ({"duration_s": 0.0}, r"duration_s = 0.0: input should be greater than 0"),
         ({"deadline_us": float("inf")}, r"deadline_us = inf: input should be a finite number"),
         ({"bound_samples": -1}, r"bound_samples = -1"),
-        ({"control": 5}, r"control = 5: input should be a valid dictionary"),
+        ({"control": 5}, r"control = 5: this is a table: write \[control\]"),
         ({"control": {"c2": -1.0}}, r"\[control\] c2 = -1.0: input should be greater than or equal to 0"),
         ({"control": {"law": "mok"}}, r"\[control\] law = 'mok': input should be 'dcac' or 'moc'"),
         ({"robot": {"tool_length_m": 0.0}}, r"\[robot\] tool_length_m = 0.0: input should be greater than 0"),
