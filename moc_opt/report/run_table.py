@@ -97,8 +97,8 @@ def below_best(trace: Trace) -> str:
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
         return f"{said}; in the end the local law is on its hump of mu, so the loss lies on the way there"
     if end["at_limit"]:
-        return f"the local law is held by a joint limit: {said}; the way up ends at arm angle {top}, the course {there}"
-    return f"the local law is trapped: {said}; it ends on the hump at arm angle {top}, the course on the other {there}"
+        return f"the local law is held by a joint limit: {said}; the way up ends at swivel {top}, the course {there}"
+    return f"the local law is trapped: {said}; it ends on the hump at swivel {top}, the course on the other {there}"
 
 
 def refusals(trace: Trace) -> list[str]:

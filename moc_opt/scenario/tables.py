@@ -46,7 +46,8 @@ class StartTable(Settings):
     q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
     swivel: float | Literal["given", "random"] = Field(
         default="given",
-        description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
+        description="of the elbow: share of the range that the joint limits leave, 0 to 1; 'given' leaves q; "
+        "'random' is drawn by the seed",
     )
     limit_margin_rad: float = Field(
         default=0.05,
@@ -65,7 +66,7 @@ class StartTable(Settings):
     @classmethod
     def _a_fraction(cls, value: float | str) -> float | str:
         if isinstance(value, float) and not 0.0 <= value <= 1.0:
-            raise ValueError("a swivel is a fraction from 0 to 1")
+            raise ValueError("a swivel is a share from 0 to 1 here, no angle")
         return value
 
     @model_validator(mode="after")

@@ -69,6 +69,16 @@ class Session(Protocol):
         ...
 
 
+class ShownBySettings:
+    """A session that shows itself by the settings that it was started with."""
+
+    __slots__ = ()
+    _settings: object
+
+    def __repr__(self) -> str:
+        return f"<session of {self._settings!r}>"
+
+
 @runtime_checkable
 class Solver(Protocol):
     """Settings. Two sessions of one solver share nothing."""

@@ -56,7 +56,7 @@ END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3,
     [
         (0.295, {}, "local", ""),
         (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends on the hump at "
-         "arm angle 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
+         "swivel 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
         (0.24, {"at_limit": True}, "local", "held by a joint limit"),
         ([0.2, 0.22, 0.242, 0.298], {"top_mu": 0.298}, "local", "on its hump of mu"),
         (0.24, {"top_mu": 0.298}, "local", "did not climb: it ends 19.5 % below the top of its own hump"),
