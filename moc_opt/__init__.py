@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from moc_opt.trace.metrics import summarize
     from moc_opt.trace.trace import Trace, load_trace
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
     "Comparison": "comparison.findings", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
