@@ -69,7 +69,7 @@ def runnable(wanted: Literal["all"] | Sequence[str], *beside: str) -> list[str]:
         return [name for name, why in found.items() if why is None]
     for name in wanted:
         if name not in found:
-            raise UnknownNameError("solver", name, found)
+            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
         if found[name] is not None:
             raise SolverError(f"solver {name!r} cannot run here: {found[name]}")
     return list(wanted)

@@ -43,7 +43,7 @@ def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str
     names = list(found) if wanted == "all" else wanted
     for name in names:
         if name not in found:
-            raise UnknownNameError("solver", name, found)
+            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
     reasons = {name: reason for name in names if (reason := found[name]) is not None}
     return [name for name in names if name not in reasons], reasons
 

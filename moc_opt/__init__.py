@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from moc_opt import solvers
-    from moc_opt.comparison.compare import Comparison, compare
+    from moc_opt.comparison.compare import compare
+    from moc_opt.comparison.findings import Comparison
     from moc_opt.errors import MocOptError
     from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
     from moc_opt.planning.plan import Plan
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
     from moc_opt.trace.metrics import summarize
     from moc_opt.trace.trace import Trace, load_trace
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOMES = {
-    "Comparison": "comparison.compare", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
+    "Comparison": "comparison.findings", "MocOptError": "errors", "NullSpaceQP": "qp.problem", "Plan": "planning.plan",
     "RobotModel": "model.robot_model", "RobotState": "model.robot_model", "Scenario": "scenario",
     "Trace": "trace.trace", "compare": "comparison.compare", "load_robot": "model.robot_model",
     "load_trace": "trace.trace", "plan": "scenario.planned", "run": "scenario", "summarize": "trace.metrics",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import select
 import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from moc_opt import __version__
 from moc_opt.commands import arguments as more
@@ -15,12 +15,25 @@ from moc_opt.commissioning.command import add_commands as robot_commands
 from moc_opt.commissioning.command import run_command as robot_command
 from moc_opt.errors import MocOptError, describe
 
-if TYPE_CHECKING:
-    pass
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns 0, 2 where the input is wrong, 3 where a run did not end "completed"."""
+    try:
+        try:
+            return _command(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        watched = select.poll()
+        watched.register(sys.stdout.fileno(), 0)
+        if not watched.poll(0):
+            raise  # another pipe than that of the output
+        from moc_opt.report.console import end_output
+
+        return end_output()
+
+
+def _command(arguments: Sequence[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="moc-opt", description=__doc__)
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
@@ -146,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(_one_line(error), file=sys.stderr)
         return 130
     except Exception as error:
-        if not hasattr(error, "__notes__"):
+        if isinstance(error, BrokenPipeError) or not hasattr(error, "__notes__"):
             raise
         print(_one_line(error), file=sys.stderr)  # a defect, in a run whose rows are safe
         return 1

@@ -57,18 +57,24 @@ class UnknownNameError(MocOptError, LookupError):
 
     MOST = 10_000  # a long list is ours
 
-    def __init__(self, kind: str, name: str, valid: Iterable[str]) -> None:
+    FEW: ClassVar[int] = 12
+    """So many names are all shown, even where they are listed elsewhere."""
+
+    def __init__(self, kind: str, name: str, valid: Iterable[str], listed_by: str = "") -> None:
         """Build the message.
 
         Args:
             kind: what was asked for, in the user's words ("solver", "robot").
             name: what the user wrote.
             valid: every name that would have worked.
+            listed_by: the command that lists them; of a long list the message then names the nearest three alone.
         """
         names = sorted(valid)
-        near = difflib.get_close_matches(name[:100], names, n=3, cutoff=0.5)
+        short = bool(listed_by) and len(names) > self.FEW
+        near = difflib.get_close_matches(name[:100], names, n=3, cutoff=0.4 if short else 0.5)
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
-        super().__init__(f"unknown {kind} {shown(name)}: {hint}valid names: {', '.join(names)}")
+        every = f"`{listed_by}` lists all {len(names)}" if short else f"valid names: {', '.join(names)}"
+        super().__init__(f"unknown {kind} {shown(name)}: {hint}{every}")
         self.kind, self.name, self.valid = kind, name, names
 
 

@@ -21,7 +21,7 @@ import moc_opt as mo
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CHECKOUT = "# in a checkout"
-PATIENCE_S = 300
+PATIENCE_S = 1200  # nothing hangs for ever; a busy machine compiles for minutes
 
 
 def blocks(document):
@@ -87,6 +87,17 @@ def test_readme_runs_from_top_to_bottom_in_an_empty_folder(place):
     mu = {name: mo.load_trace(folder / f"{name}.parquet").mu for name in ("proxqp", "network")}
     assert mu["proxqp"].mean() > 1.2 * mu["network"].mean()
     run([sys.executable, "-P", "-c", "\n".join(text for language, text in found if language == "python")], place)
+
+
+def test_the_start_page_shows_the_scenario_and_the_commands_of_readme():
+    (scenario,) = (text for kind, text in blocks("docs/start.md") if kind == "toml")
+    script = next(text for kind, text in blocks("README.md") if "scenario.toml" in text)
+    assert script.startswith(f"cat > scenario.toml <<'END'\n{scenario}END\n")
+    said = {line.partition("  #")[0] for line in script.splitlines()}
+    page = (ROOT / "docs" / "start.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^    (moc-opt .*?)(?:  # .*)?$", page, re.MULTILINE)
+    assert len(commands) >= 4
+    assert [line for line in commands if not any(one.startswith(line.rstrip()) for one in said)] == []
 
 
 def test_what_is_said_of_a_checkout_is_there():

@@ -21,6 +21,15 @@ def test_a_list_of_valid_names_is_whole():
     assert str(UnknownNameError("metric", "nome_7", names)).endswith("name_99")
 
 
+def test_of_a_long_list_that_a_command_prints_the_nearest_three_stand():
+    names = [f"name_{i}" for i in range(500)]
+    text = str(UnknownNameError("metric", "name_7x", names, "moc-opt metrics"))
+    assert "did you mean 'name_7'" in text
+    assert text.count("name_") == 4  # what was written, and three
+    assert text.endswith("`moc-opt metrics` lists all 500")
+    assert str(UnknownNameError("metric", "a", names[:3], "moc-opt metrics")).endswith("name_0, name_1, name_2")
+
+
 def test_a_robot_file_of_thousands_of_unknown_tables_is_refused_in_a_few_lines(tmp_path):
     file = tmp_path / "arm.toml"
     file.write_text("".join(f"[table_{i}]\n" for i in range(3000)), encoding="utf-8")

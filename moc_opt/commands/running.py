@@ -113,12 +113,18 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     load_plugins()
     for name in scenario.metrics:
         if name not in METRICS:
-            raise UnknownNameError("metric", name, METRICS)
+            raise UnknownNameError("metric", name, METRICS, "moc-opt metrics")
     return scenario
 
 
+HEADINGS = (["x_m", "y_m", "z_m"], ["x", "y", "z"])
+"""Names of the columns of a file of waypoints that are read as such, in this order and in metres."""
+
+
 def read_waypoints(path: str) -> list[tuple[float, ...]]:
-    """Read points x, y, z [m], one a line, split by commas or spaces; lines that begin with # are left out.
+    """Read points x, y, z [m], one a line, split by commas or spaces.
+
+    Lines that begin with # are left out, and the first other line may name the columns: x_m,y_m,z_m or x,y,z.
 
     Raises:
         ScenarioError: a line is no point, named with file and number, or there is none.
@@ -127,18 +133,23 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
     from moc_opt.inputs.files import read_text
 
     points: list[tuple[float, ...]] = []
+    named = False
     for number, line in enumerate(read_text(path, "waypoints", ScenarioError).splitlines(), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             continue
+        parts = line.replace(",", " ").split()
+        if not points and not named and [part.strip("\"'").lower() for part in parts] in HEADINGS:
+            named = True
+            continue
         try:
-            point = tuple(float(part) for part in line.replace(",", " ").split())
+            point = tuple(map(float, parts))
         except ValueError:
             point = ()  # refused below
-        if len(point) != 3 or not all(math.isfinite(x) for x in point):
-            raise ScenarioError(
-                f"waypoints {path!r}, line {number}: {shown(line.strip(), 60)}: give x, y, z [m]; a line "
-                "that is none, such as a heading, begins with #"
-            )
+        if len(point) != 3 or not all(map(math.isfinite, point)):
+            cure = "give x, y, z [m]; the first line may name the columns, x_m,y_m,z_m, and any other begins with #"
+            if len(point) == 4 and point[0] == len(points):
+                cure = "four columns, the first one counts: give x, y, z [m] alone (in pandas: to_csv(index=False))"
+            raise ScenarioError(f"waypoints {path!r}, line {number}: {shown(line.strip(), 60)}: {cure}")
         points.append(point)
     if not points:
         raise ScenarioError(f"waypoints {path!r}: there is no point in it: give x, y, z [m], one point a line")

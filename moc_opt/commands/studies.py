@@ -43,7 +43,7 @@ def compare_solvers(given: argparse.Namespace) -> int:
         print_json({name: {key: _plain(value) for key, value in of.items()} for name, of in found.summary().items()})
     else:
         screen = console()
-        for piece in found.table.fitted(screen.width):
+        for piece in found.tables(screen.width):
             screen.print(piece)
     if given.out is not None:
         found.save_rows(given.out)

@@ -65,6 +65,7 @@ class ControlSettings(Settings):
     """
 
     KIND: ClassVar[str] = "[control]"
+    MEANT_KEY: ClassVar[str] = "preset"
     ERROR: ClassVar[type[MocOptError]] = ControlError
     FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 

@@ -14,12 +14,15 @@ from pydantic import (
     Field,
     ValidationError,
     ValidationInfo,
+    ValidatorFunctionWrapHandler,
     field_validator,
+    model_validator,
 )  # fmt: skip
 
 from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
 from moc_opt.inputs import names
 from moc_opt.inputs.files import LARGEST_INTEGER, wrong_size
+from moc_opt.inputs.toml import to_toml
 
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
@@ -55,9 +58,24 @@ class Settings(BaseModel):
     FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({})
     """Former name of a field -> its name; either is accepted, both at once are not."""
 
-    @field_validator("*", mode="after")
+    MEANT_KEY: ClassVar[str] = ""
+    """Key that a bare text in place of this table was meant for: an error shows how to write it."""
+
+    @model_validator(mode="before")
     @classmethod
-    def _of_a_usable_size(cls, value: Any, info: ValidationInfo) -> Any:
+    def _is_a_table(cls, values: Any) -> Any:
+        if isinstance(values, Mapping | Settings):
+            return values
+        as_meant = isinstance(values, str) and cls.MEANT_KEY
+        written = to_toml({cls.MEANT_KEY: values[:100]}).strip() if as_meant else "and its keys below it"
+        raise ValueError(f"this is a table: write {cls.KIND.rstrip(':')} {written}")
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _as_written(cls, given: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
+        value = validate(given)
+        if wrong := _converted(given, value):
+            raise ValueError(wrong)
         most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
         if wrong := wrong_size(value, most):
             raise ValueError(wrong)
@@ -96,6 +114,23 @@ class Settings(BaseModel):
                     f"its former name: keep {name}"
                 )
         return {cls.FORMER.get(name, name): value for name, value in values.items()}
+
+
+def _converted(given: Any, value: Any, where: str = "") -> str:
+    """Say which number or flag was written as something else; pydantic would read "2" as 2 and "yes" as true."""
+    if isinstance(given, Mapping) and isinstance(value, Mapping):
+        inside = [(given[key], one, f"{where}.{key!s:.80}".lstrip(".")) for key, one in value.items() if key in given]
+    elif isinstance(given, list | tuple) and isinstance(value, list | tuple) and len(given) == len(value):
+        inside = [(g, one, f"{where}[{i}]") for i, (g, one) in enumerate(zip(given, value, strict=True))]
+    else:
+        flag, cure = type(given).__name__ in ("bool", "bool_"), ""  # Python's own, numpy's
+        if isinstance(value, bool):
+            cure = "" if flag else "give true or false, without quotes"
+        elif isinstance(value, int | float):
+            quoted = isinstance(given, str | bytes)
+            cure = "a number has no quotes: drop them" if quoted else "give a number" if flag else ""
+        return f"{where} = {shown(given)}: {cure}" if cure and where else cure
+    return next((wrong for pair in inside if (wrong := _converted(*pair))), "")
 
 
 def field_name(keys: Iterable[object]) -> str:

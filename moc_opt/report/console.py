@@ -31,6 +31,21 @@ PIPED_WIDTH = 80
 T = TypeVar("T")
 
 
+CLOSED = 141
+"""Exit status where whoever reads the output has closed it, as `| head` does: that of a command ended by SIGPIPE."""
+
+
+def end_output() -> int:
+    """Send what is still buffered for stdout nowhere, since nobody reads it any more; return the exit status."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return CLOSED
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        raise SystemExit(end_output())  # rich's own status is 1, that of a defect
+
+
 def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
     """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
 
@@ -38,7 +53,7 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
         stderr: write there; results belong on stdout, what accompanies them on stderr.
         file: write to it instead.
     """
-    made = Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
+    made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
     if not made.is_terminal and not os.environ.get("COLUMNS", "").isdigit():
         made.width = PIPED_WIDTH  # and not that of the terminal which may lie behind another stream
     return made

@@ -69,8 +69,8 @@ def plan_tables(name: str, plan: Plan, margin_rad: float = 0.0, speed_share: flo
         rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
     within = "the joint limits" if margin_rad == 0.0 else f"{margin_rad:g} rad (m) from the joint limits"
     rows.append({"what": "planned within", "value": f"{within}, {speed_share:.3g} of their speed limits"})
-    rows.append({"what": "arm angle at the start", "value": _degrees(plan.start_swivel_rad)})
-    rows.append({"what": "arm angle proposed", "value": _degrees(plan.best_swivel_rad)})
+    rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
+    rows.append({"what": "swivel proposed", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
             rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})

@@ -10,6 +10,7 @@ from moc_opt.report.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.trace import Trace
+from moc_opt.trace.views import about
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"
@@ -30,6 +31,24 @@ MATTER: Mapping[str, str] = MappingProxyType({
     "deadline_misses": "ticks that took longer than the period, on this machine",
 })  # fmt: skip
 """Metrics to look at first, and what each says."""
+
+
+VERDICTS = ("verified_solved", "silently_wrong")
+"""Metrics that say what the answers to the null-space subproblem are worth."""
+ANOTHER_PROBLEM = (
+    "nlp-* answer the nonlinear problem of the tick, about 1e-3 m/s off the linear one that is judged: neither "
+    "verified nor wrong."
+)
+
+
+def answers_another_problem(trace: Trace, solver: str = "") -> bool:
+    """Say whether the answers of a run are those of a nonlinear solver, which the judge's verdicts do not fit.
+
+    Args:
+        trace: of the run; its scenario names the solver.
+        solver: its name, where another one was asked than the scenario names.
+    """
+    return (solver or about(trace).get("solver", "")).startswith("nlp-")
 
 
 def part(trace: Trace) -> str:
@@ -78,8 +97,8 @@ def below_best(trace: Trace) -> str:
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
         return f"{said}; in the end the local law is on its hump of mu, so the loss lies on the way there"
     if end["at_limit"]:
-        return f"the local law is held by a joint limit: {said}; the way up ends at arm angle {top}, the course {there}"
-    return f"the local law is trapped: {said}; it ends on the hump at arm angle {top}, the course on the other {there}"
+        return f"the local law is held by a joint limit: {said}; the way up ends at swivel {top}, the course {there}"
+    return f"the local law is trapped: {said}; it ends on the hump at swivel {top}, the course on the other {there}"
 
 
 def refusals(trace: Trace) -> list[str]:
@@ -118,16 +137,19 @@ def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: b
     rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason}]
     if replaced(trace):
         rows.append({"metric": "solver replaced", "value": replaced(trace)})
+    other = answers_another_problem(trace)
     for metric, value in metrics.items():
         if first and metric not in MATTER:
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
-        rows.append({"metric": marked, "value": _written(value), "says": MATTER.get(metric, "")})
+        shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else _written(value)
+        rows.append({"metric": marked, "value": shown, "says": MATTER.get(metric, "")})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
             rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})
     columns = [Column("metric", "metric"), Column("value", "value")]
     columns += [Column("says", "what it says")] if first else []
-    return Table(f"{name}{of}", columns, rows, caption="\n".join(warnings(trace)))
+    told = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
+    return Table(f"{name}{of}", columns, rows, caption="\n".join([*told, *warnings(trace)]))
 
 
 def _written(value: float) -> str | Missing:
@@ -141,6 +163,7 @@ def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
     return {
         "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}),
         **({"solver_replaced": replaced(trace)} if replaced(trace) else {}), **metrics,
+        **(dict.fromkeys(set(VERDICTS) & set(metrics)) if answers_another_problem(trace) else {}),
         **({METHOD: trace.meta[METHOD]} if METHOD in trace.meta else {}),
         "warnings": trace.meta.get("warnings", []),
         "faults": trace.meta.get("faults", {}),

@@ -15,6 +15,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from moc_opt.errors import ReportError
+from moc_opt.inputs.notebook import grid_html
 from moc_opt.report import notation
 from moc_opt.report.notation import Mark, Missing, Notation, is_number, printable
 
@@ -78,7 +79,7 @@ class Cell:
     tone: str = ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Table:
     """Rows of results under typed columns.
 
@@ -175,10 +176,28 @@ class Table:
             for k, part in enumerate(parts)
         ]  # fmt: skip
 
-    def narrowed(self, width: int) -> RichTable:
-        """Draw as many of the first columns as a terminal of this width [characters] can show."""
-        part = self._split(width, 1, SHORT_TEXT)[0]
+    def fits(self, width: int) -> bool:
+        """Say whether a terminal of this width [characters] can show all columns with no cell broken."""
+        return len(self._split(width, 1, width)) == 1
+
+    def narrowed(self, width: int, *, text: int = SHORT_TEXT) -> RichTable:
+        """Draw as many of the first columns as a terminal of this width [characters] can show.
+
+        Args:
+            width: of the terminal.
+            text: characters from where on a text may be broken.
+        """
+        part = self._split(width, 1, text)[0]
         return replace(self, columns=part).fitted(width)[0]
+
+    def __repr__(self) -> str:
+        return self.to_text()
+
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook."""
+        cells = [[cell.text for cell in self.cells(column)] for column in self.columns]
+        headings = [f"{column.title} [{column.unit}]" if column.unit else column.title for column in self.columns]
+        return grid_html(self.title, zip(*cells, strict=True), headings, self.caption)
 
     def _split(self, width: int, gap: int, text: int = TEXT) -> list[list[Column]]:
         """The columns of each part, the first one in all of them, `gap` characters between two."""

@@ -20,6 +20,7 @@ class RobotTable(Settings):
     """Which arm, and which tool on it."""
 
     KIND: ClassVar[str] = "[robot]"
+    MEANT_KEY: ClassVar[str] = "name"
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
         default=None, gt=0.0, le=10.0, description="mount to tip; None: that of the robot's file"
@@ -45,7 +46,8 @@ class StartTable(Settings):
     q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
     swivel: float | Literal["given", "random"] = Field(
         default="given",
-        description="place on the feasible self-motion, 0 to 1; 'given' leaves q; 'random' is drawn by the seed",
+        description="of the elbow: share of the range that the joint limits leave, 0 to 1; 'given' leaves q; "
+        "'random' is drawn by the seed",
     )
     limit_margin_rad: float = Field(
         default=0.05,
@@ -64,7 +66,7 @@ class StartTable(Settings):
     @classmethod
     def _a_fraction(cls, value: float | str) -> float | str:
         if isinstance(value, float) and not 0.0 <= value <= 1.0:
-            raise ValueError("a swivel is a fraction from 0 to 1")
+            raise ValueError("a swivel is a share from 0 to 1 here, no angle")
         return value
 
     @model_validator(mode="after")
@@ -91,6 +93,7 @@ class TaskTable(Settings):
     """The path of the tip."""
 
     KIND: ClassVar[str] = "[task]"
+    MEANT_KEY: ClassVar[str] = "path"
     path: Name = Field(
         default="circle", description="`moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"
     )
@@ -139,6 +142,7 @@ class SolverTable(Settings):
     """Which solver the third level asks."""
 
     KIND: ClassVar[str] = "[solver]"
+    MEANT_KEY: ClassVar[str] = "name"
     name: Name = Field(default="exact", description="`moc-opt solvers --list` lists them")
     settings: dict[Name, Any] = Field(default_factory=dict, description="of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(

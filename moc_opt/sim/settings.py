@@ -27,6 +27,7 @@ class PlantSettings(Settings):
     """
 
     KIND: ClassVar[str] = "[plant]"
+    MEANT_KEY: ClassVar[str] = "preset"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
     period_s: float = Field(0.002, gt=0, le=0.1, description="control period")

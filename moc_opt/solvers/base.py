@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -67,6 +67,16 @@ class Session(Protocol):
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
         ...
+
+
+class ShownBySettings:
+    """A session that shows itself by the settings that it was started with."""
+
+    __slots__ = ()
+    _settings: Any
+
+    def __repr__(self) -> str:
+        return f"<session of {self._settings!r}>"
 
 
 @runtime_checkable

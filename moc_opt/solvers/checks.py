@@ -68,4 +68,5 @@ def _number(value: object) -> bool:
 
 
 def _refuse(solver: str, field: str, value: object, cure: str) -> NoReturn:
-    raise SolverError(f"{solver}: {field} = {value!r} {cure}")
+    quoted = "; a number has no quotes: drop them" if isinstance(value, str) and "number" in cure else ""
+    raise SolverError(f"{solver}: {field} = {value!r} {cure}{quoted}")

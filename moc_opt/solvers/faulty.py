@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP, fields
 from moc_opt.solvers import checks
-from moc_opt.solvers.base import Session, Solution, Solver, Status, no_answer
+from moc_opt.solvers.base import Session, ShownBySettings, Solution, Solver, Status, no_answer
 from moc_opt.solvers.exact.solver import Exact
 
 Kind = Literal["fail", "nan", "lie", "raise", "outside", "rig", "malformed"]
@@ -73,7 +73,7 @@ def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 
-class FaultySession:
+class FaultySession(ShownBySettings):
     """``faults`` counts the answers that were replaced."""
 
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:

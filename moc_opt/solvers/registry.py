@@ -93,7 +93,7 @@ def _factory(name: str) -> Callable[..., Solver]:
             return importlib.import_module(module).factory(name.removeprefix(prefix))
     if claimed:
         return plugins.factory_of(name, claimed)
-    raise UnknownNameError("solver", name, available())
+    raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
 def accepts(name: str, setting: str) -> bool:

@@ -1,5 +1,9 @@
 """Files that the command line reads and writes."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from moc_opt.__main__ import main
@@ -38,3 +42,21 @@ def test_a_name_that_no_file_can_have_is_refused_in_a_line(command, name, tmp_pa
     assert said.count("\n") == 1
     assert len(said) > 15
     assert [file.name for file in tmp_path.iterdir()] == ["loop"]
+
+
+@pytest.mark.parametrize("command", [("keys",), ("robots", "--json")], ids=["table", "text"])
+def test_a_reader_that_closes_the_output_ends_the_command_quietly(command):
+    reader, writer = os.pipe()
+    os.close(reader)  # as `| head` is gone once it has what it wants
+    with os.fdopen(writer, "wb") as closed:
+        ended = subprocess.run([sys.executable, "-m", "moc_opt", *command], stdout=closed, stderr=subprocess.PIPE)
+    assert (ended.returncode, ended.stderr) == (141, b"")
+
+
+def test_another_broken_pipe_is_not_taken_for_the_outputs(monkeypatch, capfd):
+    def broken(*_):
+        raise BrokenPipeError("of a wire")
+
+    monkeypatch.setattr("moc_opt.__main__.export_c", broken)
+    with pytest.raises(BrokenPipeError, match="of a wire"):
+        main(["export-c", "--out", "c"])

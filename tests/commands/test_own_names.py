@@ -8,6 +8,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
+from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import ScenarioError
 from moc_opt.trace.metrics import METRICS, registry
 
@@ -92,6 +93,29 @@ def test_waypoints_from_a_file_of_points_are_those_of_a_scenario(tmp_path, capsy
     asked = mo.run(scenario).tip_ref_m
     np.testing.assert_array_equal(mo.load_trace(tmp_path / "a.parquet").tip_ref_m, asked)
     assert np.ptp(asked, axis=0).min() > 1e-4  # in three dimensions
+
+
+@pytest.mark.parametrize("heading", ["x_m,y_m,z_m", "x,y,z", '"x_m" "y_m" "z_m"', "X, Y, Z"])
+def test_a_first_line_that_names_the_columns_is_no_point(heading, tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text(f"# of a probe\n{heading}\n0.01,0,0\n0.02,0.01,-0.005\n", encoding="utf-8")
+    assert read_waypoints(str(file)) == [(0.01, 0.0, 0.0), (0.02, 0.01, -0.005)]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "cure"),
+    [
+        ("x_mm,y_mm,z_mm\n10,0,0\n", 1, "the first line may name the columns, x_m,y_m,z_m"),
+        ("y,x,z\n0,0,0\n", 1, "x_m,y_m,z_m"),
+        ("x,y,z\nx,y,z\n0,0,0\n", 2, "give x, y, z"),
+        ("# index and all\n0,0.1,0,0\n1,0.2,0,0\n", 2, r"pandas: to_csv\(index=False\)"),
+    ],
+)
+def test_columns_of_another_unit_order_or_number_are_refused_with_the_cure(text, line, cure, tmp_path):
+    file = tmp_path / "points.csv"
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=rf"line {line}: .*{cure}"):
+        read_waypoints(str(file))
 
 
 def test_waypoints_and_another_path_exclude_each_other(tmp_path, capsys):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from moc_opt.comparison.compare import Comparison
 from moc_opt.comparison.trials import placed
 from moc_opt.errors import ScenarioError, SolverError, UnknownNameError
 from moc_opt.solvers.base import Solution, Status
@@ -117,21 +116,6 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
         found.plot("mu_maen")
 
 
-def test_runs_that_broke_off_are_counted_and_enter_no_mean():
-    rows = [
-        {"solver": name, "seed": seed, "ended": ended, "asked": 0, "mu_mean": mu}
-        for name, seed, ended, mu in (
-            ("dcac", 0, "completed", 0.2), ("dcac", 1, "completed", 0.2), ("exact", 0, "stopped: off", 9.0),
-            ("exact", 1, "oscillated: joint_3", 0.3),
-        )
-    ]  # fmt: skip
-    found = Comparison(rows, ["dcac", "exact"], SHORT)
-    assert found.mean("exact", "mu_mean").value == pytest.approx(0.3)
-    assert found.change("exact", "mu_mean").value == pytest.approx(50.0)
-    assert [row["trials"] for row in found.table.rows] == ["2", "1 of 2"]
-    assert "oscillated" in found.table.to_text()
-
-
 @pytest.mark.parametrize(
     ("solvers", "more", "error", "message"),
     [
@@ -195,16 +179,6 @@ def test_a_later_trial_without_a_start_costs_that_trial_alone(monkeypatch):
     assert found.mean("exact", "mu_mean").samples == 2
     with pytest.raises(ScenarioError, match="no start"):
         mo.compare(["exact"], BRIEF, trials=1, seed=1)
-
-
-def test_one_run_that_fails_leaves_the_figures_of_the_others():
-    rows = [
-        {"solver": "exact", "seed": 0, "ended": "failed: MemoryError", "asked": 0},
-        {"solver": "exact", "seed": 1, "ended": "completed", "asked": 4, "verified_solved": 4, "silently_wrong": 0,
-         "solve_p50_us": 1.0, "solve_p99_us": 2.0, "mu_mean": 0.3},
-    ]  # fmt: skip
-    summary = Comparison(rows, ["dcac", "exact"], BRIEF).summary()["exact"]
-    assert (summary["verified"], summary["solve_p50_us"], summary["trials"], summary["of"]) == (100.0, 1.0, 1, 2)
 
 
 def test_an_interrupt_leaves_the_trials_that_are_done():

@@ -1,8 +1,9 @@
 """Settings that speak plainly: frozen, closed, and every error names field, value and range."""
 
 import re
-from typing import ClassVar
+from typing import Any, ClassVar, Literal
 
+import numpy as np
 import pytest
 from pydantic import Field
 
@@ -14,8 +15,19 @@ class Inner(Settings):
     """A table inside a table."""
 
     KIND: ClassVar[str] = "[inner]"
+    MEANT_KEY: ClassVar[str] = "gain"
     gain: float = Field(default=1.0, gt=0.0, le=10.0)
     steps: int = 3
+
+
+class Kinds(Settings):
+    """A field of every kind that a text or a flag could be read as."""
+
+    flag: bool = False
+    limit: float | Literal["none"] | None = None
+    point: tuple[float, float] = (0.0, 0.0)
+    sizes: dict[str, float] = Field(default_factory=dict)
+    free: dict[str, Any] = Field(default_factory=dict)
 
 
 class Outer(Settings):
@@ -42,6 +54,39 @@ def test_unknown_field_lists_the_nearest():
         UnknownNameError, match=r"unknown \[inner\] key 'gian': did you mean 'gain'\? valid names: gain, steps"
     ):
         Inner(gian=1.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "cure"),
+    [
+        ("limit", "2", r"limit = '2': a number has no quotes: drop them"),
+        ("limit", True, r"limit = True: give a number"),
+        ("point", [0.0, "1e-3"], r"\[1\] = '1e-3': a number has no quotes"),
+        ("sizes", {"radius": "0.03"}, r"radius = '0.03': a number has no quotes"),
+        ("flag", "yes", r"flag = 'yes': give true or false, without quotes"),
+        ("flag", 1, r"flag = 1: give true or false"),
+    ],
+)
+def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, value, cure):
+    with pytest.raises(ScenarioError, match=cure):
+        Kinds(**{field: value})
+
+
+def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():
+    given = {"flag": True, "limit": "none", "point": [1, 2.5], "sizes": {"a": 1}, "free": {"a": "2", "b": True}}
+    assert Kinds(**given).free == given["free"]
+    assert Kinds(**given).point == (1.0, 2.5)
+    assert Kinds(limit=np.float32(2.0), flag=np.True_) == Kinds(limit=2.0, flag=True)
+    assert Kinds(limit=2) == Kinds(limit=2.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "cure"),
+    [("high", r"this is a table: write \[inner\] gain = \"high\"$"), (3, r"write \[inner\] and its keys below it$")],
+)
+def test_a_value_in_place_of_a_table_says_how_the_table_is_written(value, cure):
+    with pytest.raises(ControlError, match=cure):
+        Outer(inner=value)
 
 
 def test_unknown_field_inside_a_table():

@@ -162,6 +162,17 @@ def test_the_legend_hides_a_run_in_every_panel_and_in_every_light(visit: Visits)
     )
 
 
+def test_the_buttons_of_a_figure_lie_on_no_legend(visit: Visits) -> None:
+    wide = visit()
+    assert wide.locator("#runs .modebar-btn").count() > 3
+    shown = "getComputedStyle(document.querySelector('#runs .modebar-group')).opacity"
+    wide.mouse.move(2, 2)
+    wide.wait_for_function(f"{shown} === '0'", polling=POLLING_MS)
+    wide.locator("#runs").hover()
+    wide.wait_for_function(f"{shown} === '1'", polling=POLLING_MS)
+    assert visit(390).locator(".modebar-btn").count() == 0
+
+
 def test_dark_pages_have_dark_figures(visit: Visits) -> None:
     page = visit(scheme="dark")
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(21, 24, 27)"

@@ -56,7 +56,7 @@ END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3,
     [
         (0.295, {}, "local", ""),
         (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends on the hump at "
-         "arm angle 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
+         "swivel 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
         (0.24, {"at_limit": True}, "local", "held by a joint limit"),
         ([0.2, 0.22, 0.242, 0.298], {"top_mu": 0.298}, "local", "on its hump of mu"),
         (0.24, {"top_mu": 0.298}, "local", "did not climb: it ends 19.5 % below the top of its own hump"),
@@ -112,6 +112,20 @@ def test_json_begins_with_the_ending_and_is_json(capsys):
         "warnings": [WARNING], "faults": {},
     }  # fmt: skip
     assert "part" not in run_json(trace(), {})
+
+
+@pytest.mark.parametrize(
+    ("solver", "law", "shown"), [("nlp-sqp", "moc", "–"), ("osqp", "moc", "4"), ("nlp-sqp", "dcac", "4")]
+)
+def test_verdicts_of_the_linear_problem_are_not_passed_on_answers_to_another(solver, law, shown):
+    run = trace(scenario={"solver": {"name": solver}, "control": {"law": law}})
+    metrics = {"mu_mean": 0.2, "verified_solved": 4.0, "silently_wrong": 4.0}
+    table = run_table("x", run, metrics, first=True)
+    (value,) = (cells for column in table.columns if column.key == "value" for cells in [table.cells(column)])
+    assert [cell.text for cell in value] == ["completed", "0.2000", shown, shown]
+    assert ("nonlinear" in table.caption) == (shown == "–")
+    assert run_json(run, metrics)["silently_wrong"] == (None if shown == "–" else 4.0)
+    assert "silently_wrong" not in run_json(run, {})
 
 
 @pytest.mark.parametrize(

@@ -224,3 +224,12 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     assert sorted(shown) == sorted(c.key for c in columns[1:]), "every column once"
     assert [part.caption is not None for part in table.fitted(width)].count(True) == 1
     assert len(table.fitted(10_000)) == 1
+
+
+def test_a_table_shows_itself_in_a_terminal_and_in_a_notebook():
+    made = table([{"name": NASTY, "value": 1.5}])
+    assert repr(made) == made.to_text()
+    page = Cells(made._repr_html_())
+    assert "1.5" in page.text
+    assert "time [us]" in page.text
+    assert not page.of("script")

@@ -216,6 +216,12 @@ def test_sessions_share_nothing(name):
             np.testing.assert_allclose(pair[k].x, expected.x, rtol=0.0, atol=1e-11)
 
 
+@every_solver
+def test_a_session_shows_the_settings_that_it_was_started_with(name):
+    chosen = solver(name)
+    assert repr(chosen.start(sequence(name, seed=6)[0])) == f"<session of {chosen!r}>"
+
+
 UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel", "casadi:qrqp")
 TRUNCATING = ("osqp", "piqp", "clarabel")
 

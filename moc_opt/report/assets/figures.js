@@ -59,6 +59,8 @@
     return figure;
   };
   const options = (chart) => ({
+    // Where nothing can hover the buttons would always lie on the legend; on a phone's width there is no other room.
+    displayModeBar: touch.matches || chart.clientWidth < phone ? false : "hover",
     displaylogo: false, plotlyServerURL: "", showLink: false, responsive: false, topojsonURL: "", scrollZoom: false,
     modeBarButtonsToRemove: ["lasso2d", "select2d", "autoScale2d"],
     toImageButtonOptions: { format: "svg", filename: chart.dataset.name },

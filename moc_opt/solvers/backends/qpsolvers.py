@@ -23,7 +23,7 @@ from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.session import refuse_semidefinite
-from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.base import ShownBySettings, Solution, Status, no_answer
 from moc_opt.solvers.options import checked
 
 PREFIX = "qpsolvers:"
@@ -160,7 +160,7 @@ class QPSolver:
         return QPSolverSession(self)
 
 
-class QPSolverSession:
+class QPSolverSession(ShownBySettings):
     """Keeps the last x, if that."""
 
     def __init__(self, settings: QPSolver) -> None:

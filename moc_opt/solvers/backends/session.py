@@ -15,7 +15,7 @@ from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
 from moc_opt.solvers.backends.buffers import Loader
-from moc_opt.solvers.base import Session, Solution, Status, no_answer
+from moc_opt.solvers.base import Session, ShownBySettings, Solution, Status, no_answer
 
 Outcome = tuple[Status, int, Array, Array]
 
@@ -61,7 +61,7 @@ def refuse_semidefinite(qp: NullSpaceQP, needs: str) -> str | None:
     return f"{needs}, and regularization is {qp.regularization:g}: set regularization > 0"
 
 
-class LibrarySession(ABC):
+class LibrarySession(ShownBySettings, ABC):
     """One workspace of a library and the buffers that it reads.
 
     Attributes:

@@ -275,6 +275,9 @@ class ExactSession:
         self._work, self._indices = workspace(n)
         self._kernel = _SOLVE.code
 
+    def __repr__(self) -> str:
+        return f"<session of {Exact(self.tolerance)!r}>"
+
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; the answer's arrays are the caller's."""
         x, y = _empty(qp.n), _empty(6)

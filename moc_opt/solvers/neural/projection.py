@@ -24,7 +24,7 @@ from moc_opt.numerics.cache import njit
 from moc_opt.qp.equalities import offsets
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import checks
-from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.base import ShownBySettings, Solution, Status, no_answer
 
 
 @njit(cache=True, nogil=True)
@@ -160,7 +160,7 @@ class RNN:
         return RNNSession(self, qp.n)
 
 
-class RNNSession:
+class RNNSession(ShownBySettings):
     """The state of one network."""
 
     def __init__(self, settings: RNN | RNNPrinted, n: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
-from moc_opt.solvers.base import Solution, Status, no_answer
+from moc_opt.solvers.base import ShownBySettings, Solution, Status, no_answer
 
 # The rest (sqpmethod's "Search_Direction_Becomes_Too_Small", which is also its answer to an infeasible
 # problem) proves nothing.
@@ -39,7 +39,7 @@ class _Call:
         return self._buffer.stats()  # type: ignore[no-any-return]
 
 
-class NLPSession:
+class NLPSession(ShownBySettings):
     """Buffers of one solver; the last answer in them is the warm start."""
 
     def __init__(self, settings: Any, solver: Any, places: Any) -> None:

@@ -183,7 +183,7 @@ def test_results_of_other_code_are_not_continued(
 ) -> None:
     do(Plan(config()), tmp_path)
     monkeypatch.setattr("benchmarks.sweeps.plan.code_version", lambda: "0.1.0+changed")
-    with pytest.raises(StoreError, match=r"moc_opt is '0.1.0\+changed' here and '0"):
+    with pytest.raises(StoreError, match=r"moc_opt is '0.1.0\+changed' here and '\d"):
         Store(tmp_path, Plan(config())).__enter__()
 
 

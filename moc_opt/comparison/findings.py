@@ -1,0 +1,214 @@
+"""What a comparison of solvers found: means, changes against DCAC, tables, a plot."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relative_change
+from moc_opt.comparison.trials import BASELINE
+from moc_opt.errors import ScenarioError, UnknownNameError
+from moc_opt.report.run_table import ANOTHER_PROBLEM
+from moc_opt.report.tables import TEXT, Column, Table
+from moc_opt.scenario import Scenario
+from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import METRICS
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+    from plotly.graph_objects import Figure
+    from rich.table import Table as RichTable
+
+CHANGES = {"mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "rcm_error_model_mean_mm": "rcm_change"}
+"""Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
+
+SOLVER, TRIALS, OSCILLATED = (Column(name, name) for name in ("solver", "trials", "oscillated"))
+VERIFIED, WRONG = Column("verified", "verified", "%", digits=4), Column("silently_wrong", "silently wrong")
+TIMES = (Column("solve_p50_us", "p50", "us"), Column("solve_p99_us", "p99", "us"))
+MU, GAIN = Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%")
+TIP, RCM = Column("tip_error_model_mean_mm", "tip", "mm"), Column("rcm_error_model_mean_mm", "RCM", "mm")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` found; a notebook shows its table.
+
+    Attributes:
+        rows: one mapping a run: solver, seed, ended, asked (ticks with a subproblem), then every metric; of a run
+            that could not be made `ended` is "failed: " and why, and there is no metric.
+        solvers: their names in the table, the baseline first.
+        scenario: from which the trials were made.
+        note: from where the trials start, and that the machine was busy where it was.
+        complete: False where Ctrl-C ended it after some of the trials.
+    """
+
+    rows: Sequence[Mapping[str, Any]]
+    solvers: Sequence[str]
+    scenario: Scenario
+    note: str = ""
+    complete: bool = True
+
+    def values(self, solver: str, metric: str) -> dict[int, float]:
+        """Return seed -> value of a metric over those trials that the solver drove to their end.
+
+        Raises:
+            UnknownNameError: no such solver, or no run has such a metric.
+        """
+        if solver not in self.solvers:
+            raise UnknownNameError("solver of this comparison", solver, self.solvers)
+        if metric not in METRICS and not any(metric in row for row in self.rows):
+            raise UnknownNameError("metric", metric, METRICS, "moc-opt metrics")
+        mine = [row for row in self.rows if row["solver"] == solver and Ending.of(row["ended"]).whole]
+        return {row["seed"]: float(row[metric]) for row in mine if metric in row}
+
+    def mean(self, solver: str, metric: str) -> Interval | None:
+        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any."""
+        values = list(self.values(solver, metric).values())
+        return mean(values) if values and np.isfinite(values).all() else None
+
+    def change(self, solver: str, metric: str) -> Interval | None:
+        """Return the change of a mean against DCAC [percent], on the trials that both drove to their end."""
+        mine, theirs = self.values(solver, metric), self.values(BASELINE, metric)
+        both = [seed for seed in mine if seed in theirs]
+        try:
+            return relative_change([mine[seed] for seed in both], [theirs[seed] for seed in both])
+        except StatisticsError:
+            return None  # no trial that both finished
+
+    def summary(self) -> dict[str, dict[str, Any]]:
+        """Return solver -> counts, shares, medians of times, and means and changes as `Interval`."""
+        return {name: self._of(name) for name in self.solvers}
+
+    def _of(self, name: str) -> dict[str, Any]:
+        rows = [row for row in self.rows if row["solver"] == name]
+        asked = sum(row["asked"] for row in rows)
+        found: dict[str, Any] = {
+            "trials": sum(Ending.of(row["ended"]).whole for row in rows), "of": len(rows),
+            "oscillated": sum(Ending.of(row["ended"]) is Ending.OSCILLATED for row in rows),
+        }  # fmt: skip
+        answered = [row for row in rows if row["asked"]]
+        if answered and all("verified_solved" in row for row in answered):
+            found["verified"] = 100.0 * sum(row["verified_solved"] for row in answered) / asked
+            found["silently_wrong"] = sum(row["silently_wrong"] for row in answered)
+        if answered:
+            found |= {key: float(np.median([row[key] for row in answered])) for key in ("solve_p50_us", "solve_p99_us")}
+        for metric, change in CHANGES.items():
+            found[metric] = self.mean(name, metric)
+            if name != BASELINE:
+                found[change] = self.change(name, metric)
+        return found
+
+    @property
+    def table(self) -> Table:
+        """One row a solver: trials, what its claims are worth, its times, and what its answers do to the arm."""
+        columns = [SOLVER, TRIALS, VERIFIED, WRONG, *TIMES, MU, GAIN, TIP, RCM, OSCILLATED]
+        return self._table(columns, _words)
+
+    def tables(self, width: int) -> list[RichTable]:
+        """Draw `table` for a terminal of this width [characters]; where it is too narrow, means and intervals apart.
+
+        What is still too wide loses its last columns; `to_pandas` and `save_rows` have all.
+        """
+        if self.table.fits(width):
+            return self.table.fitted(width)
+        means = self._table(
+            [SOLVER, TRIALS, VERIFIED, WRONG, GAIN, TIP, RCM, *TIMES, MU, OSCILLATED], lambda found: found.value
+        )
+        limits = self._table([SOLVER, GAIN, TIP, RCM, MU], _limits)
+        limits = replace(limits, title="The same: 95 % intervals of the means")
+        known = any(row.get(column.key) for row in limits.rows for column in limits.columns[1:])
+        shown = [replace(means, caption=""), limits] if known else [means]
+        return [table.narrowed(width, text=TEXT) for table in shown]
+
+    def _table(self, columns: Sequence[Column], write: Callable[[Interval], Any]) -> Table:
+        rows = []
+        for name, found in self.summary().items():
+            whole, of = found["trials"], found.pop("of")
+            shown = {key: write(value) if isinstance(value, Interval) else value for key, value in found.items()}
+            rows.append({**shown, "solver": name, "trials": str(whole) if whole == of else f"{whole} of {of}"})
+        used = [c for c in columns if c is not OSCILLATED or any(row["oscillated"] for row in rows)]
+        caption = (
+            "Means over the trials that came to their end, with 95 % intervals; gain: of the mean mu over that of DCAC "
+            "with the same gains on the same trials; times: of the middle trial; tip and RCM by the robot's own "
+            "kinematics."
+        )
+        named = "name" in self.scenario.model_fields_set
+        title = self.scenario.name if named else self.scenario.task.path
+        unjudged = any(row["asked"] and "verified_solved" not in row for row in self.rows)
+        other = ANOTHER_PROBLEM if unjudged and self.scenario.judge else ""
+        about = " ".join(filter(None, [caption, other, self.note, *self._failures()]))
+        return Table(f"{title}: solvers on the same trials", used, rows, about)
+
+    def _failures(self) -> list[str]:
+        """One sentence a solver of which runs could not be made: how many, and why the first."""
+        said = []
+        for name in self.solvers:
+            failed = [
+                row["ended"] for row in self.rows if row["solver"] == name and Ending.of(row["ended"]) is Ending.FAILED
+            ]
+            if failed:
+                said.append(f"{name} failed in {len(failed)}: {failed[0].partition(': ')[2]}.")
+        return said
+
+    def plot(self, metric: str = "mu_mean") -> Figure:
+        """Draw a metric over the trials as one box a solver: a plotly figure.
+
+        Raises:
+            UnknownNameError: no run has such a metric.
+        """
+        from moc_opt.report.figures import box_plots
+
+        samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
+        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
+
+    def to_pandas(self) -> DataFrame:
+        """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise ScenarioError("pandas is not installed: pip install 'moc-opt[dataframes]'") from error
+        return pandas.DataFrame([dict(row) for row in self.rows])
+
+    def save_rows(self, path: str | os.PathLike[str]) -> None:
+        """Write one row a run as CSV: solver, seed, ended, then every metric.
+
+        Raises:
+            ScenarioError: the file cannot be written.
+        """
+        written = io.StringIO(newline="")
+        table = csv.DictWriter(written, list(dict.fromkeys(key for row in self.rows for key in row)))
+        table.writeheader()
+        table.writerows(self.rows)
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_text(written.getvalue(), encoding="utf-8", newline="")
+        except OSError as error:
+            raise ScenarioError(f"{path}: cannot be written: {error}") from error
+
+    def __repr__(self) -> str:
+        return self.table.to_text()
+
+    def _repr_html_(self) -> str:
+        """Show the table in a notebook."""
+        return self.table._repr_html_()
+
+
+def _words(found: Interval) -> str:
+    if found.samples < 2:
+        return f"{found.value:.3g}"
+    return f"{found.value:.3g} [{found.low:.3g}, {found.high:.3g}]"
+
+
+def _limits(found: Interval) -> str | None:
+    return None if found.samples < 2 else f"[{found.low:.3g}, {found.high:.3g}]"
