@@ -61,7 +61,7 @@ class Arm:
 
 
 def rotation(axis: Array, angle: float) -> Array:
-    """Rodrigues' formula, (3, 3)."""
+    """Return Rodrigues' rotation, (3, 3)."""
     K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     return np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
 
@@ -103,7 +103,7 @@ def random_box(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 def smooth_sequence(
     rng: np.random.Generator, count: int, *, period: float = 0.002, arm: Arm | None = None, **weights: float
 ) -> list[NullSpaceQP]:
-    """``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
+    """Make ``count`` subproblems of one arm along a smooth motion, ``period`` [s] apart."""
     arm = random_arm(rng) if arm is None else arm
     lower, upper = random_box(rng, arm.n)
     start, phase = rng.uniform(-1.5, 1.5, arm.n), rng.uniform(0.0, 2.0 * np.pi, arm.n)

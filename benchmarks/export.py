@@ -139,7 +139,7 @@ def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> list[
 
 
 def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, dict[str, Any]]:
-    """qpbenchmark's own ranking of a part of the sets: solver@settings -> its figures, or the reason why there is none.
+    """Ask qpbenchmark for its ranking of a part of the sets: solver@settings -> its figures, or why there is none.
 
     Args:
         folder: for the exported set and the results.
@@ -161,7 +161,7 @@ def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, di
 
 
 def figures(rows: Sequence[Mapping[str, str]]) -> dict[str, dict[str, Any]]:
-    """qpbenchmark's measures: success in percent, shifted geometric mean of run times over the best, and ranks.
+    """Compute qpbenchmark's measures: success in percent, shifted geometric mean of run times, and ranks.
 
     As in its report: the shift is 10 s, a failure counts as the time limit, and a solve succeeds within its
     tolerances (1e-9 under high_accuracy, 1 under default).

@@ -45,7 +45,7 @@ def default_config(name: str) -> Path:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """All of it or nothing, also when the machine stops in the middle."""
+    """Write all of it or nothing, also when the machine stops in the middle."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
@@ -61,12 +61,12 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Sorted, so that two runs can be compared by eye."""
+    """Write it sorted, so that two runs can be compared by eye."""
     write_atomically(path, (to_json(value, sort_keys=True) + "\n").encode())
 
 
 def write_rows(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
-    """One Parquet row per mapping; a column that a row lacks is null there, and so is what is not finite."""
+    """Write one Parquet row per mapping; a column that a row lacks is null there, and so is what is not finite."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

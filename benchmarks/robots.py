@@ -39,11 +39,11 @@ class Config(Configuration):
     scenario: Scenario = Scenario(start={"pose": "random"}, bound_samples=10)  # type: ignore[arg-type]
 
     def quick(self) -> Self:
-        """The same on less data."""
+        """Return the same on less data."""
         return self.model_copy(update={"tasks": self.tasks[:1], "starts": 2, "solvers": self.solvers[:2]})
 
     def jobs(self) -> list[Job]:
-        """One trial each."""
+        """Return one trial each."""
         drawn = seeds(self.seed, STREAM, self.starts * len(self.tasks))
         return [
             Job(task, trial, tuple(self.solvers))

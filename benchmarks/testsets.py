@@ -63,7 +63,7 @@ class TestSet:
         return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
 
     def judged(self) -> Array:
-        """``rows`` as answers are judged: with references that the rigid tool can follow.
+        """Return ``rows`` as answers are judged: with references that the rigid tool can follow.
 
         Where those of tip and wrist differ along the shaft, the wrist's are moved; what is certified is the answer
         to the five rows that this leaves alone.
@@ -114,7 +114,7 @@ RECORDED = {"speed_fraction": 1.0, "limit_margin_rad": 0.0, "ramp_s": 0.0}
 
 
 def sequence(task: str, regularization: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """500 Hz, from the middle of the elbow's travel in a closed-loop run."""
+    """Yield a 500 Hz sequence, from the middle of the elbow's travel in a closed-loop run."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         scenario = Scenario(
@@ -149,7 +149,7 @@ def near_singular(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def joint_limits(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """One to three joints within a milliradian of a limit: the box is closed on that side."""
+    """Yield problems with one to three joints within a milliradian of a limit: the box is closed on that side."""
     while True:
         q = robot.random_regular_pose(rng)
         for joint in rng.choice(robot.n - 1, size=rng.integers(1, 4), replace=False):
@@ -165,7 +165,7 @@ def infeasible(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
 
 
 def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQP]]:
-    """Tip and wrist references that differ along the shaft by ``size`` [m/s]."""
+    """Yield tip and wrist references that differ along the shaft by ``size`` [m/s]."""
 
     def make(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
         while True:
@@ -177,7 +177,7 @@ def inconsistent(size: float) -> Callable[[RobotModel, Rng], Iterator[NullSpaceQ
 
 
 def jumps(robot: RobotModel, rng: Rng) -> Iterator[NullSpaceQP]:
-    """Neighbours from far apart, every second one with its gradient turned round: warm starts against themselves."""
+    """Yield neighbours from far apart, every second one with its gradient turned round, against warm starts."""
     while True:
         qp = at_pose(robot, robot.random_regular_pose(rng), tip_velocity(rng, 0.05), regularization=0.0)
         yield qp

@@ -96,7 +96,7 @@ def ratios(times: Array, base: Array) -> Array:
 
 
 def figures(times: Array, prefix: str) -> dict[str, float]:
-    """Of a result of `interleaved` (chunks, chunk): percentiles and maximum of all calls; median of the cold ones.
+    """Return percentiles and maximum of a result of `interleaved` (chunks, chunk), and the median of the cold calls.
 
     The cold calls are the first ``COLD`` of each chunk: another entry ran before them.
     """

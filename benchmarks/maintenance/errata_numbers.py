@@ -89,7 +89,7 @@ def third_level(state: RobotState) -> tuple[Array, Array, Array]:
 
 
 def network(qp: NullSpaceQP, steps: int, sign: float, k: float = 0.5) -> Array:
-    """Y <- Y - k F(Y), x clipped to the box (h = 1); |A x - b|_inf over the last tenth of the steps."""
+    """Iterate Y <- Y - k F(Y), x clipped to the box (h = 1); |A x - b|_inf over the last tenth of the steps."""
     x, y, slack = np.zeros(qp.n), np.zeros(6), []
     for _ in range(steps):
         F_x, F_y = qp.P @ x + qp.p + qp.A.T @ y, -(qp.A @ x - qp.b)

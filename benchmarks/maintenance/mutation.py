@@ -56,7 +56,7 @@ class Config(Configuration):
         return self.model_copy(update={"sample": 8})
 
     def choosing(self, names: Sequence[str] | None, count: int | None) -> Self:
-        """These modules alone, and that many mutants.
+        """Take these modules alone, and that many mutants.
 
         Raises:
             UnknownNameError: a module that the configuration does not name.

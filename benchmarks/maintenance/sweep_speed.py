@@ -136,7 +136,7 @@ def others(turn: Callable[[], dict[str, float]]) -> dict[str, float]:
 
 
 def contenders(plan: Plan, workers: int, work: Work) -> dict[str, Callable[[], dict[str, float]]]:
-    """Who does the runs, in the order of their turns."""
+    """Name who does the runs, in the order of their turns."""
     scenarios = [scenario_table(plan, i) for i in range(len(plan))]
 
     def loop() -> dict[str, float]:

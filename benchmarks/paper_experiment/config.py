@@ -70,7 +70,7 @@ class Config(Configuration):
         return config
 
     def check(self) -> None:
-        """Every name exists and every kind of trial can be set up: found out before anything moves.
+        """Check that every name exists and every kind of trial can be set up: found out before anything moves.
 
         Raises:
             MocOptError: the first thing that is wrong.

@@ -103,7 +103,7 @@ def map_figures(found: Mapping[str, Look]) -> dict[str, go.Figure]:
 
 
 def add_section(page: Page, found: Mapping[str, Look], folder: Path, config: Config) -> None:
-    """The maps, and the replay of the first trial in ``folder``."""
+    """Add the maps, and the replay of the first trial in ``folder``."""
     if not found:
         return
     (best,) = titles([config.best_solver]).values()

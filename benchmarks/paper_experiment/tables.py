@@ -125,7 +125,7 @@ def interval_rows(
 
 
 def phase_table(rows: Sequence[Mapping[str, Any]], group: str) -> Table:
-    """Transient and steady state apart."""
+    """Show transient and steady state apart."""
     drawn = interval_rows(rows, group, ("tip", "rcm", "force"), "_change_percent")
     return Table(
         f"Group {group}: while an elbow travels, and in the steady state", PHASE, drawn,
@@ -170,7 +170,7 @@ def ablation_table(rows: Sequence[Mapping[str, Any]]) -> Table:
 
 
 def procedure_table(summary: Summary) -> Table:
-    """From guiding to the end of the task."""
+    """Show the way from guiding to the end of the task."""
     rows = [{"task": task, **entries} for task, entries in summary["procedure"].items()]
     pictures = summary["board_pictures"]
     caption = (

@@ -149,7 +149,7 @@ class Hostile:
         self.deeds = deeds
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """None: it takes every problem."""
+        """Return None: it takes every problem."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:

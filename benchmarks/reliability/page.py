@@ -41,7 +41,7 @@ def page(found: Mapping[str, Any]) -> str:
 
 
 def write_page(found: Mapping[str, Any], path: Path = PAGE) -> None:
-    """The page, and beside it the figures that it was made from; those of another command stay as they are.
+    """Write the page, and beside it the figures that it was made from; those of another command stay as they are.
 
     Raises:
         ScenarioError: the figures of the faults are not there yet.

@@ -50,7 +50,7 @@ def _worst(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def outcome(figures: Row) -> str:
-    """In a word, or several where the trials differ."""
+    """Say it in a word, or several where the trials differ."""
     parts = [(name, figures.get(name.replace(" ", "_"), 0)) for name in OUTCOMES]
     there = [(name, count) for name, count in parts if count]
     return there[0][0] if len(there) == 1 else ", ".join(f"{count} {name}" for name, count in there)

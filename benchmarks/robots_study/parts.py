@@ -38,7 +38,7 @@ class Job:
 
 
 def run_job(job: Job) -> list[dict[str, Any]]:
-    """Rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
+    """Return rows of all controllers, `MATCHED` DCAC first; of a start that is not found, one row with the error."""
     about = {"robot": job.trial.robot.name, "task": job.task, "trial": job.trial.name, "seed": job.trial.seed}
     try:
         trial = placed(job.trial).change(best_courses=True)

@@ -63,7 +63,7 @@ BY_ARM = [
 
 
 def summarise(rows: Rows) -> dict[str, Any]:
-    """{"robots": robot -> controller -> figure, "findings": robot -> finding -> holds, "ranking": ...}.
+    """Return {"robots": robot -> controller -> figure, "findings": robot -> finding -> holds, "ranking": ...}.
 
     Means and changes are over the trials that the controller and matched DCAC both ended; those that either broke off
     are counted.
@@ -149,7 +149,7 @@ def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str,
 
 
 def tables(summary: Mapping[str, Any]) -> list[Table]:
-    """Every arm and controller, and which findings hold where."""
+    """Show every arm and controller, and which findings hold where."""
     rows = [{"robot": r, "controller": c, **row} for r, by in summary["robots"].items() for c, row in by.items()]
     word = {True: "yes", False: "no", None: "-"}
     holds = [

@@ -185,7 +185,7 @@ def canonical(value: Any) -> str:
 
 
 def digest_of(description: Any) -> str:
-    """Of a plan's description; ValueError or TypeError where that is none."""
+    """Hash a plan's description; ValueError or TypeError where that is none."""
     return hashlib.sha256(canonical(description).encode()).hexdigest()
 
 

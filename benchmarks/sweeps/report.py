@@ -26,7 +26,7 @@ TIMES = ("solve_p50_us", "solve_p99_us", "tick_p50_us", "tick_p99_us")
 
 
 def tables(summary: Summary) -> list[Table]:
-    """By solver, by each field of the grid, times, and what went wrong."""
+    """Make the tables: by solver, by each field of the grid, times, and what went wrong."""
     counts = [
         Column("runs", "runs", format="d"),
         Column("failed", "failed", format="d", better="low", help="ended by an error; see rows.parquet"),

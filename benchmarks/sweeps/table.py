@@ -94,7 +94,7 @@ def described(plan: Plan, indices: Sequence[int]) -> dict[str, list[Any]]:
 
 
 def write_final(folder: Path, plan: Plan, blocks: Iterator[pa.Table]) -> None:
-    """rows.parquet and clock.parquet, from blocks of records in order; both appear whole, or not at all.
+    """Write rows.parquet and clock.parquet, from blocks of records in order; both appear whole, or not at all.
 
     Args:
         blocks: tables of :func:`record_schema`, BLOCK rows each but the last, sorted by index.

@@ -54,7 +54,7 @@ def check_robot(robot: RobotModel, scenario: Scenario | None = None) -> list[Fin
 
 
 def verdict(findings: list[Finding]) -> Verdict:
-    """The worst of the rows."""
+    """Return the worst of the rows."""
     order: tuple[Verdict, ...] = ("ok", "care", "cannot")
     return max((row.verdict for row in findings), key=order.index)
 

@@ -88,7 +88,7 @@ def _range(name: str, endless: bool, unit: Unit, given: dict[str, float], notes:
 
 
 def choose_efforts(robot: RobotModel, weak: list[str]) -> dict[str, float]:
-    """Torques [Nm] or forces [N] for joints whose file names none: three times the most that gravity asks for.
+    """Choose efforts [Nm, N] for joints whose file names none: three times the most that gravity asks for.
 
     Args:
         robot: the arm, with its tool.

@@ -38,7 +38,7 @@ def gain_rates(robot: RobotModel, control: ControlSettings) -> Rates:
 
 
 def allowed_rate(plant: PlantSettings) -> float:
-    """The largest stable rate [1/s] with the plant's period and delay; its velocity filter counts as delay."""
+    """Return the largest stable rate [1/s] with the plant's period and delay; its velocity filter counts as delay."""
     lag = 0.0
     if plant.velocity_cutoff_Hz > 0.0:
         lag = 1.0 / (2.0 * math.pi * plant.velocity_cutoff_Hz * plant.period_s)

@@ -194,12 +194,12 @@ def _shift(joint: ET.Element, value: float) -> None:
 
 
 def rpy_of(R: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
+    """Return roll, pitch and yaw [rad] of a rotation (3,3), in URDF's order."""
     roll, pitch, yaw = pin.rpy.matrixToRpy(R).tolist()
     return roll, pitch, yaw
 
 
 def chain_joints(arm: VendorArm) -> list[ET.Element]:
-    """The chain's joints of the clean tree, base first."""
+    """Return the chain's joints of the clean tree, base first."""
     by_name = {joint.get("name", ""): joint for joint in arm.root.findall("joint")}
     return [by_name[name] for name in arm.chain]

@@ -15,57 +15,57 @@ SWEEPS = 50
 
 
 def dot(m: int) -> int:
-    """A sum of products."""
+    """Count a sum of products."""
     return 2 * m
 
 
 def all_finite(m: int) -> int:
-    """A sum of products with zero, and its comparison."""
+    """Count a sum of products with zero, and its comparison."""
     return 2 * m + 1
 
 
 def cholesky(m: int) -> int:
-    """The factor of (m,m)."""
+    """Count the factor of (m,m)."""
     return sum(2 * j + 3 + (m - j - 1) * (2 * j + 1) for j in range(m))
 
 
 def solve_factored(m: int) -> int:
-    """Both triangles."""
+    """Count both triangles."""
     return 2 * m * (m - 1) + 4 * m
 
 
 def third_level(n: int, rows: int) -> int:
-    """moc_third_level, observer and torque limit of moc_tick_follow."""
+    """Count moc_third_level, observer and torque limit of moc_tick_follow."""
     products = 2 * rows * n * dot(n) // 2 + rows * (rows + 1) * dot(n)
     return 5 * n + products + cholesky(rows) + solve_factored(rows) + 2 * n * rows + 2 + 4 * n
 
 
 def residual_check(n: int, rows: int) -> int:
-    """moc_judge."""
+    """Count moc_judge."""
     violations = all_finite(n) + 6 * (dot(n) + 3) + 7 * n
     line = rows * (dot(n) + 2 * n) + dot(n) + 4
     return violations + line + n * (1 + 9 + 3 + 2 + 2 + 4 + 4) + 2 + n * (1 + 5 + 3) + 15
 
 
 def retreat(n: int, rows: int) -> int:
-    """moc_retreat with all its sweeps."""
+    """Count moc_retreat with all its sweeps."""
     shortest = n * n * (12 + 2 * rows) + 12 * n + cholesky(n) + solve_factored(n)
     sweep = 1 + n * (1 + 2 + 2 * rows + 4 + 3 * rows + 3)
     return shortest + 2 * n * rows + SWEEPS * sweep + 1 + n * (2 * rows + 5)
 
 
 def least_violation(n: int) -> int:
-    """moc_least_violation with all its sweeps."""
+    """Count moc_least_violation with all its sweeps."""
     return n * (2 + 12) + 6 * (dot(n) + 1) + SWEEPS * n * (1 + 12 + 4 + 18) + all_finite(n)
 
 
 def orthonormalise(n: int, rows: int) -> int:
-    """moc_orthonormalise."""
+    """Count moc_orthonormalise."""
     return sum(2 * (i * (dot(n) + 2 * n) + dot(n) + 1 + n) for i in range(rows))
 
 
 def straight_elbow(n: int) -> int:
-    """moc_eliminate, moc_kernel and moc_singular_answer."""
+    """Count moc_eliminate, moc_kernel and moc_singular_answer."""
     pivot = 6 * n * 3 + 4 + 2 + 6 * (1 + 2 * n + 2) + n + 1
     kernel = n * 5 + orthonormalise(n, n)
     inside = n * 7 + 10
@@ -77,7 +77,7 @@ def straight_elbow(n: int) -> int:
 
 
 def guard(n: int, gravity: int, tool_pose: int) -> int:
-    """moc_guard, moc_motion, moc_replay, moc_incision, and the checks of moc_safe_step; what only a stop needs, too."""
+    """Count moc_guard, moc_motion, moc_replay, moc_incision, moc_safe_step's checks, and what only a stop needs."""
     believed = 1 + n * 10
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 32 + 2 * 3 + 4 + 2 * 6
     readings = 2 + 6 * 3 + n * 25 + 9 + 6 + 3 * n + 2 * (2 * n + 6) + 14

@@ -31,7 +31,7 @@ class Triangle(NamedTuple):
     """whether A has full rank"""
 
     def rotate(self, x: SX) -> SX:
-        """Q x (r + 1,)."""
+        """Return Q x (r + 1,)."""
         for u, beta in reversed(self.reflections):
             x = x - beta * ca.dot(u, x) * u
         return x
@@ -56,7 +56,7 @@ class Answer(NamedTuple):
 
 
 def triangulate(A: SX) -> Triangle:
-    """Householder reflections of A^T, one a row of A (r, r + 1); structural zeros of A cost nothing."""
+    """Reflect A^T into a triangle (Householder), one reflection a row of A (r, r + 1); zeros of A cost nothing."""
     T = ca.SX(A.T)
     r = T.shape[1]
     reflections, diagonal = [], []
@@ -79,7 +79,7 @@ def triangulate(A: SX) -> Triangle:
 
 
 def null_vector(triangle: Triangle) -> SX:
-    """Unit z (r + 1,) with A z = 0, also where A has lost rank."""
+    """Return the unit z (r + 1,) with A z = 0, also where A has lost rank."""
     r = triangle.R.shape[0]
     return triangle.rotate(ca.vertcat(ca.SX.zeros(r), 1))
 
@@ -88,7 +88,7 @@ def solve(
     triangle: Triangle, z: SX, b: SX, gradient: SX, box: Box, active: list[int], *,
     c2: float, rho: float, tolerance: float,
 ) -> Answer:  # fmt: skip
-    """max c2 gradient . x - rho/2 |x|^2 on A x = b inside the box.
+    """Maximise c2 gradient . x - rho/2 |x|^2 on A x = b inside the box.
 
     Args:
         triangle, z: of A (r, r + 1), the rows of the active joints.

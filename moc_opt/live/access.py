@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def own_names(host: str, address: str) -> set[str]:
-    """Names and addresses under which a page is asked for that listens at ``address``, given as ``host``.
+    """Return names and addresses under which a page is asked for that listens at ``address``, given as ``host``.
 
     A loopback address has three; one that stands for all of this machine's has the machine's name, and, as "*", any
     address in numbers: only names can be made to point elsewhere.
@@ -64,7 +64,7 @@ class Access:
         return name in self.names or ("*" in self.names and _is_address(name))
 
     def refusal(self, request: Request, port: int) -> str:
-        """Why this request is refused; "" where it is allowed.
+        """Say why this request is refused; "" where it is allowed.
 
         Args:
             request: of a page, a file or a WebSocket.

@@ -11,7 +11,7 @@ CONSENT = "--i-know-this-is-public"
 
 
 def checked_address(host: str, *, public: bool = False) -> str:
-    """The numeric address that `host` stands for.
+    """Return the numeric address that `host` stands for.
 
     Whoever reaches the page and holds its token commands the simulation; nothing is encrypted.
 

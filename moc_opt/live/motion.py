@@ -44,7 +44,7 @@ class MovingTrocar:
         self._offset, self._amplitude, self._phase = np.zeros(3), trocar.breathing_amplitude_m, 0.0
 
     def step(self, seconds: float) -> Array:
-        """P_t and dP_t as rows (2, 3) for a period that begins now; then that period goes by."""
+        """Return P_t and dP_t as rows (2, 3) for a period that begins now; then that period goes by."""
         rate = 2.0 * math.pi / self.period_s
         away = self.offset - self._offset
         far = float(np.linalg.norm(away))
@@ -88,5 +88,5 @@ class MovingTrocars:
         self.move(told.offset, told.amplitude, told.period_s)
 
     def step(self, seconds: float) -> tuple[Array, Array]:
-        """Rows (2, 3) P_t, dP_t of both for a period that begins now; then that period goes by."""
+        """Return rows (2, 3) P_t, dP_t of both for a period that begins now; then that period goes by."""
         return self._true.step(seconds), self._registered.step(seconds)

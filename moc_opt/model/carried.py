@@ -20,7 +20,7 @@ _ARRAYS = (
 
 
 def carried(robot: RobotModel) -> dict[str, Any]:
-    """The fields of its `RobotData`, as numbers, texts, lists and tables of them (JSON can hold them)."""
+    """Return the fields of its `RobotData`, as numbers, texts, lists and tables of them (JSON can hold them)."""
     values: dict[str, Any] = {}
     for field in fields(robot.data):
         value = getattr(robot.data, field.name)
@@ -30,7 +30,7 @@ def carried(robot: RobotModel) -> dict[str, Any]:
 
 
 def restored(values: Mapping[str, Any]) -> RobotModel:
-    """The robot of what `carried` gave; its URDF is read as strictly as one from a file.
+    """Make the robot of what `carried` gave; its URDF is read as strictly as one from a file.
 
     Raises:
         RobotError: a field is missing, unknown or of another kind, or the URDF is no such arm.

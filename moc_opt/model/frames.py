@@ -9,7 +9,7 @@ from moc_opt.numerics.arrays import Array
 
 
 def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
-    """Forward kinematics of many poses at once.
+    """Compute the forward kinematics of many poses at once.
 
     Args:
         q: (k, n) [rad], of prismatic joints [m].

@@ -70,7 +70,7 @@ def derived_gains(robot: RobotModel) -> dict[str, Table]:
 
 
 def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
-    """Largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the home pose and seeded poses of the range."""
+    """Return the largest eigenvalue of J M^-1 J^T [1/kg] at tip and wrist, over the poses of `surveyed`."""
     found = np.zeros(2)
     for state in surveyed(robot):
         yields = np.linalg.solve(state.M, state.A.T)
@@ -80,7 +80,7 @@ def largest_inverse_masses(robot: RobotModel) -> tuple[float, float]:
 
 
 def largest_null_rate(robot: RobotModel, gains: Array) -> float:
-    """Largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, at those poses."""
+    """Return the largest eigenvalue of (Z M Z^T)^-1 Z G Z^T [1/s], G = diag(gains (n,)), Z a basis of ker A, there."""
     found = 0.0
     for state in surveyed(robot):
         _, values, rows = np.linalg.svd(state.A)
@@ -92,14 +92,14 @@ def largest_null_rate(robot: RobotModel, gains: Array) -> float:
 
 
 def surveyed(robot: RobotModel) -> Iterator[RobotState]:
-    """The states at the home pose and at seeded poses of the range, over which the worst case of a gain is taken."""
+    """Yield the states at the home pose and at seeded poses of the range: the worst case of a gain is over these."""
     rng = np.random.default_rng(0)
     for q in [robot.data.q_home, *rng.uniform(robot.q_min, robot.q_max, (_POSES, robot.n))]:
         yield robot.state(q)
 
 
 def largest_rate(period_s: float, delay_ticks: int) -> float:
-    """Largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
+    """Return the largest rate [1/s] of a velocity gain over an inertia at which a sampled loop is stable.
 
     A velocity v[k+1] = v[k] - T rate v[k-d] decays while T rate < 2 sin(pi / (2 (2 d + 1))): 2, 1, 0.62, 0.45 for no,
     one, two and three ticks d of delay (Levin and May, 1976).

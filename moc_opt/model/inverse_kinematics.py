@@ -35,7 +35,7 @@ class Placed(NamedTuple):
 def wrist_through(
     tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
 ) -> tuple[Array, Array]:
-    """Where the wrist belongs when the shaft passes the trocar, and its velocity, (3,) [m], [m/s].
+    """Return where the wrist belongs when the shaft passes the trocar, and its velocity, (3,) [m], [m/s].
 
     N = X + L e, dN = dX + L (I - e e^T)(dP - dX)/|P - X|, e from the tip X to the trocar P, which must differ: the
     control law's own wish (`moc_opt.control.rcm.desired_wrist`), without a compiler.
@@ -49,7 +49,7 @@ def wrist_through(
 def solve_pose(
     robot: RobotModel, q: ArrayLike, tip: Array, wrist: Array | None = None, *, iterations: int = 40
 ) -> Placed:
-    """The nearest pose with the tip, and the wrist if given, at these points.
+    """Find the nearest pose with the tip, and the wrist if given, at these points.
 
     Damped Gauss-Newton from q; a joint that reaches its limit stays there while the others take over, which is
     how the arm's own redundancy is used. The search is local: that it fails proves nothing by itself.
@@ -85,7 +85,7 @@ def solve_pose(
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
-    """A pose (n,) near q with the tip at a point (3,) [m].
+    """Find a pose (n,) near q with the tip at a point (3,) [m].
 
     Raises:
         TaskError: none is found; the message says how near the tip gets.

@@ -98,7 +98,7 @@ class RobotModel:
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it.
+        """Compute manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it.
 
         Raises:
             RobotError: another shape, or no numbers.
@@ -111,7 +111,7 @@ class RobotModel:
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:
-        """Tip and wrist, (k,3) each [m], at the poses (k,n) [rad].
+        """Compute tip and wrist, (k,3) each [m], at the poses (k,n) [rad].
 
         Raises:
             RobotError: another shape, or no numbers.
@@ -131,13 +131,13 @@ class RobotModel:
         return poses
 
     def coriolis(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
+        """Compute the Coriolis matrix C (n,n) with h = C v + g and dM/dt - 2 C skew-symmetric."""
         return np.array(
             pin.computeCoriolisMatrix(self._pin, self._side_data, self._vector("q", q), self._vector("v", v))
         )
 
     def gravity(self, q: ArrayLike) -> Array:
-        """Gravity torque g (n,) [Nm]."""
+        """Compute the gravity torque g (n,) [Nm]."""
         return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
 
     def tool_pose(self, q: ArrayLike) -> Array:
@@ -180,7 +180,7 @@ class RobotModel:
         )  # fmt: skip
 
     def kinematics(self) -> Kinematics:
-        """CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
+        """Return CasADi functions tip, wrist, mu, grad_mu of q, built at the first call."""
         if self._kinematics is None:
             self._kinematics = build_kinematics(self.data.name, self.chain)
         return self._kinematics

@@ -46,7 +46,7 @@ class WallClock:
 
 
 def give_back_realtime() -> None:
-    """Be an ordinary process again: what follows a run is long, and nobody waits for it."""
+    """Make this an ordinary process again: what follows a run is long, and nobody waits for it."""
     if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()

@@ -33,7 +33,7 @@ class Watchdog:
             self._sound = seen
 
     def feed(self) -> None:
-        """A command has come."""
+        """Note that a command has come."""
         self.missed = 0
 
     def tick(self, applied: Array) -> Array:

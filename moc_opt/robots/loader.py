@@ -83,7 +83,7 @@ class RobotData:
 
 
 def available_robots() -> list[str]:
-    """Names that `load_data` knows without a path."""
+    """List the names that `load_data` knows without a path."""
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 

@@ -68,7 +68,7 @@ def end(joint: ET.Element, which: str) -> str:
 
 
 def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
-    """The movable joints of a rebuilt tree from base to `last_link`, in that order; no other joint may move."""
+    """Return the movable joints of a rebuilt tree from base to `last_link`, in that order; no other joint may move."""
     links = [link.get("name", "") for link in root.findall("link")]
     if last_link not in links:
         near = difflib.get_close_matches(last_link, links, n=3, cutoff=0.3)
@@ -94,7 +94,7 @@ def moving_joints(root: ET.Element, last_link: str) -> list[ET.Element]:
 
 
 def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
-    """Every movable joint must move some mass."""
+    """Check that every movable joint moves some mass."""
     heavy = {link.get("name", "") for link in root.findall("link") if link.find("inertial") is not None}
     fixed: dict[str, list[str]] = defaultdict(list)
     for joint in root.findall("joint"):
@@ -114,7 +114,7 @@ def check_masses(root: ET.Element, chain: Iterable[ET.Element]) -> None:
 
 
 def check_names_free(root: ET.Element) -> None:
-    """No link or joint may have a name of those that `append_tool` adds."""
+    """Check that no link or joint has a name of those that `append_tool` adds."""
     for tag, ours in (("link", _OUR_LINKS), ("joint", _OUR_JOINTS)):
         taken = sorted({element.get("name", "") for element in root.findall(tag)} & ours)
         if taken:
@@ -122,7 +122,7 @@ def check_names_free(root: ET.Element) -> None:
 
 
 def limits(joint: ET.Element) -> dict[str, float]:
-    """The numbers of a joint's <limit> element that are there: lower, upper, velocity, effort."""
+    """Read the numbers of a joint's <limit> element that are there: lower, upper, velocity, effort."""
     element = joint.find("limit")
     if element is None:
         return {}
@@ -166,7 +166,7 @@ def append_tool(root: ET.Element, frames: Frames, tool: Tool) -> None:
 
 
 def to_text(root: ET.Element) -> str:
-    """The URDF as text, indented."""
+    """Write the URDF as text, indented."""
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 

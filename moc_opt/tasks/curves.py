@@ -31,7 +31,7 @@ class PlanarCurve(Protocol):
         """Arc lengths (k,) [m], from 0 to `length`, close enough together to see every bend."""
 
     def at(self, s: float) -> PlanePoint:
-        """Point x, y [m], unit tangent tx, ty, curvature [1/m] (left is positive) at s in [0, length]."""
+        """Return x, y [m], unit tangent tx, ty and curvature [1/m] (left is positive) at s in [0, length]."""
 
 
 @dataclass(frozen=True, eq=False)

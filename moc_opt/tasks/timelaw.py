@@ -17,13 +17,13 @@ _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
 def quintic(u: float) -> tuple[float, float, float]:
-    """s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]; from rest at 0 to rest at 1."""
+    """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]; from rest at 0 to rest at 1."""
     w = 1.0 - u
     return (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), 30.0 * u * u * w * w, 60.0 * u * w * (1.0 - 2.0 * u))
 
 
 def duration(path: Path, v_max: float, a_max: float) -> float:
-    """Shortest duration T [s] of the quintic law with |velocity| <= v_max and |acceleration| <= a_max.
+    """Compute the shortest duration T [s] of the quintic law with |velocity| <= v_max and |acceleration| <= a_max.
 
     With D the length, kappa the curvature and s = s(u), u = t/T:
         |velocity| = D s'/T                   at most 15 D / (8 T),

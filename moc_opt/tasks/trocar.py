@@ -67,7 +67,7 @@ class Trocar:
         return p, dp
 
     def rows(self, t: float) -> Vector:
-        """P_t and dP_t as the rows of one (2, 3) array, for one time [s].
+        """Return P_t and dP_t as the rows of one (2, 3) array, for one time [s].
 
         Raises:
             TaskError: t is not finite.

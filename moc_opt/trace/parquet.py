@@ -138,12 +138,12 @@ class Stored(Mapping[str, NDArray[Any]]):
         return dict(self._types)
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Of a column: (N,) or (N, k)."""
+        """Return the shape of a column: (N,) or (N, k)."""
         width = self._widths[name]
         return (self.rows,) if width is None else (self.rows, width)
 
     def bytes(self) -> int:
-        """Of all columns as arrays."""
+        """Count the bytes of all columns as arrays."""
         return sum(self.rows * dtype.itemsize * (self._widths[name] or 1) for name, dtype in self._types.items())
 
     def head(self, rows: int) -> Stored:

@@ -99,7 +99,7 @@ def _check_size(name: str, found: Any, size: int) -> None:
 
 
 def read_column(path: str | os.PathLike[str], name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """One column of one file."""
+    """Read one column of one file."""
     import pyarrow as pa
 
     with _opened(path, read_dictionary=[name] if dtype.kind == "U" else None) as file:
@@ -114,7 +114,7 @@ def read_column(path: str | os.PathLike[str], name: str, dtype: np.dtype[Any]) -
 
 
 def to_arrow(array: NDArray[Any]) -> Any:
-    """One column as an arrow array; floats as they are, bit by bit, NaN not as null."""
+    """Make an arrow array of one column; floats as they are, bit by bit, NaN not as null."""
     import pyarrow as pa
 
     if array.dtype.kind == "U":

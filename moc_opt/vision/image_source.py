@@ -44,7 +44,7 @@ def pose_accuracy(
     robot: RobotModel, camera: CameraSettings | None = None, board: BoardSettings | None = None, *, poses: int = 100,
     seed: int = 0,
 ) -> dict[str, float]:  # fmt: skip
-    """Accuracy of single pictures: the board found at random poses before the camera, against the truth.
+    """Measure single pictures: the board found at random poses before the camera, against the truth.
 
     The board is 0.12 to 0.20 m away, up to 35 degrees from facing the camera and turned as it likes within 45,
     1 cm out of the middle at most. Calibration plays no part.

@@ -45,7 +45,7 @@ def board_picture(board: Board, cell_px: int = 16) -> NDArray[np.uint8]:
 
 
 def texture_matrix(board: Board, cell_px: int = 16) -> Array:
-    """(3, 3) from x, y, 1 on the board [m] to column, row, 1 in `board_picture`, a pixel's number its middle."""
+    """Map x, y, 1 on the board [m] to column, row, 1 in `board_picture`, (3, 3); a pixel's number is its middle."""
     scale = _MARKER_BITS * cell_px / board.marker_m
     width, height = board.size_m
     return np.array(

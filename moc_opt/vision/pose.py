@@ -61,7 +61,7 @@ class Pose:
         return np.asarray(np.asarray(points, dtype=np.float64) @ self.R.T + self.t)
 
     def turn(self, vectors: ArrayLike) -> Array:
-        """Directions (3,) or (k, 3) of the inner frame, in the outer one: turned, not moved."""
+        """Express directions (3,) or (k, 3) of the inner frame in the outer one: turned, not moved."""
         return np.asarray(np.asarray(vectors, dtype=np.float64) @ self.R.T)
 
     def inverse(self) -> Pose:
@@ -108,7 +108,7 @@ def rotation_from(vector: ArrayLike) -> Array:
 
 
 def rotation_vector(rotation: ArrayLike) -> Vector:
-    """Axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
+    """Return axis times angle (3,) [rad] of a rotation (3, 3), the angle in [0, pi]."""
     return np.asarray(pin.log3(np.array(rotation, dtype=np.float64)))
 
 
