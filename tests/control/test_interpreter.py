@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+from time import sleep
 
 import numpy as np
 import pytest
@@ -136,6 +137,20 @@ def test_an_alarm_of_the_caller_stays_as_it_is():
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, handler)
     assert len(rung) == 1
+
+
+@pytest.mark.parametrize("changed_to", [0.0, 5000.0])
+def test_an_alarm_of_the_caller_that_foreign_code_changed_rings_when_it_was_to_ring(changed_to):
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1000.0, 7.0)
+        with Interpreter():
+            signal.setitimer(signal.ITIMER_REAL, changed_to)
+            sleep(0.02)
+        left, interval = signal.getitimer(signal.ITIMER_REAL)
+        assert 0.0 < left <= 1000.0 - 0.01
+        assert interval == 7.0
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def test_another_thread_puts_back_its_own_alone():
