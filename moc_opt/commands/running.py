@@ -26,11 +26,18 @@ def run_scenario(given: argparse.Namespace) -> int:
     scenario = changed(scenario, given)
     if given.report is not None:
         check_out(given.report, "report")
-    setup = Setup(scenario)
-    ticks = len(setup.times())
-    with progress(title, ticks) as bar:
+    with progress(title) as bar:
+        bar.at("the first run after an installation compiles, for one to three minutes")
+        setup = Setup(scenario)
+        bar.of(len(setup.times()))
+
+        def watch(tick: int) -> None:
+            if tick and tick % 100 == 0:
+                bar.at("")
+                bar.advance(100)
+
         try:
-            trace = setup.trace(lambda tick: bar.advance(100) if tick % 100 == 0 else None, given.trace)
+            trace = setup.trace(watch, given.trace)
         except RunAway as error:
             trace = error.trace
     return show(scenario, title, trace, given)

@@ -65,22 +65,29 @@ class Bar:
     def __init__(self, progress: Progress, task: TaskID) -> None:
         self._progress, self._task = progress, task
         self._begun = self._told = time.monotonic()
+        self._paced: tuple[float, float] | None = None  # when the first step was done, and how many then were
 
     def advance(self, steps: float = 1.0) -> None:
         """Count so many more steps as done."""
         self._progress.update(self._task, advance=steps)
+        if self._paced is None:
+            self._paced = time.monotonic(), self._progress.tasks[self._task].completed
         if not self._progress.console.is_terminal and time.monotonic() - self._told > LINE_EVERY_S:
             self._told = time.monotonic()
             self._progress.console.print(self._line(), markup=False, soft_wrap=True)
 
     def _line(self) -> str:
-        """How far it is, and at this pace how long it will take."""
+        """How far it is, and how long it will take at the pace since its first step, which may have had to compile."""
         (task,) = self._progress.tasks
         said, spent = task.description, self._told - self._begun
         if task.total and task.completed:
             share = min(task.completed / task.total, 1.0)
-            left = timedelta(seconds=round(spent * (1.0 / share - 1.0)))
-            said += f": {100.0 * share:.0f} % after {timedelta(seconds=round(spent))}, about {left} left"
+            said += f": {100.0 * share:.0f} % after {timedelta(seconds=round(spent))}"
+            since, first = self._paced or (self._begun, 0.0)
+            if task.completed > first:
+                pace = (self._told - since) / (task.completed - first)
+                left = timedelta(seconds=round(pace * max(task.total - task.completed, 0.0)))
+                said += f", about {left} left"
         return f"{said}  {task.fields['now']}".rstrip()
 
     def of(self, total: float) -> None:

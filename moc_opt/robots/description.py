@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +19,7 @@ Vector = tuple[Number, ...]
 Coordinate = Annotated[float, Field(strict=True, ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 PerJoint = Number | Vector
+_QUOTED = re.compile(r"\s*[+-]?[\d.]+(e[+-]?\d+)?\s*", re.IGNORECASE)
 
 
 class _Table(BaseModel):
@@ -108,7 +110,8 @@ def _explain(item: dict[str, Any]) -> str:
         return f"unknown key {field!r}: {hint}valid keys: {', '.join(valid)}"
     if item["type"] == "missing":
         return f"{field} is missing: add it"
-    return f"{field} = {shown(item['input'])}: {item['msg']}"
+    quoted = item["type"] == "float_type" and isinstance(item["input"], str) and _QUOTED.fullmatch(item["input"])
+    return f"{field} = {shown(item['input'])}: {'a number has no quotes: drop them' if quoted else item['msg']}"
 
 
 def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:

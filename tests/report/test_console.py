@@ -60,6 +60,20 @@ def test_a_file_gets_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "\x1b" not in file.getvalue()
 
 
+def test_the_time_left_does_not_count_what_the_first_step_took(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr("moc_opt.report.console.time.monotonic", lambda: now)
+    file = io.StringIO()
+    with progress("run", 100, on=console(file=file)) as bar:
+        now = 480.0  # it compiled
+        bar.advance()
+        now = 495.0
+        bar.advance()
+    first, second = file.getvalue().splitlines()
+    assert first.rstrip() == "run: 1 % after 0:08:00"
+    assert second.rstrip() == "run: 2 % after 0:08:15, about 0:24:30 left"
+
+
 def test_what_is_known_stands_below_the_bar() -> None:
     where, file = terminal()
     with progress("working", 3.0, on=where, patience_s=0.0, below=lambda: ["the answer so far"]) as bar:

@@ -159,7 +159,7 @@ BAD_TOML = {
     "no length": ("length_m = 0.30", "length_m = 0.0", r"tool\.length_m = 0\.0"),
     "negative mass": ("mass_kg = 0.3", "mass_kg = -0.3", r"tool\.mass_kg = -0\.3"),
     "nan": ("length_m = 0.30", "length_m = nan", r"tool\.length_m"),
-    "a text for a number": ("length_m = 0.30", 'length_m = "0.30"', r"tool\.length_m = '0\.30'"),
+    "a text for a number": ("length_m = 0.30", 'length_m = "0.30"', r"tool\.length_m = '0\.30': .*no quotes"),
     "a flag for a number": ("mass_kg = 0.3", "mass_kg = true", r"tool\.mass_kg = True"),
     "a text in a vector": ("[0.0, 0.0, -0.078]", '[0.0, "0x0", -0.078]', r"frames\.wrist_xyz_m\.1 = '0x0'"),
     "no such place": ("[0.0, 0.0, -0.078]", "[0.0, 0.0, -1e300]", r"frames\.wrist_xyz_m\.2 = -1e\+300"),
