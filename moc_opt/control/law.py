@@ -79,7 +79,9 @@ def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
         ControlError, UnknownNameError: a gain is missing, or the box leaves a joint no room.
     """
     gains = settings.resolve_gains(robot.data.gains, robot.n)
-    damping = gains.D_N2
+    gain, damping = gains.K_N2, gains.D_N2
+    if settings.follows:  # x is a speed that is wanted: what differs from it is damped, not the speed itself
+        gain, damping = gain + damping, np.zeros(robot.n)
     if settings.law == "dcac":
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, robot.n)
     return packed(
@@ -88,14 +90,14 @@ def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
         rcm_lambda=settings.rcm_lambda or 0.0,
         projector=PROJECTORS.index(settings.projector),
         feedforward=settings.feedforward,
-        k0=settings.k0_per_s,
+        k0=settings.box_k0_per_s,
         weights=(settings.c0, settings.c1, settings.c2, settings.regularization),
         shaft_margin=settings.shaft_margin_m2,
         limits=box_limits(
             robot.q_min, robot.q_max, robot.v_max,
-            margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
+            margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.box_speed_fraction,
         ),
-        K_N2=gains.K_N2,
+        K_N2=gain,
         D_N2=damping,
         tau_max=robot.tau_max if settings.limit_torque else np.inf,
     )  # fmt: skip

@@ -40,6 +40,10 @@ Projector = Literal["dynamic", "static", "as_published"]
 PROJECTORS: tuple[Projector, ...] = get_args(Projector)
 
 
+COURSE_K0_PER_S = 10.0
+"""Least k0 of the box under a course."""
+
+
 class Gains(NamedTuple):
     """The gains of the three levels as a controller uses them."""
 
@@ -99,7 +103,9 @@ class ControlSettings(Settings):
         default=True, description="whether the controller keeps within the joints' largest torques"
     )
 
-    k0_per_s: Positive = Field(default=2.0, description="velocity damper; the paper has 0.1")
+    k0_per_s: Positive = Field(
+        default=2.0, description="velocity damper; the paper has 0.1; under planned and receding 10 at least"
+    )
     third_level: Literal["local", "planned", "receding"] = Field(
         default="local",
         description="under moc: climb mu where the arm is, follow a course planned before the run, or one planned anew "
@@ -110,6 +116,15 @@ class ControlSettings(Settings):
     )
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(
         default=20.0, description="under receding: solves in a second"
+    )
+    course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+        default=0.97, description="of v_max that the courses of planned and receding use; the box on x has all of it"
+    )
+    course_margin_rad: NotNegative = Field(
+        default=0.05, description="under planned and receding: box on x and course keep this from a joint limit"
+    )
+    course_observer_gain_per_s: NotNegative = Field(
+        default=40.0, description="the momentum observer's under planned and receding, where the elbow moves faster"
     )
     climb: Literal["gradient", "scaled"] = Field(
         default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
@@ -122,10 +137,10 @@ class ControlSettings(Settings):
         default="least-violation", description="the answer to an infeasible subproblem"
     )
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
-        default=0.5, description="of v_max in the box on x: limits how fast the elbow travels; the paper has 1"
+        default=0.5, description="of v_max in the box on x under local: limits the elbow's speed; the paper has 1"
     )
     limit_margin_rad: NotNegative = Field(
-        default=0.15, description="the box on x closes this far inside a joint limit; 0, at it, is the paper's"
+        default=0.15, description="under local the box on x closes this far inside a joint limit; the paper has 0"
     )
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides"
@@ -216,9 +231,36 @@ class ControlSettings(Settings):
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {"law": "dcac", "gains": self.gains or self.law, "third_level": "local"}
 
+    @property
+    def follows(self) -> bool:
+        """Whether the third level follows a course."""
+        return self.third_level != "local"
+
+    @property
+    def box_margin_rad(self) -> float:
+        """How far inside the limit of a joint that turns the box closes [rad]."""
+        return self.course_margin_rad if self.follows else self.limit_margin_rad
+
+    @property
+    def box_speed_fraction(self) -> float:
+        """Share of v_max in the box: under a course all of it, since the course keeps its own share."""
+        return 1.0 if self.follows else self.speed_fraction
+
+    @property
+    def box_k0_per_s(self) -> float:
+        """k0 of the box: a course brakes off before a limit by itself, and the box is not to do it earlier."""
+        return max(self.k0_per_s, COURSE_K0_PER_S) if self.follows else self.k0_per_s
+
+    @property
+    def observer_rate_per_s(self) -> float:
+        """Gain of the momentum observer; 0 where it is off."""
+        if self.follows and self.observer_gain_per_s > 0.0:
+            return self.course_observer_gain_per_s
+        return self.observer_gain_per_s
+
     def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
         """How far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
-        return np.where(slides, self.limit_margin_m, self.limit_margin_rad)
+        return np.where(slides, self.limit_margin_m, self.box_margin_rad)
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
         """Return K_X .. D_N2 as numbers: settings first, then the robot's table.

@@ -1,8 +1,8 @@
 """A course in the loop: the joint velocity that the third level is asked for, in place of the climb of mu.
 
-    x_d(t) = s (dq_c(t) + k (q_c(t) - q)),   projected on ker A by the subproblem itself
+    x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
-q_c is the course, k the gain on its error, s = 1 + D_N2/K_N2 makes up for what the third level's damping takes.
+q_c is the course, k the gain on its error.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from moc_opt.planning.course import Course
 class Follower:
     """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
-    def __init__(self, course: Course, period_s: float, *, gain_per_s: float = 5.0, lead: Array | float = 1.0) -> None:
+    def __init__(self, course: Course, period_s: float, *, gain_per_s: float = 5.0) -> None:
         """Sample the course at the ticks.
 
         Args:
             course: from t = 0 on; after its end its last pose is held.
             period_s: of a tick [s].
             gain_per_s: k [1/s].
-            lead: s, a number or (n,).
 
         Raises:
             TaskError: the period is not positive, or the gain negative.
@@ -37,7 +36,7 @@ class Follower:
         v = np.gradient(course.q_rad, course.t_s, axis=0)
         self._v = np.stack([np.interp(t, course.t_s, joint) for joint in v.T], axis=1)
         self._v[-1] = 0.0
-        self._gain, self._lead, self._tick = gain_per_s, np.asarray(lead, dtype=np.float64), 0
+        self._gain, self._tick = gain_per_s, 0
 
     def start(self) -> None:
         """Go back to t = 0."""
@@ -47,5 +46,5 @@ class Follower:
         """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         k = min(self._tick, len(self._q) - 1)
         self._tick += 1
-        found: Array = self._lead * (self._v[k] + self._gain * (self._q[k] - state.q))
+        found: Array = self._v[k] + self._gain * (self._q[k] - state.q)
         return found

@@ -3,7 +3,8 @@
 The equations of `refine` at N evenly spaced times after the pose that was measured, which stays as it is:
 
     max  int mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) dt + V(q_N) / mu_0
-    s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt
+    s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
+         and no joint is `refine.too_fast`
 
 V is what the pose at the end is worth for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs
 (OSQP) solve it, begun at a course that is near; the answer is judged by the caller.
@@ -18,7 +19,7 @@ import numpy as np
 
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.planning.refine import SETTLED_S, across_shafts
+from moc_opt.planning.refine import SETTLED_S, across_shafts, too_fast
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
 
@@ -36,7 +37,8 @@ class Horizon:
     """The program for one arm; ``solve`` fills in times, targets, start and end."""
 
     def __init__(
-        self, robot: RobotModel, nodes: int, *, mu: float, margin_rad: float, speed: Array, smoothness: float
+        self, robot: RobotModel, nodes: int, *, mu: float, margin_rad: float, speed: Array, smoothness: float,
+        brake: float = np.inf,
     ) -> None:
         """Write the program.
 
@@ -46,6 +48,7 @@ class Horizon:
             margin_rad: from the joint limits.
             speed: (n,) most of each joint [rad/s].
             smoothness: w [s^4/rad^2], as of `refine`.
+            brake: as of `refine` [rad/s^2].
         """
         import casadi as ca  # late: half a second
 
@@ -58,7 +61,8 @@ class Horizon:
         tip, one, two = sym("tip", 3, nodes), sym("one", 3, nodes), sym("two", 3, nodes)
         end, along, slope, bend = sym("end", n), sym("along", n), sym("slope"), sym("bend")
         idle = start * ca.DM(1.0 - place.sum(axis=1))
-        gain, tasks, steps, before, moved = ca.SX(0.0), [], [], start, speed_0
+        low, high = robot.q_min + margin_rad, robot.q_max - margin_rad
+        gain, tasks, steps, brakes, before, moved = ca.SX(0.0), [], [], [], start, speed_0
         for k in range(nodes):
             q = ca.DM(place) @ x[:, k] + idle
             lever = kin.wrist(q) - tip[:, k]
@@ -67,18 +71,22 @@ class Horizon:
             rough = ca.sumsqr((velocity - moved) / dt) + ca.sumsqr(velocity) / SETTLED_S**2
             gain += dt * ((0.5 if k == nodes - 1 else 1.0) * kin.mu(q) / mu - smoothness * rough)
             steps.append((q - before)[moving.tolist()])
+            if np.isfinite(brake):
+                v, at, ends = velocity[moving.tolist()], q[moving.tolist()], (ca.DM(low[moving]), ca.DM(high[moving]))
+                brakes.append(dt * too_fast(v, at, *ends, brake=brake))
             before, moved = q, velocity
         z = ca.dot(along, before - end)
         gain += (slope * z + 0.5 * bend * z**2) / mu
         given = ca.vertcat(
             start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend
         )
-        problem: dict[str, Any] = {"x": ca.vec(x), "p": given, "f": -gain, "g": ca.vertcat(*tasks, *steps, z)}
+        problem: dict[str, Any] = {"x": ca.vec(x), "p": given, "f": -gain, "g": ca.vertcat(*tasks, *steps, z, *brakes)}
         self._make: Callable[[], Any] = lambda: ca.nlpsol("horizon", "sqpmethod", problem, OPTIONS)
         self.forget()
         self._low, self._high = (
-            np.tile(limit[moving], nodes) for limit in (robot.q_min + margin_rad, robot.q_max - margin_rad)
+            np.tile(limit[moving], nodes) for limit in (low, high)
         )
+        self._brakes = np.zeros(ca.vertcat(*brakes).numel())
         self._step, self._equal = np.tile(speed[moving], nodes), np.zeros(5 * nodes)
         self.nodes, self.speed, self.margin_rad = nodes, speed, margin_rad
 
@@ -108,7 +116,8 @@ class Horizon:
         step = dt * self._step
         answer = self._solver(
             x0=np.clip(guess[:, self._moving].ravel(), self._low, self._high), p=given, lbx=self._low, ubx=self._high,
-            lbg=np.concatenate([self._equal, -step, [end.low]]), ubg=np.concatenate([self._equal, step, [end.high]]),
+            lbg=np.concatenate([self._equal, -step, [end.low], self._brakes - np.inf]),
+            ubg=np.concatenate([self._equal, step, [end.high], self._brakes]),
         )  # fmt: skip
         found = np.tile(start, (self.nodes, 1))
         found[:, self._moving] = np.array(answer["x"]).reshape(self.nodes, -1)

@@ -23,7 +23,7 @@ from moc_opt.planning.to_go import NEARBY_RAD, ToGo
 
 NODES = 10
 """Times of the nonlinear program after the measured pose."""
-HURRY = 1.15
+HURRY = 1.03
 """Times the speed that V counts with may be used on the horizon: what is late can catch up."""
 MOST_OFF = 1e-3
 """Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
@@ -55,7 +55,7 @@ class Receding:
 
     def __init__(
         self, to_go: ToGo, horizon: Horizon, robot: RobotModel, targets: Targets, q_start: Array, period_s: float, *,
-        horizon_s: float, rate_per_s: float, gain_per_s: float = 5.0, lead: Array | float = 1.0,
+        horizon_s: float, rate_per_s: float, gain_per_s: float = 5.0,
     ) -> None:  # fmt: skip
         """Solve once, from the start.
 
@@ -66,14 +66,14 @@ class Receding:
             period_s: of a tick [s].
             horizon_s: least time from the measured pose to where V takes over [s].
             rate_per_s: solves in a second.
-            gain_per_s, lead: of the tracking, as of `moc_opt.planning.follow.Follower`.
+            gain_per_s: of the tracking, as of `moc_opt.planning.follow.Follower`.
 
         Raises:
             TaskError: no course goes to the end of the path from the start.
         """
         self._to_go, self._horizon, self._robot, self._targets = to_go, horizon, robot, targets
         self._horizon_s, self._every = horizon_s, max(1, round(1.0 / (rate_per_s * period_s)))
-        self._period, self._gain, self._lead = period_s, gain_per_s, np.asarray(lead, dtype=np.float64)
+        self._period, self._gain = period_s, gain_per_s
         self._q_start = np.array(q_start)
         self.solve_s: list[float] = []
         """Time of every solve since the start [s]."""
@@ -109,7 +109,7 @@ class Receding:
         (q_0, v_0), (q_1, v_1) = self._before.at(t), self._answer.at(t)
         q, v = (1.0 - part) * q_0 + part * q_1, (1.0 - part) * v_0 + part * v_1
         self._tick += 1
-        wish: Array = self._lead * (v + self._gain * (q - state.q))
+        wish: Array = v + self._gain * (q - state.q)
         return wish
 
     def _solve(self, q: Array, t: float) -> Answer | None:

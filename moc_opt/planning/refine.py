@@ -29,8 +29,11 @@ OPTIONS: dict[str, Any] = {
 }  # fmt: skip
 SETTLED_S = 0.3
 """A joint's speed counts as much as an acceleration that takes it away in this time."""
-SMOOTH_LOSS = 0.02
-"""Share of the objective that a smoother course may cost; where it costs more, the program went to another hump."""
+SOFT_RAD = 0.003
+"""Rounds the speed of a joint that brakes off at its end, where a square root has no slope."""
+SMOOTH_LOSS = 0.05
+"""Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
+another hump."""
 INSIDE = 1e-9
 """Limits and speeds are kept this far inside, so that rounding stays within them [rad]."""
 
@@ -47,6 +50,7 @@ def refine(
     speed_share: float = 1.0,
     smoothness: float = 0.0,
     acceleration: float = np.inf,
+    brake: float = np.inf,
 ) -> Course:
     """Improve a course to a local optimum.
 
@@ -61,6 +65,7 @@ def refine(
             objective (in shares of the mean mu; log: of itself), from rest to rest. The answer is taken if the
             objective proper falls by no more than `SMOOTH_LOSS` of the given course's.
         acceleration: most of any joint, from rest [rad/s^2].
+        brake: b of `too_fast` [rad/s^2]; the answer may cost as much as a smoother one.
 
     Returns:
         The better of both courses by the robot model's own mu; one that breaks a constraint by more than
@@ -94,6 +99,10 @@ def refine(
         rows.append((ca.vec(gained), -most_gained, most_gained))
     keep = margin_rad + INSIDE
     low, high = (np.tile(limit[moving], k) for limit in (robot.q_min + keep, robot.q_max - keep))
+    if np.isfinite(brake):
+        later, way = ca.vec(x[:, 1:]), ca.vec(x[:, 1:] - x[:, :-1])
+        excess = too_fast(way / targets.period_s, later, ca.DM(low[a:]), ca.DM(high[a:]), brake)
+        rows.append((targets.period_s * excess, -np.inf, 0.0))
     begin = np.array((course.q_rad if guess is None else guess)[:, moving]).ravel()
     if not free_start:
         low[:a] = high[:a] = course.q_rad[0, moving]
@@ -124,10 +133,28 @@ def refine(
     if not np.isfinite(poses).all():
         return course
     found = make_course(robot, targets, poses, margin_rad, speed_share, acceleration)
-    enough = course.value(objective) - (SMOOTH_LOSS * abs(course.value(objective)) if smoothness > 0.0 else 0.0)
+    loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
+    enough = course.value(objective) - loss * abs(course.value(objective))
     if not found.kept or (course.kept and found.value(objective) < enough):
         return course
     return found.as_certified() if solver.stats()["success"] else found
+
+
+def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
+    """Write how much too fast joints go towards their limits to stop there (2 m), not above 0 where they can.
+
+    At a distance d the most is sqrt(2 b) (sqrt(d + e) - sqrt(e)), e = `SOFT_RAD`.
+
+    Args:
+        speed, pose, low, high: (m,) CasADi vectors [rad/s], [rad].
+        brake: b [rad/s^2].
+    """
+    import casadi as ca  # late: half a second
+
+    def most(room: Any) -> Any:
+        return np.sqrt(2.0 * brake) * (ca.sqrt(ca.fmax(room, 0.0) + SOFT_RAD) - np.sqrt(SOFT_RAD))
+
+    return ca.vertcat(speed - most(high - pose), -speed - most(pose - low))
 
 
 def across_shafts(shafts: Array) -> tuple[Array, Array]:

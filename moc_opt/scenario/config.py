@@ -80,11 +80,12 @@ class Scenario(Settings):
     def _box_before_the_wall(self) -> Self:
         """Refuse a box in which the third level presses against the safety filter's wall: the arm would stand."""
         for unit in ("rad", "m"):
-            box, wall = getattr(self.control, f"limit_margin_{unit}"), getattr(self.guard, f"position_margin_{unit}")
+            name = "course_margin_rad" if unit == "rad" and self.control.follows else f"limit_margin_{unit}"
+            box, wall = getattr(self.control, name), getattr(self.guard, f"position_margin_{unit}")
             if 0.0 < box < wall and self.control.law == "moc":
                 raise ValueError(
                     f"guard.position_margin_{unit} = {wall}: the wall would stand inside the box of the third level, "
-                    f"which closes at control.limit_margin_{unit} = {box}; set this to {wall} too (0: the paper's box)"
+                    f"which closes at control.{name} = {box}; set this to {wall} too (0: the paper's box)"
                 )
         return self
 

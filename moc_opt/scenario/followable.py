@@ -10,7 +10,6 @@ from moc_opt.errors import ControlError
 from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.guided import followed_share
 from moc_opt.scenario.planned import plan
 
 ROUNDING = 1e-6
@@ -38,11 +37,11 @@ def followable_plan(
         MocOptError: as of `moc_opt.scenario.planned.plan`.
     """
     settings = scenario.control
-    follows = settings.third_level != "local"
+    follows = settings.follows
     if speed_share is None:
-        speed_share = followed_share(settings) if follows else 1.0
+        speed_share = settings.course_speed_fraction if follows else 1.0
     # The two margins that `guided` tries, too.
-    margins = dict.fromkeys((settings.limit_margin_rad, 0.0) if follows else (0.0,))
+    margins = dict.fromkeys((settings.course_margin_rad, 0.0) if follows else (0.0,))
     for margin in margins if margin_rad is None else (margin_rad,):
         within: Within = {"margin_rad": margin, "speed_share": speed_share}
         found = plan(scenario, objective=objective, acceleration=acceleration, **within)
@@ -74,21 +73,20 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
     moving = np.asarray(robot.moves.any(axis=0))
     fastest = np.abs(np.diff(course.q_rad, axis=0)).max(axis=0) / found.targets.period_s
     shares = np.where(moving, fastest / robot.v_max, 0.0)
-    j, allowed = int(np.argmax(shares)), followed_share(settings)
+    j, allowed = int(np.argmax(shares)), settings.course_speed_fraction
     if shares[j] > allowed + ROUNDING:
         said.append(
             f"the course moves {robot.data.joint_names[j]} at {shares[j]:.2f} of its speed limit; the third level "
-            f"follows up to {allowed:.2f} (of [control] speed_fraction = {settings.speed_fraction:g} it leaves a fifth "
-            f"to the feedback): plan with --speed-share {allowed:.2f}, or raise speed_fraction"
+            f"follows up to [control] course_speed_fraction = {allowed:g}: plan with --speed-share {allowed:g}"
         )
-    margins = settings.limit_margins(robot.chain.prismatic)
+    margins = np.where(robot.chain.prismatic, settings.limit_margin_m, settings.course_margin_rad)
     room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
     short = np.where(moving, margins - room, -1.0)
     j = int(np.argmax(short))
-    unit = "m" if robot.chain.prismatic[j] else "rad"
+    unit, key = ("m", "limit_margin_m") if robot.chain.prismatic[j] else ("rad", "course_margin_rad")
     if short[j] > ROUNDING:
         said.append(
             f"the course takes {robot.data.joint_names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
-            f"level keeps {margins[j]:g} {unit}: plan with --margin {margins[j]:g}, or lower limit_margin_{unit}"
+            f"level keeps {margins[j]:g} {unit}: plan with --margin {margins[j]:g}, or lower {key}"
         )
     return said

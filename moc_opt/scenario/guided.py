@@ -7,7 +7,6 @@ from copy import copy
 
 import numpy as np
 
-from moc_opt.control import ControlSettings
 from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError
 from moc_opt.model.robot_model import RobotModel
@@ -23,26 +22,21 @@ from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import targets_of
 
-SPEED_LEFT = 0.2
-"""Share of the third level's joint speeds that a followed course leaves unused, for the feedback."""
 V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
 FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
-SMOOTHNESS = {"planned": 3e-3, "receding": 6e-3}
+BRAKE_SHARE = 0.9
+"""Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
+SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
 """What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
-
-
-def followed_share(settings: ControlSettings) -> float:
-    """Return the share of the joint speeds that a course may use which the third level is to follow."""
-    return (1.0 - SPEED_LEFT) * settings.speed_fraction
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
     """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
 
-    Both keep within what the third level may do: its share of the joint speeds, less `SPEED_LEFT`, and its margin
-    from the joint limits, or none where the path cannot be executed with it.
+    Both keep to `course_speed_fraction` of the joint speeds, to `course_margin_rad` from the joint limits, or to no
+    margin where the path cannot be executed with it.
 
     Returns:
         None: the third level climbs where it is.
@@ -55,16 +49,15 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     if settings.third_level == "local":
         return None
     settings.check_guided()
-    gains, period = settings.resolve_gains(robot.data.gains, robot.n), scenario.plant.period_s
-    lead = 1.0 + gains.D_N2 / np.maximum(gains.K_N2, 1e-9)
+    period = scenario.plant.period_s
     if settings.third_level == "planned":
         course = followed_course(scenario, robot, layout)
-        return lambda: Follower(course, period, lead=lead)
+        return lambda: Follower(course, period)
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth = SMOOTHNESS["receding"]
-    found, share = map_of(robot, layout.q, path), followed_share(settings)
-    for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
+    found, share = map_of(robot, layout.q, path), settings.course_speed_fraction
+    for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
         usual = float(np.nanmean(found.highest(margin)))
         to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
         if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
@@ -72,23 +65,27 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     else:
         raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
 
-    horizon = Horizon(robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth)
+    horizon = Horizon(
+        robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth,
+        brake=scenario.guard.wall_brake_rad_per_s2,
+    )  # fmt: skip
     return lambda: Receding(  # one program, of which each controller makes a solver of its own
         to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
-        rate_per_s=settings.replan_per_s, lead=lead,
+        rate_per_s=settings.replan_per_s,
     )  # fmt: skip
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
     """The best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
-    share = followed_share(settings)
-    for margin in dict.fromkeys((settings.limit_margin_rad, 0.0)):
+    share = settings.course_speed_fraction
+    for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
         found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
         if found.from_start is not None:
             return refine(
-                robot, targets, found.from_start, margin_rad=margin, speed_share=share, smoothness=SMOOTHNESS["planned"]
-            )
+                robot, targets, found.from_start, margin_rad=margin, speed_share=share,
+                smoothness=SMOOTHNESS["planned"], brake=BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2,
+            )  # fmt: skip
     raise _stuck(scenario, found)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.law import law_of, law_views
 from moc_opt.errors import ControlError, UnknownNameError
 
 TABLES = {
@@ -155,3 +156,26 @@ def test_the_old_name_of_the_published_projector_is_understood():
     assert ControlSettings(projector="printed") == ControlSettings(projector="as_published")
     with pytest.raises(ControlError, match="projector = 'prints'"):
         ControlSettings(projector="prints")
+
+
+def test_under_a_course_the_box_leaves_the_course_its_speed_and_what_differs_from_it_is_damped(robot):
+    rows = {}
+    for level in ("local", "planned"):
+        settings = ControlSettings(third_level=level)
+        law = law_views.py_func(law_of(settings, robot), robot.n)
+        assert settings.limit_margins(robot.chain.prismatic)[0] == {"local": 0.15, "planned": 0.05}[level]
+        rows[level] = law
+    local, planned = rows["local"], rows["planned"]
+    np.testing.assert_allclose(planned.limits[2], robot.v_max)
+    np.testing.assert_allclose(local.limits[2], 0.5 * robot.v_max)
+    # At x = v no torque: a speed that is wanted is not damped, a speed that is not wanted as much as ever.
+    np.testing.assert_array_equal(planned.D_N2, 0.0)
+    np.testing.assert_allclose(planned.K_N2, local.K_N2 + local.D_N2)
+    assert local.D_N2.max() > 0.0
+    assert (local.k0, planned.k0) == (2.0, 10.0)
+
+
+def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_off():
+    assert ControlSettings().observer_rate_per_s == 20.0
+    assert ControlSettings(third_level="receding").observer_rate_per_s == 40.0
+    assert ControlSettings(third_level="receding", observer_gain_per_s=0.0).observer_rate_per_s == 0.0

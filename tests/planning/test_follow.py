@@ -31,12 +31,12 @@ def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) 
 
 
 def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: RobotModel) -> None:
-    guide = Follower(straight(robot), 0.002, gain_per_s=5.0, lead=2.0)
+    guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
     off = robot.state(robot.data.q_home + 0.01)
-    np.testing.assert_allclose(guide.wish(off), 2.0 * (0.1 - 0.05), atol=1e-9)
+    np.testing.assert_allclose(guide.wish(off), 0.1 - 0.05, atol=1e-9)
     for _ in range(600):
         last = guide.wish(robot.state(robot.data.q_home + 0.2))
-    np.testing.assert_allclose(last, 2.0 * 5.0 * (0.1 - 0.2), atol=1e-9)
+    np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
 def test_bad_settings_are_named(robot: RobotModel) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import casadi
 import numpy as np
 import pytest
 
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import OBJECTIVES, Objective, make_course
-from moc_opt.planning.refine import refine
+from moc_opt.planning.refine import refine, too_fast
 from moc_opt.planning.search import search
 from moc_opt.planning.traced import traced_map
 from tests.planning.arms import PANDA, build
@@ -82,3 +83,34 @@ def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
     off = np.array(answer.q_rad)
     off[3, 1] += 1e-3
     assert make_course(robot, found.targets, off).violation > 1e-5
+
+
+def test_a_joint_that_is_just_not_too_fast_stops_before_its_limit_by_braking_alone() -> None:
+    """Carried on at the most speed that is allowed: never beyond the limit, never braked harder than told."""
+    v, q, zero = casadi.MX.sym("v"), casadi.MX.sym("q"), casadi.DM(0.0)
+    excess = casadi.Function("excess", [v, q], [too_fast(v, q, casadi.DM(-9.0), zero, 2.0)])
+    pose, dt, speeds = -1.5, 1e-3, []
+    for _ in range(6000):
+        speeds.append(-float(excess(0.0, pose)[0]))
+        pose += dt * speeds[-1]
+        assert pose <= 0.0
+    assert pose > -1e-3
+    hardest = -np.diff(speeds).min() / dt
+    assert 1.8 < hardest <= 2.0 + 1e-6
+    assert float(excess(-100.0, -9.0)[1]) == 100.0, "the other way the other limit counts"
+
+
+def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) -> None:
+    """At margins at which the course without a brake is too fast towards a limit, by the rule itself."""
+    q, brake, margin = robot.data.q_home, 0.5, 0.3
+    found, step = map_of(robot, q, count=60, swivels=180)
+    course = course_of(robot, found, search(found, step, start=(q, robot.state(q).mu), margin_rad=margin).q_rad)
+    dt, late = found.targets.period_s, []
+    for limit in (np.inf, brake):
+        poses = refine(robot, found.targets, course, margin_rad=margin, brake=limit).q_rad
+        speed, ends = np.diff(poses, axis=0) / dt, (robot.q_min + margin, robot.q_max - margin)
+        rows = zip(speed, poses[1:], strict=True)
+        excess = [too_fast(*(casadi.DM(given) for given in (*row, *ends)), brake) for row in rows]
+        late.append(float(np.array(excess)[:, robot.moves.any(axis=0).tolist() * 2].max()))
+    assert late[0] > 0.05
+    assert late[1] < 1e-6
