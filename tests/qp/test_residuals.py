@@ -488,3 +488,11 @@ def test_without_rows_every_joint_is_idle_and_the_worst_one_counts():
     problem = optimality.Problem(nothing, np.zeros(6), np.ones(3), -bound, bound, np.array([1.0, 1.0, 1.0, 0.0]))
     assert optimality.residuals(problem, np.array([1.0, 1.0, -1.0])).loss == 1.0
     assert optimality.residuals(problem, bound).verified()
+
+
+def test_ranks_are_decided_one_by_one_in_batches_of_any_shape():
+    s = np.array([[1.0, 1.0, 1.0, 1.0, 1.0, last] for last in (1.0, 1e-6, 1e-8, 0.0)])
+    s = np.vstack([s, [1.0, 1.0, 1.0, 1.0, 1e-8, 1e-9], [1.0, 1.0, 1.0, 1.0, 1e-14, 1e-14]])
+    expected = [6, 6, 5, 5, 5, 4]
+    assert [int(optimality.ranks(one)) for one in s] == expected
+    assert optimality.ranks(s.reshape(2, 3, 6)).ravel().tolist() == expected
