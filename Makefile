@@ -4,7 +4,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 
-.PHONY: setup solvers test lint docs clean
+.PHONY: setup solvers test lint kernels docs clean
 
 setup: $(READY)
 
@@ -17,12 +17,19 @@ $(READY): pyproject.toml constraints.txt
 solvers: setup
 	$(RUN) -m benchmarks.solvers
 
-test: setup lint
+test: setup
+	$(MAKE) --no-print-directory --jobs=3 lint kernels
 	$(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(RUN) -m ruff check .
 	$(RUN) -m mypy
+
+# Compiled once, while the linters run on one core: else every process that shares the tests compiles the same anew.
+kernels: kernels.exact kernels.rnn
+
+kernels.%: setup
+	$(RUN) -m benchmarks.preload $*
 
 docs: setup
 	$(RUN) -m sphinx -W --keep-going -q -b html docs build/docs

@@ -22,12 +22,14 @@ settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
 LONGEST = (
-    "tests/test_documents.py", "tests/benchmarks/test_plan.py", "tests/benchmarks/sweeps/test_kill.py",
+    "tests/test_documents.py", "tests/benchmarks/test_plan.py", "tests/embedded/test_guarded.py",
+    "tests/benchmarks/sweeps/test_kill.py", "tests/test_site.py", "tests/benchmarks/sweeps/test_dask.py",
     "tests/benchmarks/test_speed.py", "tests/benchmarks/test_solvers.py", "tests/live/test_browser.py",
     "tests/benchmarks/test_paper.py", "tests/benchmarks/test_fuzz.py", "tests/test_wheel.py",
     "tests/benchmarks/maintenance/test_mutation.py", "tests/control/test_isolated.py", "tests/planning/test_follow.py",
+    "tests/embedded/test_export.py",
 )  # fmt: skip
-"""Files that several processes begin with: at the end the others would wait for the one that has them."""
+"""Files that several processes begin with: at the end the others would wait for the one that has such a file."""
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -122,20 +122,21 @@ class Cell:
             "not_asked": int(np.isin(status, (NOT_ASKED, REFUSED)).sum()),
         }
 
+    @cached_property
     def figures(self) -> dict[str, float | None]:
         """Median, 99th percentile and maximum of the residuals over the feasible problems that were answered."""
         given = self.data.feasible & np.isfinite(self.part.arrays["x"]).all(axis=1)
         found: dict[str, float | None] = {}
         for name in RESIDUALS:
             values = np.asarray(getattr(self.residuals, name))[given]
-            for word, q in (("p50", 50.0), ("p99", 99.0), ("max", 100.0)):
-                found[f"{name}_{word}"] = float(np.percentile(values, q)) if values.size else None
+            three = np.percentile(values, (50.0, 99.0, 100.0)).tolist() if values.size else [None] * 3
+            found |= {f"{name}_{word}": value for word, value in zip(("p50", "p99", "max"), three, strict=True)}
         found["iterations_p50"] = float(np.median(self.part.arrays["iterations"]))
         return found
 
     def summary(self, times: Part | None = None) -> dict[str, Any]:
         """Return counts, residuals and times for summary.json."""
-        found: dict[str, Any] = {**self.counts(), **self.figures()}
+        found: dict[str, Any] = {**self.counts(), **self.figures}
         if self.refused:
             found["reason"] = self.refused
         if self.trouble:
@@ -180,7 +181,7 @@ def totals(cells: Sequence[Cell], timings: Mapping[str, Part]) -> dict[str, Any]
         for name, count in cell.counts().items():
             found[name] = found.get(name, 0) + count
     for name in RESIDUALS:
-        values = [v for cell in cells if (v := cell.figures()[f"{name}_max"]) is not None]
+        values = [v for cell in cells if (v := cell.figures[f"{name}_max"]) is not None]
         found[f"{name}_max"] = max(values) if values else None
     trouble = next((cell.trouble for cell in cells if cell.trouble), "")
     found |= {"trouble": trouble} if trouble else {}

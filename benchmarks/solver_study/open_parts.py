@@ -30,28 +30,32 @@ GROWING = ("solve_p50_us", "solve_p99_us", "setup_p50_us", "update_p50_us")
 
 
 def recorded_sequence(study: Study, so_far: Findings) -> Findings:
-    """Ask every solver warm and cold for the recorded sequence, under the recommended settings."""
+    """Ask every solver warm and cold for the recorded sequence, under the recommended settings; times one by one."""
     config, data = study.config, recorded("recorded", so_far.sequence)
     limits = Limits(max(2.0, config.testsets.patience_s), rounds=2, seconds=1.0, cold=config.open_loop.cold)
     thin = data.thinned(max(1, len(data.rows) // config.open_loop.cold))
     found = Findings()
     warm, cold, samples = {}, {}, {}
+
+    def both(worker: Worker, setting: SolverSetting) -> tuple[Cell, Cell | None]:
+        cell = Cell(setting, data, asked(study.store, worker, setting, data, limits))
+        part = None if cell.refused else asked(study.store, worker, setting, thin, limits, warm=False)
+        study.advance(f"open loop {setting.solver}, answers")
+        return cell, part and Cell(setting, thin, part)
+
+    answered = spread(study.recommended, both, config.processes)
     with Worker() as worker:
-        for setting in study.recommended:
+        for setting, (cell, apart) in zip(study.recommended, answered, strict=True):
             solver = setting.solver
-            cell = Cell(setting, data, asked(study.store, worker, setting, data, limits))
-            times = timed(study.store, worker, setting, data, limits, cell.complete)
-            study.advance(f"open loop {solver}, warm")
-            if cell.refused:
+            study.advance(f"open loop {solver}")
+            if apart is None:
                 found.summary.setdefault("not_run", {})[solver] = {"reason": cell.refused}
-                study.advance(solver)
                 continue
-            apart = Cell(setting, thin, asked(study.store, worker, setting, thin, limits, warm=False))
+            times = timed(study.store, worker, setting, data, limits, cell.complete)
             warm[solver], cold[solver] = cell.summary(times), apart.summary(cold_only(times))
             found.rows += cell.rows("open_loop_warm") + apart.rows("open_loop_cold")
             samples[solver] = times.arrays["solve_us"].ravel()
             study.show({"open_loop_warm": dict(warm)})
-            study.advance(f"open loop {solver}, cold")
     found.summary |= {"open_loop_warm": warm, "open_loop_cold": cold}
     found.samples["open_loop"] = samples
     return found
@@ -106,16 +110,20 @@ def more_joints(study: Study, so_far: Findings) -> Findings:
     limits = study.config.testsets.limits()
     sets = {n: growth.sequence(n) for n in study.config.growth.joints}
     found: dict[str, dict[str, Any]] = {}
+
+    def all_sets(worker: Worker, setting: SolverSetting) -> dict[int, Cell]:
+        return {n: Cell(setting, data, asked(study.store, worker, setting, data, limits)) for n, data in sets.items()}
+
+    answered = spread(study.growing, all_sets, study.config.processes) if study.growing else []
     with Worker() as worker:
-        for setting in study.growing:
+        for setting, cells in zip(study.growing, answered, strict=True):
             figures: dict[int, dict[str, Any]] = {}
             row: dict[str, Any] = {"verified_solved": 0, "solves": 0}
-            for n, data in sets.items():
-                cell = Cell(setting, data, asked(study.store, worker, setting, data, limits))
+            for n, cell in cells.items():
                 if cell.refused:
                     row["reason"] = cell.refused
                     continue
-                figures[n] = time_figures(timed(study.store, worker, setting, data, limits, cell.complete))
+                figures[n] = time_figures(timed(study.store, worker, setting, cell.data, limits, cell.complete))
                 counts = cell.counts()
                 row |= {key: row[key] + counts[key] for key in ("verified_solved", "solves")}
                 row |= {f"{key}_n{n}": figures[n][key] for key in GROWING if key in figures[n]}

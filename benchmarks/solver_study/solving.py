@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,13 @@ RAISED = "raised"  # what became of an answer, beside the statuses of solvers
 WARM_UP = 16  # solves that are not counted
 
 
+_robot = cache(load_robot)  # read once by each worker, which makes hundreds of solvers
+
+
 def _made(setting: SolverSetting, arm: Callable[[], Any] | None) -> Solver:
     wanted = arm is not None and accepts(setting.solver, "kinematics")
     extra = {"kinematics": arm()} if arm is not None and wanted else {}  # seconds, for many joints
-    return make_solver(setting.solver, load_robot(), **{**setting.options, **extra})
+    return make_solver(setting.solver, _robot(), **{**setting.options, **extra})
 
 
 def _problems(rows: Array) -> list[NullSpaceQP]:

@@ -51,18 +51,22 @@ class Outcome:
 
 
 @cache
-def dependents(root: Path, module: str) -> frozenset[str]:
-    """Return the module, and every module of the project that imports it, over any number of steps."""
+def _imports(root: Path) -> dict[str, Collection[str]]:
+    """Every module of the project -> those that it imports; read once."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
             parts = path.relative_to(root).with_suffix("").parts
             name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
             trees[name] = ast.parse(path.read_text(encoding="utf-8"))
-    imports = {name: _imported(tree, trees.keys()) for name, tree in trees.items()}
+    return {name: _imported(tree, trees.keys()) for name, tree in trees.items()}
+
+
+def dependents(root: Path, module: str) -> frozenset[str]:
+    """Return the module, and every module of the project that imports it, over any number of steps."""
     found, grown = {module}, True
     while grown:
-        more = {name for name, used in imports.items() if used & found} - found
+        more = {name for name, used in _imports(root).items() if found.intersection(used)} - found
         found, grown = found | more, bool(more)
     return frozenset(found)
 

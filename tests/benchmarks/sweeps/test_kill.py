@@ -144,7 +144,7 @@ def test_a_full_disk_is_said_and_survived(reference: bytes, tmp_path: Path) -> N
     if mounted.returncode:
         pytest.skip("no disk can be mounted here")
     try:
-        code, said = finished(begin(tmp_path, "disk/out"))
+        code, said = finished(begin(tmp_path, "disk/out", workers=1))
         assert code == 2
         assert "StoreError" in said
         assert "No space left on device" in said
@@ -154,7 +154,7 @@ def test_a_full_disk_is_said_and_survived(reference: bytes, tmp_path: Path) -> N
         assert f"{kept} of {RUNS} runs are safe" in said
         assert not list(disk.rglob("*.parquet"))
         subprocess.run(["mount", "-o", "remount,size=32m", str(disk)], check=True)
-        code, said = finished(begin(tmp_path, "disk/out"))
+        code, said = finished(begin(tmp_path, "disk/out", workers=1))
         assert code == 0, said
         assert f"going on: {kept} of {RUNS}" in said
         assert (disk / "out" / "rows.parquet").read_bytes() == reference
