@@ -224,7 +224,10 @@ class Table:
 
     def to_text(self) -> str:
         """Write the table as plain text, as wide as it needs to be."""
-        console = Console(file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False)
+        console = Console(
+            file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False,
+            force_jupyter=False,  # there rich would show the table, and write nothing into the file
+        )  # fmt: skip
         console.print(self.to_rich())
         written: str = console.file.getvalue()  # type: ignore[attr-defined]
         return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"

@@ -233,3 +233,11 @@ def test_a_table_shows_itself_in_a_terminal_and_in_a_notebook():
     assert "1.5" in page.text
     assert "time [us]" in page.text
     assert not page.of("script")
+
+
+def test_in_a_notebook_the_text_is_written_and_not_shown(monkeypatch, capsys):
+    made = table([{"name": "exact", "value": 1.5}])
+    outside = made.to_text()
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert made.to_text() == outside
+    assert capsys.readouterr() == ("", "")
