@@ -16,7 +16,7 @@ from moc_opt.comparison.statistics import Interval, StatisticsError, mean, relat
 from moc_opt.comparison.trials import BASELINE
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.report.run_table import ANOTHER_PROBLEM
-from moc_opt.report.tables import TEXT, Column, Table
+from moc_opt.report.tables import TEXT, Column, Table, as_text, terminal_width
 from moc_opt.scenario import Scenario
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS
@@ -197,7 +197,7 @@ class Comparison:
             raise ScenarioError(f"{path}: cannot be written: {error}") from error
 
     def __repr__(self) -> str:
-        return self.table.to_text()
+        return as_text(self.tables(width := terminal_width()), width)
 
     def _repr_html_(self) -> str:
         """Show the table in a notebook."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -191,7 +192,7 @@ class Table:
         return replace(self, columns=part).fitted(width)[0]
 
     def __repr__(self) -> str:
-        return self.to_text()
+        return as_text(self.fitted(width := terminal_width()), width)
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
@@ -224,10 +225,24 @@ class Table:
 
     def to_text(self) -> str:
         """Write the table as plain text, as wide as it needs to be."""
-        console = Console(file=io.StringIO(), width=10_000, color_system=None, force_terminal=False, highlight=False)
-        console.print(self.to_rich())
-        written: str = console.file.getvalue()  # type: ignore[attr-defined]
-        return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
+        return as_text([self.to_rich()], 10_000)
+
+
+def terminal_width() -> int:
+    """Return the width of the terminal that Python prints to [characters], or of a wide one where there is none."""
+    return shutil.get_terminal_size((200, 24)).columns
+
+
+def as_text(drawn: Iterable[RichTable], width: int) -> str:
+    """Write tables as plain text of at most this width [characters]."""
+    console = Console(
+        file=io.StringIO(), width=width, color_system=None, force_terminal=False, highlight=False,
+        force_jupyter=False,  # there rich would show the table, and write nothing into the file
+    )  # fmt: skip
+    for table in drawn:
+        console.print(table)
+    written: str = console.file.getvalue()  # type: ignore[attr-defined]
+    return "\n".join(line.rstrip() for line in written.splitlines()) + "\n"
 
 
 def alignment(cells: Sequence[Cell]) -> Literal["left", "right"]:

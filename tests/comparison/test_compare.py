@@ -102,7 +102,7 @@ def test_means_and_changes_are_those_of_the_rows(found):
 
 
 def test_the_table_the_plot_and_pandas_show_every_solver(found):
-    text = repr(found)
+    text = found.table.to_text()
     assert all(name in text for name in found.solvers)
     assert "[" in text.split("exact")[1].splitlines()[0]  # an interval
     assert "Standing" not in text
@@ -161,7 +161,7 @@ def test_a_solver_that_cannot_start_has_rows_and_the_others_go_on():
     assert found.change("broken", "mu_mean") is None
     assert found.mean("exact", "mu_mean").samples == 2
     assert [row["trials"] for row in found.table.rows] == ["2", "0 of 2", "2"]
-    assert "broken failed in 2: ControlError: solver 'broken'" in repr(found)
+    assert "broken failed in 2: ControlError: solver 'broken'" in found.table.caption
     assert len(found.to_pandas()) == 6
 
 
@@ -202,10 +202,10 @@ def test_where_the_trials_start_is_said(tmp_path):
     file = tmp_path / "s.toml"
     BRIEF.change(start={"swivel": 0.2}).save(file)
     drawn = mo.compare(["exact"], file, trials=1)  # the path of a file is a scenario, too
-    assert "[start] is not used" in repr(drawn)
+    assert "[start] is not used" in drawn.table.caption
     kept = mo.compare(["exact"], str(file), trials=1, random_start=False)
-    assert "start as the scenario's [start] says, from one pose" in repr(kept)
+    assert "start as the scenario's [start] says, from one pose" in kept.table.caption
     own = mo.summarize(mo.run(file))  # the trial of seed 0
     (row,) = (row for row in kept.rows if row["solver"] == "exact")
     assert row["mu_mean"] == pytest.approx(own["mu_mean"], rel=1e-6)
-    assert "[start]" not in repr(mo.compare(["exact"], BRIEF, trials=1))
+    assert "[start]" not in mo.compare(["exact"], BRIEF, trials=1).table.caption

@@ -81,6 +81,17 @@ def test_at_80_columns_every_mean_stands_in_one_table_and_the_intervals_in_the_o
         assert f"[{low:.3g}, {high:.3g}]" in line
 
 
+@pytest.mark.parametrize("columns", [60, 80, 300])
+def test_its_text_is_as_wide_as_the_terminal(wide, columns, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    said = repr(wide)
+    assert max(map(len, said.splitlines())) <= columns
+    assert ("The same: 95 %" in said) == (columns < 300)
+    assert said.split() == drawn(wide, columns).split()
+    title = repr(wide.table).splitlines()[0]
+    assert title == "circle: solvers on the same trials"
+
+
 def test_one_trial_has_no_table_of_intervals():
     names = ["dcac", "a_rather_long_name_of_a_solver"]
     found = Comparison([row(name, 0) for name in names], names, SHORT)
@@ -93,7 +104,7 @@ def test_an_answer_to_another_problem_is_neither_verified_nor_wrong():
     assert "silently_wrong" not in summary["nlp-sqp"]
     assert "verified" not in summary["nlp-sqp"]
     assert summary["exact"]["verified"] == 100.0
-    assert "nlp-* answer the nonlinear problem" in repr(found)
+    assert "nlp-* answer the nonlinear problem" in found.table.caption
     assert "solve_p50_us" in summary["nlp-sqp"]
     alone = Comparison([r for r in found.rows if r["solver"] != "nlp-sqp"], ["dcac", "exact"], SHORT)
-    assert "nlp-" not in repr(alone)
+    assert "nlp-" not in alone.table.caption

@@ -226,10 +226,19 @@ def test_a_narrow_terminal_shows_every_number_whole(width: int, count: int, size
     assert len(table.fitted(10_000)) == 1
 
 
-def test_a_table_shows_itself_in_a_terminal_and_in_a_notebook():
+def test_a_table_shows_itself_in_a_terminal_and_in_a_notebook(monkeypatch):
     made = table([{"name": NASTY, "value": 1.5}])
+    monkeypatch.setenv("COLUMNS", "100")
     assert repr(made) == made.to_text()
     page = Cells(made._repr_html_())
     assert "1.5" in page.text
     assert "time [us]" in page.text
     assert not page.of("script")
+
+
+def test_in_a_notebook_the_text_is_written_and_not_shown(monkeypatch, capsys):
+    made = table([{"name": "exact", "value": 1.5}])
+    outside = made.to_text()
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert made.to_text() == outside
+    assert capsys.readouterr() == ("", "")

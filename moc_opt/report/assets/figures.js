@@ -25,7 +25,9 @@
     layout.legend = { ...layout.legend, font: { size: 10 } };
     layout.margin = { ...layout.margin, l: 40, r: 8 };
     for (const axis of [layout.xaxis, layout.yaxis]) {
-      if (axis && axis.type === "log" && !axis.tickvals) axis.dtick = 1;
+      // Within a decade powers of ten alone would leave an axis without a number.
+      const decades = axis && axis.range ? axis.range[1] - axis.range[0] : Infinity;
+      if (axis && axis.type === "log" && !axis.tickvals && decades > 1) axis.dtick = 1;
     }
     for (const trace of data) {
       if (trace.mode !== "markers+text") continue;
