@@ -31,6 +31,12 @@ from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario
 
 THIRD_LEVELS: tuple[str, ...] = get_args(ControlSettings.model_fields["third_level"].annotation)
+LOOPS: dict[str, dict[str, Any]] = {level: {"third_level": level} for level in THIRD_LEVELS} | {
+    # What the observer's gain under a course is worth to the climb, beside it: tip and RCM error come of its lag.
+    "local, observer of the courses": {
+        "observer_gain_per_s": ControlSettings.model_fields["course_observer_gain_per_s"].default
+    },
+}
 STREAM = 7
 """Of the seeds: no trial of this benchmark is one of another."""
 
@@ -41,9 +47,7 @@ class Config(Configuration):
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
     poses: int = Field(20, ge=1, description="random starts per task and robot")
-    loops: dict[str, dict[str, Any]] = Field(
-        {level: {"third_level": level} for level in THIRD_LEVELS}, description="closed loops: name -> [control]"
-    )
+    loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
     processes: int = Field(2, ge=1)
     map_points: int = Field(3, ge=0)

@@ -69,7 +69,7 @@ class Controller:
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = law_of(settings, robot)
         if guide is None and settings.climb == "scaled" and (settings.law, settings.third_level) == ("moc", "local"):
-            guide = ScaledClimb(robot)
+            guide = ScaledClimb(robot, settings.shaft_margin_m2)
         self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
         if guide is not None:
             settings.check_guided()

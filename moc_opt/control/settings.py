@@ -150,7 +150,7 @@ class ControlSettings(Settings):
         ge=0.0,
         le=0.1,
         allow_inf_nan=False,
-        description="third_level 'local' with climb 'gradient' alone: where mu_shaft, what motion that leaves the tip "
+        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip "
         "where it is does to the shaft, is below this, the climb leads away from losing the shaft; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(

@@ -8,7 +8,7 @@ from copy import copy
 import numpy as np
 
 from moc_opt.control.guide import Guide
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import Follower
@@ -26,6 +26,8 @@ V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
 FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
+SLOWER = 0.4
+"""Of a course's speed, where no fast one is smooth and brakes off in time."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
@@ -55,37 +57,48 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
         return lambda: Follower(course, period)
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
-    smooth = SMOOTHNESS["receding"]
-    found, share = map_of(robot, layout.q, path), settings.course_speed_fraction
-    for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
-        usual = float(np.nanmean(found.highest(margin)))
-        to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
-        if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
-            break
-    else:
-        raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
+    smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
 
-    horizon = Horizon(
-        robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth,
-        brake=scenario.guard.wall_brake_rad_per_s2,
-    )  # fmt: skip
-    return lambda: Receding(  # one program, of which each controller makes a solver of its own
-        to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
-        rate_per_s=settings.replan_per_s,
-    )  # fmt: skip
+    def made(share: float, brake: float) -> Callable[[], Receding]:
+        for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
+            usual = float(np.nanmean(found.highest(margin)))
+            to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
+            if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
+                break
+        else:
+            raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
+        horizon = Horizon(
+            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake
+        )
+        return lambda: Receding(  # one program, of which each controller makes a solver of its own
+            to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
+            rate_per_s=settings.replan_per_s,
+        )  # fmt: skip
+
+    make = made(settings.course_speed_fraction, scenario.guard.wall_brake_rad_per_s2)
+    try:
+        make()
+    except TaskError:  # a start from which no fast course brakes off in time
+        make = made(SLOWER * settings.course_speed_fraction, np.inf)
+    return make
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
     """The best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
-    share = settings.course_speed_fraction
+    brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
-        found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
-        if found.from_start is not None:
-            return refine(
+        # Where no smooth course brakes off in time: a slower one, at last without the rule.
+        for share, rule in ((fastest, brake), (SLOWER * fastest, brake), (SLOWER * fastest, np.inf)):
+            found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
+            if found.from_start is None:
+                break
+            course = refine(
                 robot, targets, found.from_start, margin_rad=margin, speed_share=share,
-                smoothness=SMOOTHNESS["planned"], brake=BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2,
+                smoothness=SMOOTHNESS["planned"], brake=rule,
             )  # fmt: skip
+            if course is not found.from_start or rule == np.inf:
+                return course
     raise _stuck(scenario, found)
 
 

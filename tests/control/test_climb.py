@@ -65,3 +65,21 @@ def test_its_speed_does_not_depend_on_rho_and_the_gradients_does() -> None:
 def test_without_rho_it_is_refused() -> None:
     with pytest.raises(ControlError, match=r"climb = 'scaled' with c2 = 0\.001, regularization = 0"):
         mo.run(SCALED.change(control={"regularization": 0.0}, duration_s=0.01))
+
+
+def test_close_to_where_the_shaft_is_lost_it_leads_away_from_there(robot: RobotModel) -> None:
+    """The wish differs only inside the margin: there some climbs that led towards losing the shaft are turned round."""
+    rng, inside, turned = np.random.default_rng(1), 0, 0
+    plain, kept = ScaledClimb(robot), ScaledClimb(robot, 0.05)
+    for _ in range(200):
+        state = robot.state(robot.random_regular_pose(rng, margin=0.1))
+        wish, other = plain.wish(state), kept.wish(state)
+        if state.mu_shaft >= 0.0501:
+            np.testing.assert_array_equal(wish, other)
+        elif 0.01 < state.mu_shaft < 0.03:
+            inside += 1
+            away = on_self_motion(state.A, state.tool_direction, state.grad_mu_shaft)
+            assert other @ away > 0.0 or wish @ away <= 0.0, "the push turns no climb round that led away already"
+            turned += wish @ away < 0.0 < other @ away
+    assert inside > 10
+    assert turned > 3
