@@ -718,6 +718,14 @@ def test_the_check_can_be_switched_off(qp, Z):
     assert mine.fault is Fault.NONE
 
 
+@pytest.mark.parametrize("n", [8, 9])
+def test_an_optimum_of_several_freedoms_is_nowhere_off(n):
+    qp = random_problem(np.random.default_rng(n), n, structured=False)
+    found = answer_residuals(qp.row, n, np.ascontiguousarray(np.linalg.svd(qp.A)[2][5:]), Exact().start(qp).solve(qp).x)
+    np.testing.assert_allclose(found, 0.0, atol=1e-6)
+    assert found[3:] == (0.0, 0.0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
     """Five joints for five independent rows, and one that moves neither tip nor wrist."""
