@@ -61,7 +61,7 @@ class TestSets(Settings):
     rounds: int = Field(8, ge=1)
     seconds: float = Field(0.05, gt=0.0, description="of timing a set, at most")
     patience_s: float = Field(1.0, gt=0.0, description="longer without an answer is a hang")
-    setup_s: float = Field(6.0, gt=0.0, description="longer without being set up is one too")
+    setup_s: float = Field(15.0, gt=0.0, description="longer without being set up is one too")
     cold: int = Field(16, ge=1)
 
     @field_validator("names", "timed", "timed_too")
@@ -126,7 +126,7 @@ class Config(Configuration):
         """Return the same study on less data: for a first look and for the tests."""
         few = {
             "names": ["circle", "infeasible", "jumps"], "timed": [], "timed_too": ["circle", "infeasible", "jumps"],
-            "every": 8, "every_other": 1, "rounds": 2, "cold": 4, "seconds": 0.02,
+            "every": 8, "every_other": 1, "rounds": 2, "cold": 4, "seconds": 0.02, "setup_s": 6.0,
         }  # fmt: skip
         return self._with(
             open_loop={"ticks": 200, "cold": 10},
@@ -148,7 +148,7 @@ class Config(Configuration):
             open_loop={"ticks": 4000, "cold": 400},
             testsets={
                 "timed": list(RECIPES), "timed_too": [], "every_other": 1, "rounds": 100, "seconds": 10.0, "cold": 128,
-                "patience_s": 10.0, "setup_s": 15.0,
+                "patience_s": 10.0,
             },
             growth={"joints": list(range(7, 15)), "nonlinear": True},
             closed_loop={"tasks": list(TASKS), "seeds": 10, "timed": 3, "duration_s": None, "short": []},

@@ -6,6 +6,7 @@ import ctypes
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,13 @@ def counting(robot: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Any
         (folder / "counter.cpp").write_text("unsigned long operations = 0;\n")
         library = folder / "counted.so"
         subprocess.run(
-            ["g++", "-std=c++20", "-O1", "-w", "-fpermissive", "-ffp-contract=off", "-shared", "-fPIC", *sources,
+            ["g++", "-std=c++20", "-O0", "-w", "-fpermissive", "-ffp-contract=off", "-shared", "-fPIC", *sources,
              str(folder / "counter.cpp"), "-o", str(library)],
             check=True,
         )  # fmt: skip
         return library
 
+    @cache
     def make(control: ControlSettings) -> tuple[GuardedController, ctypes.CDLL]:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(guarded, "compile_library", build)
