@@ -10,9 +10,11 @@ setup: $(READY)
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "moc_opt needs Python 3.11 or later: make PYTHON=python3.12 ...")'
+	@echo 'installing the pinned packages into $(VENV): two to ten minutes, without a word'
 	$(PYTHON) -m venv $(VENV)
 	$(RUN) -m pip install --quiet --editable '.[solvers,vision,live,cluster,peers,qpbenchmark,dataframes,docs,dev]' --constraint constraints.txt
 	touch $(READY)
+	@echo 'ready: . $(VENV)/bin/activate && moc-opt run (the first run compiles, for one to three minutes)'
 
 solvers: setup
 	$(RUN) -m benchmarks.solvers
