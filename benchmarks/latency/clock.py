@@ -12,7 +12,6 @@ from benchmarks.answer import Answer, Picture, marked_answer
 from benchmarks.latency.report import GOALS
 from benchmarks.latency.wire import SAFE_RCM_M, Case, Found
 from moc_opt.numerics.arrays import Array
-from moc_opt.report import figures
 from moc_opt.report.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -187,8 +186,5 @@ def report(summary: Mapping[str, Any], runs: Runs, first: Answer, environment: M
             if f"{time}-{rate}" not in page.figures:
                 page.figure(histogram(of, deadline), f"{title.capitalize()} at {rate} Hz: how many cycles took how "
                             "long.", name=f"{time}-{rate}")  # fmt: skip
-            if time == "round":
-                tail = figures.latency_ecdf(of, deadline, tail=True)
-                page.figure(tail, f"{title.capitalize()} at {rate} Hz: the rare late ones.", name=f"tail-{rate}")
     page.environment(environment)
     return page

@@ -8,7 +8,6 @@ What stands between ``<!-- solvers -->`` and ``<!-- /solvers -->`` is written an
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.comparison.statistics import spread
 from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import read_json
 
 Summary = Mapping[str, Any]
 
@@ -123,7 +123,7 @@ def fill(given: argparse.Namespace) -> int:
     for name, make in makers.items():
         folder = getattr(given, name)
         if folder is not None:
-            read = (_read(folder / f"{kind}.json") for kind in ("summary", "environment"))
+            read = (read_json(folder / f"{kind}.json", "results", ReadmeError) for kind in ("summary", "environment"))
             text = fill_section(text, name, make(*read), "README")
     write_atomically(given.readme, text.encode())
     return 0
@@ -145,14 +145,6 @@ def _where(environment: Summary) -> str:
     own = "one thread unless said otherwise" if threads == "1" else f"OMP_NUM_THREADS {threads or 'not set'}"
     what = f"{machine['cores']} cores, {machine['processor']}, {own}, load {machine['load_1min']:.1f}"
     return f"{what}, Python {machine['python']}, seed {environment['seed']}"
-
-
-def _read(path: Path) -> Summary:
-    try:
-        found: Summary = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ReadmeError(f"{path}: not JSON: {error}; run the benchmark again") from error
-    return found
 
 
 if __name__ == "__main__":
