@@ -6,6 +6,7 @@ import argparse
 import inspect
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
@@ -24,8 +25,10 @@ def print_list(given: argparse.Namespace) -> int:
         print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
         return 0
     screen = console()
-    for piece in table.fitted(screen.width):
+    for piece in replace(table, caption="").fitted(screen.width):
         screen.print(piece)
+    if table.caption:  # below a narrow table it would be a narrow column
+        screen.print(table.caption, markup=False, highlight=False)
     return 0
 
 
@@ -61,7 +64,8 @@ def robots() -> Table:
         data = load_data(name)
         rows.append({"robot": name, "joints": len(data.joint_names), "tool": data.tool_length})
     columns = [Column("robot", "robot"), Column("joints", "joints"), Column("tool", "tool", "m")]
-    return Table("Robots: [robot] name", columns, rows, "A path to a robot file of your own stands in their place.")
+    told = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
+    return Table("Robots: [robot] name", columns, rows, told)
 
 
 def tasks() -> Table:

@@ -97,15 +97,15 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
     try:
         curve = self_motion(robot, robot.data.q_home)
     except RobotError as error:
-        yield Finding("mu at home", f"{mu:.3g}", "care", f"its self-motion cannot be scanned: {error}")
+        yield Finding("mu at home", f"{mu:.3g} m^3", "care", f"its self-motion cannot be scanned: {error}")
     else:
         several = freedoms(robot, robot.data.q_home).real > 1
-        text = f"{mu:.3g}, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
+        text = f"{mu:.3g} m^3, {curve.mu.min():.3g} to {curve.mu_best:.3g} on {'one' if several else 'its'} self-motion"
         little = max(curve.mu_best, largest if several else 0.0) < (1.0 + LITTLE_TO_GAIN) * mu
         cure = "little to gain from there: choose another home.q_rad" if little else ""
         yield Finding("mu at home", text, "care" if little else "ok", cure)
     # With one freedom a local law stays on its curve, and may not get there.
-    yield Finding("largest mu there", f"{largest:.3g}, {how['mu_bound_method']}", "ok")
+    yield Finding("largest mu there", f"{largest:.3g} m^3, {how['mu_bound_method']}", "ok")
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
@@ -137,7 +137,7 @@ def _speeds(robot: RobotModel) -> Finding:
     most = np.where(robot.chain.prismatic, FASTEST["sliding"], FASTEST["turning"])
     wrong = np.flatnonzero(robot.v_max > most + 1e-9)
     units = ["m/s" if slides else "rad/s" for slides in robot.chain.prismatic]
-    text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g}"
+    text = f"{robot.v_max.min():.2g} to {robot.v_max.max():.2g} {' or '.join(sorted(set(units), reverse=True))}"
     if not wrong.size:
         return Finding("joint speeds", text, "ok")
     told = ", ".join(f"{robot.data.joint_names[j]} {robot.v_max[j]:.3g} {units[j]}" for j in wrong)

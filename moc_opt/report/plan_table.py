@@ -68,9 +68,9 @@ def plan_tables(name: str, plan: Plan, margin_rad: float = 0.0, speed_share: flo
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
         rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
     within = "the joint limits" if margin_rad == 0.0 else f"{margin_rad:g} rad (m) from the joint limits"
-    rows.append({"what": "planned within", "value": f"{within}, {speed_share:.3g} of their speed limits"})
+    rows.append({"what": "planned within", "value": f"{within}, {100.0 * speed_share:.3g} % of their speed limits"})
     rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
-    rows.append({"what": "swivel proposed", "value": _degrees(plan.best_swivel_rad)})
+    rows.append({"what": "swivel of the best start", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
             rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})
@@ -108,7 +108,7 @@ def start_toml(robot: RobotModel, plan: Plan, places: Sequence[Placement] = ()) 
     q = np.clip(np.round(course.q_rad[0], 6), *inside)
     numbers = textwrap.fill(", ".join(f"{x:.6f}" for x in q), 76, initial_indent="  ", subsequent_indent="  ")
     trocar = [] if depth is None else ["[trocar]", f"depth_m = {depth:.6f}"]
-    about = f"# begins {of}; in place of the scenario's own [start]{' and depth_m' if trocar else ''}:"
+    about = f"# to begin {of}, put in place of the scenario's own [start]{' and depth_m' if trocar else ''}:"
     return "\n".join([about, "[start]", f"q_rad = [\n{numbers},\n]", *trocar])
 
 

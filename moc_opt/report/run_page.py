@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from moc_opt.errors import MocOptError, ReportError
 from moc_opt.model.robot_model import RobotModel
@@ -11,7 +12,9 @@ from moc_opt.report.figures import Styles, time_series
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.run_table import part, refusals, run_table, warnings
+from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
+from moc_opt.trace.views import about
 
 COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
 """Of the map."""
@@ -36,10 +39,12 @@ def run_page(
     page.section("How it ended")
     for name, trace in traces.items():
         told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
+        told += [f"Asked for: {asked(trace)}."] if asked(trace) else []
         page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
     page.section("What to look at first")
-    for name, values in metrics.items():
-        page.table(run_table(name, traces[name], values, first=True))
+    short = {name: run_table(name, traces[name], values, first=True) for name, values in metrics.items()}
+    for table in beside(short, traces):
+        page.table(table)
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
@@ -55,6 +60,42 @@ def run_page(
     except MocOptError as error:
         page.text(f"There is no map: {error}")
     page.section("All metrics")
-    for name, values in metrics.items():
-        page.table(run_table(name, traces[name], values))
+    whole = {name: run_table(name, traces[name], values, explained=True) for name, values in metrics.items()}
+    for table in beside(whole, traces):
+        page.table(table)
     return page
+
+
+def asked(trace: Trace) -> str:
+    """Say in a few words what was run; empty where the trace does not say."""
+    scenario = trace.meta.get("scenario") or {}
+    law = about(trace).get("solver")
+    known = {
+        "path": (scenario.get("task") or {}).get("path"), "controller" if law == "dcac" else "solver": law,
+        "gains": (scenario.get("control") or {}).get("gains"), "seed": scenario.get("seed"),
+    }  # fmt: skip
+    return ", ".join(f"{word} {value}" for word, value in known.items() if value is not None)
+
+
+def beside(tables: Mapping[str, Table], traces: Mapping[str, Trace]) -> list[Table]:
+    """Make one table of those of several runs, a column for each run.
+
+    Where a run was broken off they stay apart: figures of a part are no peers of a whole run's.
+
+    Args:
+        tables: name of a run -> `run_table` of it, with what each figure says.
+        traces: name -> run.
+    """
+    if len(tables) < 2 or any(part(traces[name]) for name in tables):
+        return list(tables.values())
+    rows: dict[str, dict[str, Any]] = {}
+    for k, table in enumerate(tables.values()):
+        for row in table.rows:
+            said = row.get("says", "")
+            joint = rows.setdefault(row["metric"], {"metric": row["metric"], "says": said})
+            joint[f"run {k}"] = row["value"]
+            joint["says"] = said if joint["says"] == said else ""
+    runs = [Column(f"run {k}", name) for k, name in enumerate(tables)]
+    captions = dict.fromkeys(table.caption for table in tables.values() if table.caption)
+    columns = [Column("metric", "metric"), *runs, Column("says", "what it says")]
+    return [Table(" and ".join(tables), columns, list(rows.values()), "\n".join(captions))]

@@ -9,6 +9,7 @@ from typing import Any
 from moc_opt.report.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
+from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.views import about
 
@@ -19,13 +20,13 @@ METHOD = "mu_bound_method"
 
 MATTER: Mapping[str, str] = MappingProxyType({
     "mu_mean": "manipulability [m^3]: how far the arm keeps from singular poses",
-    "mu_gain_percent": "mean mu above DCAC's with the same gains [%]",
-    "mu_fraction_of_best_from_start": "mean mu over that of the best course from this start, 0 to 1",
+    "mu_gain_percent": "mean mu above that of DCAC (no third level) with the same gains [%]",
+    "mu_fraction_of_best_from_start": "mean mu over that of the best motion of the elbow from this start, 0 to 1",
     "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics",
-    "rcm_error_model_mean_mm": "shaft from the registered trocar [mm], likewise",
+    "rcm_error_model_mean_mm": "shaft from the registered trocar [mm], by the robot's own kinematics",
     "rcm_error_max_mm": "shaft from the true trocar [mm], at most",
     "trocar_force_max_N": "force on the trocar [N], at most",
-    "torque_rate_rms_Nm_per_s": "chatter of the torque [Nm/s]; beside DCAC's or another solver's",
+    "torque_rate_rms_Nm_per_s": "chatter of the torque [Nm/s]: compare it with that of DCAC or of another solver",
     "verified_solved": "ticks whose answer our own residuals find optimal",
     "silently_wrong": "ticks at which the solver called a wrong answer solved; 0 is right",
     "deadline_misses": "ticks that took longer than the period, on this machine",
@@ -93,12 +94,12 @@ def below_best(trace: Trace) -> str:
     top = f"{end['top_swivel_deg']:.0f} deg ({end['top_mu']:.3f} m^3)"
     left = 1.0 - float(trace.mu[-1]) / end["top_mu"]
     if left > NEAR:
-        return f"{said}; it did not climb: it ends {100.0 * left:.1f} % below the top of its own hump"
+        return f"{said}; at its end it is still {100.0 * left:.1f} % below the local maximum uphill of it"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; in the end the local law is on its hump of mu, so the loss lies on the way there"
+        return f"{said}; the local law ends at the best pose: what is missing was lost on the way there"
     if end["at_limit"]:
         return f"the local law is held by a joint limit: {said}; the way up ends at swivel {top}, the course {there}"
-    return f"the local law is trapped: {said}; it ends on the hump at swivel {top}, the course on the other {there}"
+    return f"the local law is trapped: {said}; it ends at the local maximum at swivel {top}, the course {there}"
 
 
 def refusals(trace: Trace) -> list[str]:
@@ -120,7 +121,9 @@ def replaced(trace: Trace) -> str:
     return f"at {total} of {len(trace)} ticks: {most}{', '.join(f'{fault} {count}' for fault, count in counts.items())}"
 
 
-def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: bool = False) -> Table:
+def run_table(
+    name: str, trace: Trace, metrics: Mapping[str, float], *, first: bool = False, explained: bool = False
+) -> Table:
     """Lay out the metrics of one run, the ending in the first row, and in the second how often the solver was replaced.
 
     Of a run that was broken off the title says which part there is, and every figure is marked as one of that part.
@@ -130,11 +133,12 @@ def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: b
         trace: of the run.
         metrics: name -> value.
         first: those of `MATTER` alone, each with what it says.
+        explained: all, each with what it is.
     """
     of = part(trace)
     ended = str(trace.meta.get("ended", "unknown"))
     word, _, reason = ended.partition(": ") if first else (ended, "", "")
-    rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason}]
+    rows: list[dict[str, Any]] = [{"metric": "ended", "value": word, "says": reason or f"after {len(trace)} ticks"}]
     if replaced(trace):
         rows.append({"metric": "solver replaced", "value": replaced(trace)})
     other = answers_another_problem(trace)
@@ -143,11 +147,12 @@ def run_table(name: str, trace: Trace, metrics: Mapping[str, float], *, first: b
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else _written(value)
-        rows.append({"metric": marked, "value": shown, "says": MATTER.get(metric, "")})
+        says = MATTER[metric] if first else METRICS[metric].about if metric in METRICS else ""
+        rows.append({"metric": marked, "value": shown, "says": says})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
             rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})
     columns = [Column("metric", "metric"), Column("value", "value")]
-    columns += [Column("says", "what it says")] if first else []
+    columns += [Column("says", "what it says")] if first or explained else []
     told = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
     return Table(f"{name}{of}", columns, rows, caption="\n".join([*told, *warnings(trace)]))
 

@@ -152,7 +152,7 @@ class Scenario(Settings):
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook."""
-        return table_html("Scenario, where it differs from the default", saving.changes(self))
+        return table_html("Scenario, where it differs from the default", saving.changes(self) or {"nowhere": ""})
 
     def change(self, **tables: Any) -> Self:
         """Copy the scenario with some fields changed; a mapping changes fields inside a table."""

@@ -66,3 +66,9 @@ def test_the_list_of_solvers_fits_a_screen(capsys, monkeypatch):
     with pytest.raises(SystemExit):
         main(["solvers", "--help"])
     assert "--list" in capsys.readouterr().out
+
+
+def test_the_sentence_below_a_narrow_list_is_as_wide_as_the_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["robots"]) == 0
+    assert "A path to a robot file of your own may stand" in capsys.readouterr().out

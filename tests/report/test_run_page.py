@@ -6,7 +6,9 @@ import pytest
 import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ReportError
-from moc_opt.report.run_page import run_page
+from moc_opt.report.run_page import asked, beside, run_page
+from moc_opt.report.run_table import run_table
+from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
 
 
@@ -58,3 +60,36 @@ def test_a_run_that_cannot_be_mapped_has_its_curves(robot):
     html = found.html()
     assert "There is no map" in html
     assert "stopped: too far off" in html
+
+
+def _run(law="moc", ended="completed", ticks=2, solver="osqp"):
+    scenario = {
+        "seed": 5, "task": {"path": "line"}, "control": {"law": law, "gains": "tuned"}, "solver": {"name": solver},
+    }  # fmt: skip
+    about = {"ended": ended, "ticks": ticks, "ticks_planned": 2, "period_s": 0.1, "scenario": scenario}
+    return Trace({"t_s": 0.1 * np.arange(ticks)}, about)
+
+
+def test_two_runs_stand_side_by_side_with_what_each_figure_says():
+    traces = {"a": _run(), "b": _run(ended="oscillated: joint_7", solver="daqp")}
+    figures = {"a": {"mu_mean": 0.25, "mu_gain_percent": 7.0}, "b": {"mu_mean": 0.125}}
+    (table,) = beside({n: run_table(n, traces[n], figures[n], explained=True) for n in traces}, traces)
+    assert [column.title for column in table.columns] == ["metric", "a", "b", "what it says"]
+    shown = [[cell.text for cell in table.cells(column)] for column in table.columns]
+    assert shown[0] == ["ended", "mu_mean", "mu_gain_percent"]
+    assert shown[1][1:] == ["0.2500", "7"]
+    assert shown[2][0] == "oscillated: joint_7"
+    assert shown[2][1:] == ["0.1250", "–"]
+    assert shown[3][1:] == [METRICS[name].about for name in shown[0][1:]]
+
+
+def test_a_part_stands_beside_no_whole_run():
+    traces = {"a": _run(), "b": _run(ended="stopped: x", ticks=1)}
+    tables = {name: run_table(name, trace, {"mu_mean": 0.25}, first=True) for name, trace in traces.items()}
+    assert beside(tables, traces) == list(tables.values())
+
+
+def test_what_was_run_is_said():
+    assert asked(_run()) == "path line, solver osqp, gains tuned, seed 5"
+    assert asked(_run("dcac")) == "path line, controller dcac, gains tuned, seed 5"
+    assert asked(Trace({"t_s": [0.0]})) == ""

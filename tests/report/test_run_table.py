@@ -55,11 +55,11 @@ END = {"top_mu": 0.2, "top_swivel_deg": 40.0, "at_limit": False, "best_mu": 0.3,
     ("mu", "end", "third_level", "said"),
     [
         (0.295, {}, "local", ""),
-        (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends on the hump at "
-         "swivel 40 deg (0.200 m^3), the course on the other at -103 deg (0.300 m^3)"),
+        (0.24, {}, "local", "trapped: mean mu is 20.0 % below the best course from this start; it ends at the local "
+         "maximum at swivel 40 deg (0.200 m^3), the course at -103 deg (0.300 m^3)"),
         (0.24, {"at_limit": True}, "local", "held by a joint limit"),
-        ([0.2, 0.22, 0.242, 0.298], {"top_mu": 0.298}, "local", "on its hump of mu"),
-        (0.24, {"top_mu": 0.298}, "local", "did not climb: it ends 19.5 % below the top of its own hump"),
+        ([0.2, 0.22, 0.242, 0.298], {"top_mu": 0.298}, "local", "ends at the best pose"),
+        (0.24, {"top_mu": 0.298}, "local", "at its end it is still 19.5 % below the local maximum uphill of it"),
         (0.24, {}, "planned", "20.0 % below"),
     ],
 )  # fmt: skip
@@ -70,7 +70,7 @@ def test_what_holds_a_run_below_its_best_course_is_said(mu, end, third_level, sa
     ).with_columns(mu=np.broadcast_to(mu, 4), mu_best_from_start=[0.3] * 4)
     assert said in below_best(run)
     assert bool(said) == bool(below_best(run))
-    assert ("the local law" in below_best(run)) == (bool(said) and third_level == "local" and "climb" not in said)
+    assert ("the local law" in below_best(run)) == (bool(said) and third_level == "local" and "uphill" not in said)
 
 
 def test_why_there_is_no_best_course_is_said():

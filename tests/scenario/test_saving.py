@@ -78,6 +78,8 @@ def test_only_what_differs_is_written(tmp_path):
     assert (tmp_path / "a.toml").read_text(encoding="utf-8").strip() == ""
     assert repr(Scenario()) == "Scenario()"
     assert "tuned" in scenario._repr_html_()
+    assert "nowhere" in Scenario()._repr_html_()
+    assert "nowhere" not in scenario._repr_html_()
 
 
 def optional_fields(kind=Scenario, path=""):

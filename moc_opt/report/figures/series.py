@@ -17,12 +17,14 @@ from moc_opt.trace.trace import Trace
 Floats = NDArray[np.float64]
 PANELS = {
     "mu": ("µ [m³]", 1.0),
-    "tip_error_m": ("tip error [mm]", 1e3),
+    "tip_error_m": ("tip error in space [mm]", 1e3),
     "rcm_error_m": ("RCM error [mm]", 1e3),
     "trocar_force_N": ("|force| [N]", 1.0),
 }
 """Column of a trace -> label of its panel, and the factor to the unit there."""
 MODEL_TIP = "tip_error_model_m"
+LABELS = {**PANELS, MODEL_TIP: ("tip error, own kinematics [mm]", 1e3)}
+"""The same, of every column that has a label of its own: two errors of the tip must not look like one."""
 
 
 def time_series(
@@ -51,7 +53,7 @@ def time_series(
     drawn = make_subplots(rows=len(panels), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(panels))
     named: set[str] = set()
     for row, column in enumerate(panels, start=1):
-        words, factor = PANELS.get("tip_error_m" if column == MODEL_TIP else column, (label(column), 1.0))
+        words, factor = LABELS.get(column, (label(column), 1.0))
         for name, trace in runs.items():
             if column not in trace.columns:
                 continue
