@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _command(arguments: Sequence[str] | None) -> int:
     parser = argparse.ArgumentParser(prog="moc-opt", description=__doc__)
     parser.add_argument("--version", action="version", version=f"moc-opt {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True)
+    commands = parser.add_subparsers(dest="command")
     one = commands.add_parser(
         "run", help="run one scenario and print its metrics",
         epilog="Exit status: 0 the run completed; 2 the input is wrong; 3 it was stopped, ran away or oscillated, "
@@ -114,6 +114,8 @@ def _command(arguments: Sequence[str] | None) -> int:
     robot_commands(commands)
     more.add_commands(commands)
     given, rest = parser.parse_known_args(arguments)
+    if given.command is None:
+        parser.error("no command: `moc-opt run` runs the default scenario, `moc-opt -h` says what each command does")
     if rest and (given.command != "solvers" or given.list):
         parser.error(f"unrecognized arguments: {' '.join(rest)}")
     try:

@@ -73,8 +73,12 @@ class Bar:
         if self._paced is None:
             self._paced = time.monotonic(), self._progress.tasks[self._task].completed
         if not self._progress.console.is_terminal and time.monotonic() - self._told > LINE_EVERY_S:
-            self._told = time.monotonic()
-            self._progress.console.print(self._line(), markup=False, soft_wrap=True)
+            self.tell()
+
+    def tell(self) -> None:
+        """Write a line: how far it is."""
+        self._told = time.monotonic()
+        self._progress.console.print(self._line(), markup=False, soft_wrap=True)
 
     def _line(self) -> str:
         """How far it is, and how long it will take at the pace since its first step, which may have had to compile."""
@@ -116,7 +120,7 @@ def progress(
 ) -> Iterator[Bar]:  # fmt: skip
     """Show a bar with the time left on stderr, once `patience_s` is over and until the work is done.
 
-    Where the output is not a terminal, a line every ten seconds.
+    Where the output is not a terminal, a line every ten seconds; the first one comes before a step is done, too.
 
     Args:
         total: steps in all; None where that is not known.
@@ -132,17 +136,17 @@ def progress(
     )  # fmt: skip
     bar.below = below
     task = bar.add_task(printable(description), total=total, now="")
-    # A clock of its own: the first step alone may take longer than the patience.
-    late = Timer(patience_s, bar.start)
+    shown = Bar(bar, task)
+    # A clock of its own: the first step alone may take longer, where it has to compile.
+    late = Timer(patience_s, bar.start) if where.is_terminal else Timer(LINE_EVERY_S, shown.tell)
     late.daemon = True
-    if where.is_terminal:
-        late.start()
+    late.start()
     try:
-        yield Bar(bar, task)
+        yield shown
     finally:
+        late.cancel()
+        late.join()
         if where.is_terminal:
-            late.cancel()
-            late.join()
             bar.stop()
 
 

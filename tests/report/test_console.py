@@ -105,6 +105,17 @@ def test_long_work_shows_a_bar_even_within_its_first_step() -> None:
     assert "first\x1b[31m" not in shown
 
 
+def test_a_file_is_told_what_takes_long_within_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("moc_opt.report.console.LINE_EVERY_S", 0.02)
+    file = io.StringIO()
+    with progress("ticks", 3, on=console(file=file)) as bar:
+        bar.at("compiles")
+        deadline = time.monotonic() + 60.0
+        while not file.getvalue() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    assert file.getvalue().splitlines() == ["ticks  compiles"]
+
+
 def test_an_error_ends_the_bar() -> None:
     where, file = terminal()
 
