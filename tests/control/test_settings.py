@@ -27,15 +27,17 @@ def test_which_table_is_taken():
 @pytest.mark.parametrize("settings", [
     ControlSettings(), ControlSettings(gains=None), ControlSettings(gains="moc", K_X=1234.0), ControlSettings.paper(),
     ControlSettings.tuned(), ControlSettings.robust(), ControlSettings(law="dcac", gains=None),
+    ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_the_matched_baseline_has_the_same_gains(settings, robot):
-    """DCAC with the table, and the settings on top of it, that the given law uses."""
+    """DCAC with the table, and the settings on top of it, that the given law uses; the observer's gain too."""
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
     assert changed.law == "dcac"
     assert matched[:4] == given[:4]
     assert not matched.K_N2.any()
+    assert changed.observer_rate_per_s == settings.observer_rate_per_s
 
 
 def test_a_setting_beats_the_table():
