@@ -35,8 +35,8 @@ SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
 another hump."""
 INSIDE = 1e-9
-"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; of a step that is hardly longer,
-half at most is taken off."""
+"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
+off."""
 
 
 def refine(
