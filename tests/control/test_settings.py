@@ -136,7 +136,8 @@ def test_paper_preset():
 def test_presets_by_name():
     assert ControlSettings.preset("paper", law="dcac") == ControlSettings.paper(law="dcac")
     assert ControlSettings.preset("tuned") == ControlSettings.tuned()
-    assert ControlSettings.preset("robust") == ControlSettings.tuned(gains="robust", observer_gain_per_s=22.0)
+    softer = ControlSettings.tuned(gains="robust", observer_gain_per_s=22.0, course_observer_gain_per_s=22.0)
+    assert ControlSettings.preset("robust") == softer
     assert ControlSettings.tuned(K_N=900.0).K_N == 900.0
     assert ControlSettings.tuned().law == "moc"
     with pytest.raises(UnknownNameError, match=r"control preset 'papr': did you mean 'paper'"):
@@ -181,3 +182,10 @@ def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_
     assert ControlSettings().observer_rate_per_s == 20.0
     assert ControlSettings(third_level="receding").observer_rate_per_s == 40.0
     assert ControlSettings(third_level="receding", observer_gain_per_s=0.0).observer_rate_per_s == 0.0
+
+
+@pytest.mark.parametrize("name", ["tuned", "robust"])
+def test_a_preset_keeps_its_observer_under_a_course(name):
+    """It was found, or softened, together with the gains: the delay that the loop bears depends on it."""
+    settings = ControlSettings.preset(name, third_level="planned")
+    assert settings.observer_rate_per_s == ControlSettings.preset(name).observer_gain_per_s
