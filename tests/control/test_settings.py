@@ -185,7 +185,7 @@ def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_
 
 
 @pytest.mark.parametrize("name", ["tuned", "robust"])
-def test_a_preset_keeps_its_observer_under_a_course(name):
+def test_a_preset_has_no_faster_observer_under_a_course(name):
     """It was found, or softened, together with the gains: the delay that the loop bears depends on it."""
     settings = ControlSettings.preset(name, third_level="planned")
-    assert settings.observer_rate_per_s == ControlSettings.preset(name).observer_gain_per_s
+    assert settings.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s
