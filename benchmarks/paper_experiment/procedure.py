@@ -147,7 +147,7 @@ def _run(
     )
     mu = np.array([robot.state(pose).mu for pose in trace.q_rad])
     waited = float(times[min(last, len(times) - 1)] - (reference.t_start + reference.duration))
-    trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names)
+    trace = judged_for_oscillation(trace.with_columns(mu=mu), robot.data.joint_names, robot.chain.prismatic)
     return trace, waited, float(np.mean(~watch.seen) * seconds)
 
 

@@ -229,7 +229,10 @@ class ControlSettings(Settings):
 
     def matched_dcac(self) -> dict[str, Any]:
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
-        return {"law": "dcac", "gains": self.gains or self.law, "third_level": "local"}
+        return {
+            "law": "dcac", "gains": self.gains or self.law, "third_level": "local",
+            "observer_gain_per_s": self.observer_rate_per_s,  # a course has one of its own
+        }  # fmt: skip
 
     @property
     def follows(self) -> bool:

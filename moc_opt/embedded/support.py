@@ -30,6 +30,11 @@ OBEYED = frozenset((
     "speed_fraction", "limit_margin_rad", "limit_margin_m", "shaft_margin_m2", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
 
+# What is read where a course is followed alone.
+OF_A_COURSE = frozenset((
+    "horizon_s", "replan_per_s", "course_speed_fraction", "course_margin_rad", "course_observer_gain_per_s",
+))  # fmt: skip
+
 
 # Every field of SafetyFilterSettings and SupervisorSettings that the C code follows.
 GUARDED = frozenset((
@@ -79,7 +84,7 @@ def check_supported(spec: TickSpec) -> None:
     if not moc and solver is not None:
         raise ControlError(f"law: 'dcac' takes no solver, given {solver.name!r}; leave it out")
     # What a law never reads cannot be left out of its C.
-    unread = set[str]() if moc and settings.third_level != "local" else {"horizon_s", "replan_per_s"}
+    unread = frozenset[str]() if settings.follows else OF_A_COURSE
     _refuse_unknown(settings, OBEYED | unread | (set() if moc else {"climb"}))
     _refuse_unknown(settings.supervisor, SUPERVISED)
     if not 0.0 <= settings.observer_gain_per_s * period < 1.0:

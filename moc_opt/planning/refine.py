@@ -35,7 +35,8 @@ SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
 another hump."""
 INSIDE = 1e-9
-"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]."""
+"""Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
+off."""
 
 
 def refine(
@@ -89,13 +90,14 @@ def refine(
     across = across_shafts((targets.wrist - targets.tip)[there])
     rows: list[tuple[Any, Any, Any]] = [(ca.vec(tip[:, there] - wanted), 0.0, 0.0)]
     rows += [(ca.sum1(ca.DM(side.T) * (wrist[:, there] - wanted)).T, 0.0, 0.0) for side in across]
-    step = (speed_share * robot.v_max * targets.period_s)[moving] - INSIDE
-    most = np.tile(step, k - 1)
+    step = (speed_share * robot.v_max * targets.period_s)[moving]
+    most = np.tile(np.maximum(step - INSIDE, 0.5 * step), k - 1)
     rows.append((ca.vec(x[:, 1:] - x[:, :-1]), -most, most))
     if np.isfinite(acceleration):
         rest_on = ca.horzcat(x[:, 0], x)
         gained = rest_on[:, 2:] - 2.0 * rest_on[:, 1:-1] + rest_on[:, :-2]
-        most_gained = np.full(a * (k - 1), acceleration * targets.period_s**2 - INSIDE)
+        gain = acceleration * targets.period_s**2
+        most_gained = np.full(a * (k - 1), max(gain - INSIDE, 0.5 * gain))
         rows.append((ca.vec(gained), -most_gained, most_gained))
     keep = margin_rad + INSIDE
     low, high = (np.tile(limit[moving], k) for limit in (robot.q_min + keep, robot.q_max - keep))

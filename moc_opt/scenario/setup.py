@@ -216,7 +216,7 @@ class Setup:
             return self._streamed(to.absolute(), meta, watch, block)
         found = self._simulate(watch, meta)
         trace = Trace({**found.columns, **self._row_by_row(found.columns)}, found.meta)
-        trace = judged_for_oscillation(trace, self.robot.data.joint_names)
+        trace = judged_for_oscillation(trace, self.robot.data.joint_names, self.robot.chain.prismatic)
         columns, told = self._yardsticks(trace)
         return trace.with_columns(**columns).with_meta(**told)
 
@@ -262,7 +262,8 @@ class Setup:
                     writer.finish({**told, **meta})
                     error.add_note(f"the first {rows * period:.3f} s of the run are in {to}")
                 raise
-            run = judged_for_oscillation(Trace.of_files(writer.columns(), found.meta), self.robot.data.joint_names)
+            run = Trace.of_files(writer.columns(), found.meta)
+            run = judged_for_oscillation(run, self.robot.data.joint_names, self.robot.chain.prismatic)
             yardsticks, told = self._yardsticks(run)
             writer.finish({**run.meta, **told}, yardsticks)
         trace = Trace.open(to)

@@ -17,27 +17,33 @@ joint, K_N2 = 80 and D_N2 = 1, the rest as in the robot's `default`:
 | the default scenario, its gains unchanged, with one, two and three ticks of delay: sound | 0.012 to 0.013 | 0.5 |
 | the same with rho = 0 | 0.48 | 26 |
 
-Both limits lie near the geometric middle of sound and unsound. A single jerk is no oscillation: without its loudest
-quarter, the second has to hold half of a limit still. DCAC's elbow, which nothing holds, slipped by a radian within
-0.1 s in one of 270 runs: 0.40 rad/s with that quarter, 0.03 without. With the paper's rho = 0 the answer jumps between
-vertices: where that shakes the arm it is chatter like any other, and is called so.
+Both limits lie near the geometric middle of sound and unsound. Those of a joint that slides are the same motion at
+0.4 m from an axis, of a mass that goes with such an axis: 0.08 m/s, and 100 N (the rail's sound runs have 11 N). A
+single jerk is no oscillation: without its loudest quarter, the second has to hold half of a limit still. DCAC's
+elbow, which nothing holds, slipped by a radian within 0.1 s in one of 270 runs: 0.40 rad/s with that quarter, 0.03
+without. With the paper's rho = 0 the answer jumps between vertices: where that shakes the arm it is chatter like any
+other, and is called so.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import TraceError
 from moc_opt.trace.trace import MissingDataError, Trace
 
 Floats = NDArray[np.float64]
+Flags = Sequence[bool] | NDArray[np.bool_]
 
 LIMIT_RAD_PER_S = 0.2
 LIMIT_NM = 10.0
+LIMIT_M_PER_S, LIMIT_N = 0.08, 100.0
+"""Of a joint that slides."""
 PARTS, LOUDEST, KEPT_UP = 8, 2, 0.5
 """Of so many parts of the worst window the loudest ones are left out, and the rest holds this share of a limit."""
 ABOVE_HZ = 8.0
@@ -54,7 +60,7 @@ class Shaking(NamedTuple):
     rms: float
     """root mean square above ABOVE_HZ, of the worst window, in the column's unit"""
     frequency_Hz: float
-    """at which its spectrum is largest there"""
+    """at which its spectrum above ABOVE_HZ is largest there"""
     rest: float
     """root mean square of that window without its loudest quarter"""
 
@@ -63,7 +69,7 @@ class Shaking(NamedTuple):
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
-def shaking(trace: Trace, column: str) -> Shaking:
+def shaking(trace: Trace, column: str, limits: ArrayLike = 1.0) -> Shaking:
     """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
 
     A run shorter than two windows is cut in half: what comes before is its start, the rest one window.
@@ -71,6 +77,7 @@ def shaking(trace: Trace, column: str) -> Shaking:
     Args:
         trace: of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
+        limits: of each joint (n,): the largest is that with the largest share of its own.
 
     Raises:
         MissingDataError: no such column, no time, ticks that lie apart, or fewer than four of them.
@@ -91,10 +98,12 @@ def shaking(trace: Trace, column: str) -> Shaking:
     fast = above(values, max(1, round(1.0 / (ABOVE_HZ * period))))[first:]
     total = np.concatenate([np.zeros((1, fast.shape[1])), np.cumsum(fast * fast, axis=0)])
     squares = np.maximum(total[window:] - total[:-window], 0.0) / window
-    row, joint = (int(i) for i in np.unravel_index(np.argmax(squares), squares.shape))
+    shares = squares / np.square(np.asarray(limits, dtype=np.float64))
+    row, joint = (int(i) for i in np.unravel_index(np.argmax(shares), shares.shape))
     worst = fast[row : row + window, joint]
     spectrum = np.abs(np.fft.rfft((worst - worst.mean()) * np.hanning(window)))
-    frequency = float(np.argmax(spectrum)) / (window * period)
+    least = min(math.ceil(ABOVE_HZ * window * period), len(spectrum) - 1)
+    frequency = float(least + np.argmax(spectrum[least:])) / (window * period)
     parts = np.sort([float(part @ part) for part in np.array_split(worst, PARTS)])[:-LOUDEST]
     rest = float(np.sqrt(parts.sum() / (window * (1.0 - LOUDEST / PARTS))))
     return Shaking(joint, float(np.sqrt(squares[row, joint])), frequency, rest)
@@ -108,25 +117,33 @@ def above(values: Floats, width: int) -> Floats:
     return np.asarray(values - (total[end] - total[begin]) / (end - begin)[:, None])
 
 
-def describe(trace: Trace, joint_names: Sequence[str]) -> str:
+def describe(trace: Trace, joint_names: Sequence[str], slides: Flags) -> str:
     """Say which joint oscillates, how fast and how much; empty where none does.
 
     Raises:
         MissingDataError: see ``shaking``.
     """
-    v, tau = shaking(trace, "v_rad_per_s"), shaking(trace, "tau_Nm")
-    if v.above(LIMIT_RAD_PER_S):
-        return f"{joint_names[v.joint]} at {v.frequency_Hz:.0f} Hz, {v.rms:.2f} rad/s"
-    if tau.above(LIMIT_NM):
-        return f"{joint_names[tau.joint]} at {tau.frequency_Hz:.0f} Hz, {tau.rms:.0f} Nm"
+    speeds = np.where(slides, LIMIT_M_PER_S, LIMIT_RAD_PER_S)
+    efforts = np.where(slides, LIMIT_N, LIMIT_NM)
+    v, tau = shaking(trace, "v_rad_per_s", speeds), shaking(trace, "tau_Nm", efforts)
+    if v.above(speeds[v.joint]):
+        return f"{joint_names[v.joint]} at {v.frequency_Hz:.0f} Hz, {v.rms:.2f} {'m' if slides[v.joint] else 'rad'}/s"
+    if tau.above(efforts[tau.joint]):
+        unit = "N" if slides[tau.joint] else "Nm"
+        return f"{joint_names[tau.joint]} at {tau.frequency_Hz:.0f} Hz, {tau.rms:.0f} {unit}"
     return ""
 
 
-def judged_for_oscillation(trace: Trace, joint_names: Sequence[str]) -> Trace:
+def judged_for_oscillation(trace: Trace, joint_names: Sequence[str], slides: Flags) -> Trace:
     """Return the trace, with ``meta["ended"]`` "oscillated: ..." where it was "completed" and a joint oscillates.
 
     Where the guard stopped it and a joint had oscillated before, "stopped: ..." goes on to say so. In a run that ends
     within half a window after its start nothing is told from a jerk: it stays as it is.
+
+    Args:
+        trace: as it was recorded.
+        joint_names: of every joint.
+        slides: whether it slides, of every joint.
     """
     ended, stopped_s = trace.meta.get("ended"), trace.meta.get("stopped_at_s")
     # A stop begins with a jerk of its own.
@@ -134,7 +151,7 @@ def judged_for_oscillation(trace: Trace, joint_names: Sequence[str]) -> Trace:
     brief = len(judged) < 4 or judged.t_s[-1] - judged.t_s[0] < START_S + 0.5 * WINDOW_S
     if brief or (ended != "completed" and stopped_s is None):
         return trace
-    found = describe(judged, joint_names)
+    found = describe(judged, joint_names, slides)
     if not found:
         return trace
     said = f"oscillated: {found}" if stopped_s is None else f"{ended}; oscillated before: {found}"

@@ -27,15 +27,17 @@ def test_which_table_is_taken():
 @pytest.mark.parametrize("settings", [
     ControlSettings(), ControlSettings(gains=None), ControlSettings(gains="moc", K_X=1234.0), ControlSettings.paper(),
     ControlSettings.tuned(), ControlSettings.robust(), ControlSettings(law="dcac", gains=None),
+    ControlSettings(third_level="planned"), ControlSettings(third_level="receding", observer_gain_per_s=0.0),
 ])  # fmt: skip
 def test_the_matched_baseline_has_the_same_gains(settings, robot):
-    """DCAC with the table, and the settings on top of it, that the given law uses."""
+    """DCAC with the table, and the settings on top of it, that the given law uses; the observer's gain too."""
     given = settings.resolve_gains(robot.data.gains, 7)
     changed = ControlSettings(**{**settings.model_dump(), **settings.matched_dcac()})
     matched = changed.resolve_gains(robot.data.gains, 7)
     assert changed.law == "dcac"
     assert matched[:4] == given[:4]
     assert not matched.K_N2.any()
+    assert changed.observer_rate_per_s == settings.observer_rate_per_s
 
 
 def test_a_setting_beats_the_table():
@@ -134,7 +136,8 @@ def test_paper_preset():
 def test_presets_by_name():
     assert ControlSettings.preset("paper", law="dcac") == ControlSettings.paper(law="dcac")
     assert ControlSettings.preset("tuned") == ControlSettings.tuned()
-    assert ControlSettings.preset("robust") == ControlSettings.tuned(gains="robust", observer_gain_per_s=22.0)
+    softer = ControlSettings.tuned(gains="robust", observer_gain_per_s=22.0, course_observer_gain_per_s=22.0)
+    assert ControlSettings.preset("robust") == softer
     assert ControlSettings.tuned(K_N=900.0).K_N == 900.0
     assert ControlSettings.tuned().law == "moc"
     with pytest.raises(UnknownNameError, match=r"control preset 'papr': did you mean 'paper'"):
@@ -179,3 +182,10 @@ def test_the_observer_under_a_course_has_its_own_gain_and_stays_off_where_it_is_
     assert ControlSettings().observer_rate_per_s == 20.0
     assert ControlSettings(third_level="receding").observer_rate_per_s == 40.0
     assert ControlSettings(third_level="receding", observer_gain_per_s=0.0).observer_rate_per_s == 0.0
+
+
+@pytest.mark.parametrize("name", ["tuned", "robust"])
+def test_a_preset_has_no_faster_observer_under_a_course(name):
+    """It was found, or softened, together with the gains: the delay that the loop bears depends on it."""
+    settings = ControlSettings.preset(name, third_level="planned")
+    assert settings.observer_rate_per_s <= ControlSettings.preset(name).observer_gain_per_s

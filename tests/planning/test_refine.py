@@ -114,3 +114,13 @@ def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) 
         late.append(float(np.array(excess)[:, robot.moves.any(axis=0).tolist() * 2].max()))
     assert late[0] > 0.05
     assert late[1] < 1e-6
+
+
+@pytest.mark.parametrize("slow", [{"speed_share": 1e-10}, {"acceleration": 1e-7}])
+def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot: RobotModel, slow: dict[str, float]) -> None:
+    """Also where a step is shorter than what limits are kept inside by: no bounds that cross."""
+    q = robot.data.q_home
+    found, step = map_of(robot, q, count=20)
+    answer = search(found, step)
+    assert answer.q_rad is not None
+    assert not refine(robot, found.targets, make_course(robot, found.targets, answer.q_rad, **slow), **slow).kept
