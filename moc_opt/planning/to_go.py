@@ -13,7 +13,7 @@ of the half cell around it.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -47,6 +47,12 @@ class End(NamedTuple):
     high: float
 
 
+def _poses_and_ways(found: PoseMap, k: int) -> tuple[Array, Array]:
+    """Poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
+    q = found.poses(k)
+    return q, 0.5 * half_cells(q)
+
+
 class ToGo:
     """V over a map of k times, b branches, m samples."""
 
@@ -60,7 +66,8 @@ class ToGo:
         """
         self._price = price / found.targets.period_s
         self.map, self._step, count = found, step_rad, len(found.targets)
-        self._poses = lru_cache(KEPT)(self._evaluated)
+        # Not a method: the object would hold itself, 50 MB that wait for the garbage collector.
+        self._poses = lru_cache(KEPT)(partial(_poses_and_ways, found))
         weight = weights(count) * found.targets.period_s
         self._gain = np.where(found.feasible(margin_rad), found.mu * weight[:, None, None], -np.inf)
         self.value = np.array(self._gain)
@@ -118,11 +125,6 @@ class ToGo:
             return End(q[j], along, 0.0, 0.0, min(z[near]), max(z[near]))
         bend, slope, _ = np.polyfit(z[near], value[near] - value[j], 2)
         return End(q[j], along, float(slope), float(min(2.0 * bend, 0.0)), min(z[near]), max(z[near]))
-
-    def _evaluated(self, k: int) -> tuple[Array, Array]:
-        """Poses (b,m,n), and the way that each stands for, (b,m,n) [rad]."""
-        q = self.map.poses(k)
-        return q, 0.5 * half_cells(q)
 
     def _spread(
         self, k: int, before: Array, slack: Array, value_before: Array, gain: Array, periods: float = 1.0

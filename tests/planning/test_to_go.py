@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from functools import cache
 
 import numpy as np
@@ -46,6 +48,19 @@ def test_no_course_from_a_pose_is_worth_more(seed: int, step: float, price: floa
         [[worth(found, cells(to_go), step, k, b, j, price) for j in range(3)] for b in range(2)] for k in range(4)
     ])  # fmt: skip
     np.testing.assert_allclose(to_go.value, expected, atol=1e-12)
+
+
+def test_it_goes_with_its_last_user() -> None:
+    """A map's poses are tens of megabytes: a study of many runs must not wait for the garbage collector."""
+    gc.collect()
+    gc.disable()
+    try:
+        to_go = ToGo(small(np.random.default_rng(0), k=4, m=3), np.array([0.3]))
+        gone = weakref.ref(to_go)
+        del to_go
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 @cache
