@@ -79,9 +79,10 @@ def courses(job: Job) -> list[dict[str, Any]]:
     if mine is None or best is None:
         return [row]
     row |= {"from_start": mine.mu_mean, "certified": mine.certified, "violation": mine.violation,
-            "start_loss_percent": 100.0 * (1.0 - mine.mu_mean / best.mu_mean),
-            "bound_gap_percent": 100.0 * (found.bound_from_start / mine.mu_mean - 1.0),
-            "bound_gap_best_percent": 100.0 * (found.bound / best.mu_mean - 1.0)}  # fmt: skip
+            "start_loss_percent": 100.0 * (1.0 - mine.mu_mean / best.mu_mean)}  # fmt: skip
+    for name, bound, course in (("", found.bound_from_start, mine), ("_best", found.bound, best)):
+        if np.isfinite(bound):
+            row[f"bound_gap{name}_percent"] = 100.0 * (bound / course.mu_mean - 1.0)
     if found.climbed_whole:
         row["climb_gap_percent"] = 100.0 * (1.0 - found.climbed.mu_mean / mine.mu_mean)
     return [row, *(loop(trial, name, change, mine.mu_mean, best.mu_mean) for name, change in job.loops.items())]

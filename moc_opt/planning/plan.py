@@ -51,9 +51,10 @@ class Plan:
     climbed: Course
     """What a local climb reaches; shorter than the path where it runs into a limit."""
     bound_from_start: float
-    """No course from the start is better, in the objective's unit; NaN where there is none."""
+    """No course from the start that the map resolves is better, in the objective's unit; NaN where one was found that
+    is: it passes so near a singular pose that mu changes within a step of the map."""
     bound: float
-    """No course at all is better."""
+    """The same of every course, from any start."""
     blocked: Blocked | None
     """Where and why the path cannot be executed from the start; None: it can."""
     start_swivel_rad: float
@@ -172,8 +173,8 @@ def make_plan(
     return Plan(
         objective, targets, mine, best,
         make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
-        np.nan if mine is None else bounds[0].value,
-        bound=np.nan if best is None else bounds[1].value,
+        _bound(bounds[0], mine, objective),
+        bound=_bound(bounds[1], best, objective),
         blocked=None if mine is not None else blocked(
             robot, found, answers[0], start[0], step, margin_rad, proven=bounds[0].q_rad is None
         ),
@@ -182,6 +183,11 @@ def make_plan(
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
         map_s=took[0], search_s=took[1], refine_s=took[2],
     )  # fmt: skip
+
+
+def _bound(found: Search, course: Course | None, objective: Objective) -> float:
+    """The map's bound on a course; NaN without a course, and where the course shows that it is none."""
+    return np.nan if course is None or course.value(objective) > found.value else found.value
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 720) -> PoseMap:

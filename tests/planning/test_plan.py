@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import MOST_VIOLATION
 from moc_opt.planning.plan import make_plan
+from moc_opt.planning.search import Search, search
 from moc_opt.planning.targets import Targets
 from moc_opt.procedure.reachability import UnreachableError, check_reachable
 from moc_opt.scenario import Scenario, planned
@@ -37,6 +41,22 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert again.from_start is not None
     assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
+
+
+def test_a_bound_that_a_course_shows_to_be_none_is_not_given(
+    robot: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A map too coarse for what mu does between its poses, made by counting the mu of its bound as less."""
+
+    def too_low(*given: Any, generous: bool = False, **named: Any) -> Search:
+        found = search(*given, generous=generous, **named)
+        return replace(found, value=0.9 * found.value) if generous else found
+
+    monkeypatch.setattr("moc_opt.planning.plan.search", too_low)
+    plan = make_plan(robot, robot.data.q_home, task(robot, robot.data.q_home, 20), swivels=180)
+    assert plan.best is not None
+    assert np.isnan(plan.bound)
+    assert np.isnan(plan.bound_from_start)
 
 
 def test_the_first_point_out_of_reach_has_no_pose_and_the_one_before_has(robot: RobotModel) -> None:
