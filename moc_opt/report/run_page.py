@@ -14,7 +14,7 @@ from moc_opt.report.page import Page
 from moc_opt.report.run_table import part, refusals, run_table, warnings
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
-from moc_opt.trace.views import about
+from moc_opt.trace.views import about, table
 
 COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
 """Of the map."""
@@ -43,8 +43,8 @@ def run_page(
         page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
     page.section("What to look at first")
     short = {name: run_table(name, traces[name], values, first=True) for name, values in metrics.items()}
-    for table in beside(short, traces):
-        page.table(table)
+    for shown in beside(short, traces):
+        page.table(shown)
     page.section("Over time")
     page.figure(
         time_series(traces, styles=styles),
@@ -61,18 +61,18 @@ def run_page(
         page.text(f"There is no map: {error}")
     page.section("All metrics")
     whole = {name: run_table(name, traces[name], values, explained=True) for name, values in metrics.items()}
-    for table in beside(whole, traces):
-        page.table(table)
+    for shown in beside(whole, traces):
+        page.table(shown)
     return page
 
 
 def asked(trace: Trace) -> str:
     """Say in a few words what was run; empty where the trace does not say."""
-    scenario = trace.meta.get("scenario") or {}
+    scenario = table(trace.meta, "scenario")
     law = about(trace).get("solver")
     known = {
-        "path": (scenario.get("task") or {}).get("path"), "controller" if law == "dcac" else "solver": law,
-        "gains": (scenario.get("control") or {}).get("gains"), "seed": scenario.get("seed"),
+        "path": table(scenario, "task").get("path"), "controller" if law == "dcac" else "solver": law,
+        "gains": table(scenario, "control").get("gains"), "seed": scenario.get("seed"),
     }  # fmt: skip
     return ", ".join(f"{word} {value}" for word, value in known.items() if value is not None)
 
@@ -89,13 +89,13 @@ def beside(tables: Mapping[str, Table], traces: Mapping[str, Trace]) -> list[Tab
     if len(tables) < 2 or any(part(traces[name]) for name in tables):
         return list(tables.values())
     rows: dict[str, dict[str, Any]] = {}
-    for k, table in enumerate(tables.values()):
-        for row in table.rows:
+    for k, run in enumerate(tables.values()):
+        for row in run.rows:
             said = row.get("says", "")
             joint = rows.setdefault(row["metric"], {"metric": row["metric"], "says": said})
             joint[f"run {k}"] = row["value"]
             joint["says"] = said if joint["says"] == said else ""
     runs = [Column(f"run {k}", name) for k, name in enumerate(tables)]
-    captions = dict.fromkeys(table.caption for table in tables.values() if table.caption)
+    captions = dict.fromkeys(run.caption for run in tables.values() if run.caption)
     columns = [Column("metric", "metric"), *runs, Column("says", "what it says")]
     return [Table(" and ".join(tables), columns, list(rows.values()), "\n".join(captions))]

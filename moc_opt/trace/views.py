@@ -23,12 +23,17 @@ if TYPE_CHECKING:
 AXES = ("x", "y", "z")
 
 
+def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a table of the meta; an empty one where a foreign file has something else in its place."""
+    found = of.get(name)
+    return found if isinstance(found, dict) else {}
+
+
 def about(trace: Trace) -> dict[str, str]:
     """Return what a reader asks first of a run, name -> text; what `meta` does not say is left out."""
     meta = trace.meta
-    tables = meta.get("scenario")
-    scenario = tables if isinstance(tables, dict) else {}
-    control, solver = scenario.get("control") or {}, scenario.get("solver") or {}
+    scenario = table(meta, "scenario")
+    control, solver = table(scenario, "control"), table(scenario, "solver")
     law = "dcac" if control.get("law") == "dcac" else solver.get("name")
     known = {"scenario": scenario.get("name"), "robot": meta.get("robot"), "solver": law, "ended": meta.get("ended")}
     length = {"ticks": str(len(trace))}

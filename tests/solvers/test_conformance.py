@@ -219,7 +219,7 @@ def test_sessions_share_nothing(name):
 @every_solver
 def test_a_session_shows_the_settings_that_it_was_started_with(name):
     chosen = solver(name)
-    assert repr(chosen.start(sequence(name, seed=6)[0])) == f"<session of {chosen!r}>"
+    assert repr(chosen) in repr(chosen.start(sequence(name, seed=6)[0]))
 
 
 UPDATING = ("osqp", "proxqp", "daqp", "piqp", "quadprog", "clarabel", "casadi:qrqp")
