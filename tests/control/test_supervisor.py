@@ -726,6 +726,38 @@ def test_an_optimum_of_several_freedoms_is_nowhere_off(n):
     assert found[3:] == (0.0, 0.0)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("idle_speed", [0.0, 0.5])
+def test_an_idle_joint_says_nothing_about_the_freedoms_that_count(seed, idle_speed):
+    """Of nine joints the last moves neither tip nor wrist: at the optimum of the others nothing is left to gain."""
+    eight = random_problem(np.random.default_rng(seed), 8, structured=False, regularization=1e-3)
+    still = np.zeros((3, 1))
+    nine = NullSpaceQP(
+        np.hstack([eight.J_tip, still]), np.hstack([eight.J_wrist, still]), eight.v_tip, eight.v_wrist,
+        np.r_[eight.grad_mu, 0.0], np.r_[eight.lower, -1.0], np.r_[eight.upper, 1.0], regularization=1e-3,
+    )  # fmt: skip
+    x = np.r_[solved(eight).x, idle_speed]
+    *_, natural, off, _ = answer_residuals(nine.row, 9, null_space(nine.A), x)
+    assert natural < 1e-6
+    assert off == 0.0
+    mine = Supervisor(SupervisorSettings(), "damping", 9)
+    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), nine, null_space(nine.A))
+    assert mine.fault is Fault.NONE
+
+
+def test_both_ends_of_a_box_that_leaves_no_room_are_right(qp, Z):
+    """The ends of the line lie nearer to each other than ``opposite_limit``: none of them is false."""
+    x, along = solved(qp).x, 1e-4 * Z[0]
+    low, high = np.minimum(x - along, x + along), np.maximum(x - along, x + along)
+    narrow = NullSpaceQP(
+        qp.J_tip, qp.J_wrist, *np.split(qp.A @ x, 2), qp.grad_mu, low, high, regularization=qp.regularization
+    )
+    for end in (x - along, x + along):
+        mine = supervisor()
+        mine.solve(Scripted(Solution(end, None, Status.SOLVED)), narrow, Z)
+        assert mine.fault is Fault.NONE
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_an_idle_joint_that_is_the_only_freedom_is_judged_as_one(seed):
     """Five joints for five independent rows, and one that moves neither tip nor wrist."""
