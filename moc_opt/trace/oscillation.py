@@ -69,7 +69,7 @@ class Shaking(NamedTuple):
         return self.rms > limit and self.rest > KEPT_UP * limit
 
 
-def shaking(trace: Trace, column: str, limits: ArrayLike = 1.0) -> Shaking:
+def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
     """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
 
     A run shorter than two windows is cut in half: what comes before is its start, the rest one window.
@@ -77,7 +77,8 @@ def shaking(trace: Trace, column: str, limits: ArrayLike = 1.0) -> Shaking:
     Args:
         trace: of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
-        limits: of each joint (n,): the largest is that with the largest share of its own.
+        limits: of each joint (n,): the largest is that with the largest share of its own, and a jerk is not taken
+            where an oscillation beyond a limit is there too; None: the largest, whatever it is.
 
     Raises:
         MissingDataError: no such column, no time, ticks that lie apart, or fewer than four of them.
@@ -98,7 +99,22 @@ def shaking(trace: Trace, column: str, limits: ArrayLike = 1.0) -> Shaking:
     fast = above(values, max(1, round(1.0 / (ABOVE_HZ * period))))[first:]
     total = np.concatenate([np.zeros((1, fast.shape[1])), np.cumsum(fast * fast, axis=0)])
     squares = np.maximum(total[window:] - total[:-window], 0.0) / window
-    shares = squares / np.square(np.asarray(limits, dtype=np.float64))
+    bounds = np.broadcast_to(1.0 if limits is None else np.asarray(limits, dtype=np.float64), squares.shape[1:])
+    shares = squares / np.square(bounds)
+    loudest = found = _at(fast, squares, shares, period)
+    if limits is None:
+        return loudest
+    while not found.above(bounds[found.joint]) and shares.max() > 1.0:
+        # A jerk: another joint, or this one at another time, may still oscillate.
+        row = int(np.argmax(shares[:, found.joint]))
+        shares[max(row - window // PARTS, 0) : row + window // PARTS + 1, found.joint] = 0.0
+        found = _at(fast, squares, shares, period)
+    return found if found.above(bounds[found.joint]) else loudest
+
+
+def _at(fast: Floats, squares: Floats, shares: Floats, period: float) -> Shaking:
+    """Look at the window with the largest share."""
+    window = len(fast) - len(squares) + 1
     row, joint = (int(i) for i in np.unravel_index(np.argmax(shares), shares.shape))
     worst = fast[row : row + window, joint]
     spectrum = np.abs(np.fft.rfft((worst - worst.mean()) * np.hanning(window)))

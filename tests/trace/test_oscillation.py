@@ -66,6 +66,18 @@ def test_a_joint_that_slides_has_limits_in_its_own_unit(factor, column, limit, u
     assert said.endswith(f" {unit}") and said.startswith("joint_1 at 71 Hz") if factor > 1.0 else said == ""
 
 
+@pytest.mark.parametrize("joint", [2, 5])
+def test_a_jerk_hides_no_oscillation(joint):
+    """A jerk of joint 3 that is louder than what shakes that joint later, or another one all the time."""
+    values = np.array(made(joint, 0.5, 40.0, where=(1.7, 9.0), ticks=2000).v_rad_per_s)
+    jerk = made(2, 3.0, 16.0, where=(0.8, 0.8625), ticks=2000)
+    values[:, 2] += jerk.v_rad_per_s[:, 2]
+    assert describe(jerk, NAMES, TURNING) == ""
+    both = jerk.with_columns(v_rad_per_s=values)
+    assert shaking(both, "v_rad_per_s").joint == 2  # the metric is the loudest, whatever it is
+    assert describe(both, NAMES, TURNING).startswith(f"joint_{joint + 1} at 40 Hz")
+
+
 def test_the_frequency_is_one_that_counts():
     """What lies below is stronger in the spectrum, where the centred mean lets a part of it through."""
     trace = made(2, 1.2, 20.0)
