@@ -54,7 +54,7 @@ def _plan_scenario(given: argparse.Namespace) -> int:
     if given.place is not None:
         places = place(scenario, given.place, box_m=box_m, candidates=candidates, objective=given.objective, **within)
     took = time.perf_counter() - began
-    follows = scenario.control.third_level != "local" or given.out is not None
+    follows = scenario.control.follows or given.out is not None
     warned = following_warnings(scenario, found) if follows else []
     for line in warned:
         print(f"{title}: warning: {line}", file=sys.stderr)

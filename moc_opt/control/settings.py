@@ -172,7 +172,7 @@ class ControlSettings(Settings):
 
     @model_validator(mode="after")
     def _third_level_of_moc(self) -> Self:
-        if self.law == "dcac" and self.third_level != "local":
+        if self.law == "dcac" and self.follows:
             raise ValueError(
                 f"law = 'dcac' with third_level = {self.third_level!r}: dcac has no third level; "
                 "take law = 'moc', or leave third_level out"

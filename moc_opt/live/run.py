@@ -262,7 +262,7 @@ class LiveRun:
         self._push_until = self._loop.ticks + max(1, round(seconds / self.period_s))
 
     def _build(self, control: ControlSettings, name: str) -> Controller:
-        if control.third_level != "local":
+        if control.follows:
             raise LiveError(
                 f"[control] third_level = {control.third_level!r}: a live run goes to and fro for ever, and a course "
                 "ends with its path; take third_level = 'local'"

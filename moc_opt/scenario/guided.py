@@ -89,16 +89,17 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
         # Where no smooth course brakes off in time: a slower one, at last without the rule.
-        for share, rule in ((fastest, brake), (SLOWER * fastest, brake), (SLOWER * fastest, np.inf)):
+        for share, rules in ((fastest, (brake,)), (SLOWER * fastest, (brake, np.inf))):
             found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
             if found.from_start is None:
                 break
-            course = refine(
-                robot, targets, found.from_start, margin_rad=margin, speed_share=share,
-                smoothness=SMOOTHNESS["planned"], brake=rule,
-            )  # fmt: skip
-            if course is not found.from_start or rule == np.inf:
-                return course
+            for rule in rules:
+                course = refine(
+                    robot, targets, found.from_start, margin_rad=margin, speed_share=share,
+                    smoothness=SMOOTHNESS["planned"], brake=rule,
+                )  # fmt: skip
+                if course is not found.from_start or rule == np.inf:
+                    return course
     raise _stuck(scenario, found)
 
 
