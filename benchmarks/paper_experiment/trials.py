@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt import scenario
-from moc_opt.control.settings import GAINS
+from moc_opt.control.gains import GAINS
 from moc_opt.errors import MocOptError
 from moc_opt.redundancy.transient import in_transient
 from moc_opt.robots import load_data

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.gains import GAINS
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER, constants
