@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 from benchmarks.answer import Answer, Picture, marked_answer
 from benchmarks.latency.report import GOALS
 from benchmarks.latency.wire import SAFE_RCM_M, Case, Found
+from moc_opt.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.numerics.arrays import Array
-from moc_opt.report.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -11,8 +11,8 @@ from benchmarks.answer import Answer, Picture, interval_picture
 from benchmarks.paper_experiment.tables import Summary
 from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, Claim
 from moc_opt.comparison.statistics import spread
-from moc_opt.report.figures.style import GOOD, SERIES, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import GOOD, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 
 NETWORK = "rnn"

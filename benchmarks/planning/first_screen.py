@@ -9,8 +9,8 @@ from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_pictur
 from benchmarks.planning.goals import MOST_CHANGE_PERCENT, MOST_GAP_PERCENT
 from benchmarks.planning.parts import ERRORS
 from moc_opt.comparison.statistics import StatisticsError, mean
-from moc_opt.report.figures.style import GOOD, SERIES, Styles, figure, label, log_axis, rule
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import GOOD, SERIES, Styles, figure, label, log_axis, rule
 from moc_opt.report.tables import Column, Table
 
 Rows = Sequence[Mapping[str, Any]]

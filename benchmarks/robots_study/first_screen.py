@@ -8,8 +8,8 @@ from typing import Any
 from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_picture
 from benchmarks.robots_study.tables import FINDINGS, LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, of
 from moc_opt.comparison.statistics import spread
-from moc_opt.report.figures.style import BAD, GOOD, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import BAD, GOOD, WORST
 from moc_opt.report.tables import Column, Table
 
 RESULTS, FOUND, EACH = "Results", "Which findings hold where", "One picture an arm"

@@ -12,10 +12,10 @@ from benchmarks.answer import Answer, Picture, interval_picture
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.verdicts import AVOID, BEST_MU, GAPS, NEAR, OTHER, SOUND, TAKE, Row, assess
+from moc_opt import figures
 from moc_opt.comparison.statistics import spread
-from moc_opt.report import figures
-from moc_opt.report.figures.style import BAD, GOOD, MUTED, SERIES, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 
 CERTIFIED, RECORDED, CLOSED_LOOP = "Certified test sets", "Open loop on a recorded run", "Closed loop"

@@ -24,7 +24,7 @@ from benchmarks.solver_study.cells import RIGHTLY, share_right
 from benchmarks.solver_study.compare import CLOSED, HARMLESS
 from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import NONLINEAR
-from moc_opt.report.notation import Mark, Missing
+from moc_opt.figures.notation import Mark, Missing
 
 Summary = Mapping[str, Any]
 Row = dict[str, Any]

@@ -163,7 +163,7 @@ class Comparison:
         Raises:
             UnknownNameError: no run has such a metric.
         """
-        from moc_opt.report.figures import box_plots
+        from moc_opt.figures import box_plots
 
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
         return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)

@@ -22,8 +22,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from moc_opt.figures.notation import printable
 from moc_opt.inputs.files import to_json
-from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0

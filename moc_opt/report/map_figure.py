@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError
+from moc_opt.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
 from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.manipulability_map import (
     FEASIBLE,
@@ -18,7 +19,6 @@ from moc_opt.redundancy.manipulability_map import (
     Trajectory,
 )
 from moc_opt.redundancy.map_analysis import alike
-from moc_opt.report.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
 
 # Light to dark, so that lines of any of the house's colours with a white edge stand out; the same on dark pages.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from moc_opt.figures.notation import Missing
+from moc_opt.figures.style import Styles
 from moc_opt.redundancy.manipulability_map import SwivelMap, manipulability_map
 from moc_opt.redundancy.map_analysis import (
     ALIKE_RAD,
@@ -18,9 +20,7 @@ from moc_opt.redundancy.map_analysis import (
     alike,
     read_trajectory,
 )
-from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
-from moc_opt.report.notation import Missing
 from moc_opt.report.page import Page
 from moc_opt.report.run_table import below_best
 from moc_opt.report.runs import load_runs

@@ -16,9 +16,9 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, beside, macros, render, save_document
-from moc_opt.report.figures.style import DARK
 from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Table
 
@@ -92,7 +92,7 @@ class Page:
         """Append a numbered figure.
 
         Args:
-            figure: of `report.figures`, or any plotly figure.
+            figure: of `moc_opt.figures`, or any plotly figure.
             caption: what it shows and what to see in it.
             name: of its file, where the figures are saved too; from the caption's first words if empty.
         """

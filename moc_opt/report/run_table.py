@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from moc_opt.report.notation import Missing, Notation, missing
+from moc_opt.figures.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS

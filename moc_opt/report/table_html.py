@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
+from moc_opt.figures.notation import Missing, fraction_length, pretty_unit, printable
 from moc_opt.report.document import macros
-from moc_opt.report.notation import Missing, fraction_length, pretty_unit, printable
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.

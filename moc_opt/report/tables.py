@@ -16,9 +16,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from moc_opt.errors import ReportError
+from moc_opt.figures import notation
+from moc_opt.figures.notation import Mark, Missing, Notation, is_number, printable
 from moc_opt.inputs.notebook import grid_html
-from moc_opt.report import notation
-from moc_opt.report.notation import Mark, Missing, Notation, is_number, printable
 
 EDGE, GAP, TEXT, SHORT_TEXT = 2, 3, 24, 14
 """Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken, and

@@ -95,7 +95,7 @@ def dataset(trace: Trace) -> Any:
 
 def figure(runs: Mapping[str, Trace], columns: Sequence[str] | None) -> Any:
     """See `Trace.plot`; the figure is the one of the reports."""
-    from moc_opt.report.figures import time_series
+    from moc_opt.figures import time_series
 
     return time_series(runs, columns)
 

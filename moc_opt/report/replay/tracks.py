@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.figures.series import PANELS, envelope
 from moc_opt.model.frames import link_frames
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.report.figures.series import PANELS, envelope
 from moc_opt.trace.trace import Trace
 
 FRAMES_PER_S = 30.0

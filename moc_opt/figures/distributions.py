@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import ReportError
-from moc_opt.report.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
+from moc_opt.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]

@@ -8,8 +8,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from moc_opt.errors import ReportError
-from moc_opt.report.figures.labels import label_sides
-from moc_opt.report.figures.style import (
+from moc_opt.figures.labels import label_sides
+from moc_opt.figures.style import (
     BAD,
     FAIR,
     GOOD,
