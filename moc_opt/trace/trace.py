@@ -115,13 +115,13 @@ class Trace:
         """
         return Trace({**self.columns, **arrays}, self.meta)
 
-    def select(self, ticks: ArrayLike) -> Trace:
+    def select(self, ticks: ArrayLike, *, as_part: bool = True) -> Trace:
         """Return the trace of some of the ticks; its column `tick` keeps their numbers.
-
-        Its ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended.
 
         Args:
             ticks: (N,) flags.
+            as_part: ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended; False
+                leaves the meta of the whole run.
 
         Raises:
             TraceError: `ticks` is not one flag per tick.
@@ -129,7 +129,9 @@ class Trace:
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
-        return self._at(mask)._as_part_of(self)
+        columns = {"tick": np.arange(len(self)), **self.columns}
+        found = self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
+        return found._as_part_of(self) if as_part else found
 
     def between(self, start_s: float, stop_s: float) -> Trace:
         """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
@@ -201,11 +203,6 @@ class Trace:
         else:
             columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
         return self._of(columns, self.meta)._as_part_of(self)
-
-    def _at(self, mask: NDArray[np.bool_]) -> Trace:
-        """Return the ticks of a mask (N,), with their numbers, under the meta of the whole run."""
-        columns = {"tick": np.arange(len(self)), **self.columns}
-        return self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
 
     def _as_part_of(self, run: Trace) -> Trace:
         """Say in ``meta`` that these are some of the run's ticks, where they are not all."""

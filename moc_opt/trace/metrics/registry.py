@@ -151,7 +151,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         if not ticks.any():
             return {}
         # Whether the run was completed, and how much of it was driven, is asked of the run, not of its phase.
-        trace, baseline = trace._at(ticks), None if baseline is None else baseline._at(ticks)
+        trace = trace.select(ticks, as_part=False)
+        baseline = None if baseline is None else baseline.select(ticks, as_part=False)
     summary = {}
     for name, function in METRICS.items():
         try:
