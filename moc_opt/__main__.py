@@ -168,7 +168,7 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 
 def _one_line(error: BaseException) -> str:
-    """What went wrong, and where what there is of the run is to be found."""
+    """Return what went wrong, and where what there is of the run is to be found."""
     said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
     where = ""
     if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):

@@ -56,7 +56,7 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
 # Other people's packages; a room that is not named here may use any but those of NEVER.
 ONLY = {
     "errors": set(),
-    "inputs": {"numpy", "pydantic"},
+    "inputs": {"numpy", "pydantic", "jinja2"},
     "numerics": {"numpy", "numba", "llvmlite"},
     "figures": {"numpy", "plotly"},
     "tasks": {"numpy"},

@@ -126,7 +126,7 @@ def _goal(summary: Mapping[str, Any], case: str) -> str | None:
 
 
 def _pictures(runs: Runs) -> Iterator[Picture]:
-    """Histograms: the round trip at each rate, and how late the plant wakes up at the first of them."""
+    """Yield histograms: the round trip at each rate, and how late the plant wakes up at the first of them."""
     rates = sorted({case.rate_Hz for case in runs})
     for rate in rates[:2]:
         late = {f"{NAMES[c.controller]}, {c.load}": sum(run.missed for run in found)

@@ -190,7 +190,7 @@ def any_transient(trial: Scenario, traces: Mapping[str, Trace], **sampling: floa
 
 
 def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> None:
-    """Every controller at the same ticks: see the head of the module."""
+    """Measure every controller at the same ticks: see the head of the module."""
     flags = any_transient(job.trial, traces)
     if flags is None:
         return

@@ -105,7 +105,7 @@ def _setting(summary: Mapping[str, Any], solver: str) -> str:
 
 
 def _avoid(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
-    """What to avoid: solvers with the reason, and the settings that libraries come with."""
+    """Return what to avoid: solvers with the reason, and the settings that libraries come with."""
     parts = []
     for row in rows:
         if row["verdict"] is AVOID:
@@ -189,6 +189,6 @@ def _deadline_picture(rows: Sequence[Row], deadline_us: float) -> list[Picture]:
 
 
 def _tones(rows: Sequence[Row]) -> dict[str, str]:
-    """Solver -> colour of its verdict."""
+    """Return solver -> colour of its verdict."""
     colors: dict[Mark, str] = COLORS
     return {row["solver"]: colors.get(row["verdict"], BAD) for row in rows}

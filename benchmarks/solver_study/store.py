@@ -84,7 +84,7 @@ class Store:
 
 
 def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The values and arrays of a part.
+    """Return the values and arrays of a part.
 
     Raises:
         MocOptError: damaged, or not written by ``put``.

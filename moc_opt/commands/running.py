@@ -164,7 +164,7 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
-    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
+    """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
     from moc_opt.scenario import RunAway, run
 
     try:

@@ -124,7 +124,7 @@ def _starts(base: Scenario, random_start: bool) -> str:
 
 
 def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
-    """Settings of the scenario's own solver, where that one is meant."""
+    """Return the settings of the scenario's own solver, where that one is meant."""
     return base.solver.settings if name == base.solver.name else {}
 
 

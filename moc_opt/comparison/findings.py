@@ -147,7 +147,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", used, rows, about)
 
     def _failures(self) -> list[str]:
-        """One sentence a solver of which runs could not be made: how many, and why the first."""
+        """Return one sentence a solver of which runs could not be made: how many, and why the first."""
         said = []
         for name in self.solvers:
             failed = [

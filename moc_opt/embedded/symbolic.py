@@ -107,7 +107,7 @@ class _Law:
             self.results |= {"momentum": integral, "external_torque": residual}
 
     def _shaft_turn(self, tip_velocity: SX) -> tuple[SX, SX, SX, SX]:
-        """|P_t - X|, e, its closing speed and de/dt, see `moc_opt.control.rcm.shaft_turn`."""
+        """|P_t - X|, e, its closing speed and de/dt, see `moc_opt.model.shaft_kernels.shaft_turn`."""
         to_trocar = self.s["trocar"][:3] - self.at.tip
         distance = ca.norm_2(to_trocar)
         e = to_trocar / distance
@@ -116,7 +116,7 @@ class _Law:
         return distance, e, closing, (slip - closing * e) / distance
 
     def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
-        """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
+        """N_d = X + L e and its velocity, see `moc_opt.model.shaft_kernels.desired_wrist`."""
         _, e, _, turn = self._shaft_turn(tip_velocity)
         return self.at.tip + self.span * e, tip_velocity + self.span * turn
 

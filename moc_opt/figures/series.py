@@ -142,12 +142,12 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
 
 
 def _lengths(values: NDArray[np.float64]) -> Floats:
-    """Of a column of vectors, their lengths."""
+    """Return the lengths of a column of vectors, and numbers as they are."""
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
 
 
 def _checked(panels: object, runs: Mapping[str, Run]) -> list[str]:
-    """The columns that were asked for, each one of numbers in a run at least."""
+    """Return the columns that were asked for, each one of numbers in a run at least."""
     if isinstance(panels, str) or not isinstance(panels, Sequence) or not panels:
         raise ReportError(f"columns = {shown(panels)}: give a list of names, such as ['mu', 'tip_error_m']")
     drawable = sorted({

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.shaft_kernels import desired_wrists
 from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, unit, without_limits
+from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, without_limits
 from moc_opt.redundancy.self_motion import parabola_peak, self_motion
 from moc_opt.redundancy.showable import check
 from moc_opt.trace.trace import Trace
@@ -146,7 +147,7 @@ def _targets(
         np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column)
     )
     span = robot.state(robot.data.q_home).tool_span
-    return tips, tips + span * unit(trocars - tips)
+    return tips, desired_wrists(tips, trocars, span)
 
 
 def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:

@@ -60,7 +60,7 @@ def anchor(title: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """A text without control and direction characters; escaping follows."""
+    """Return a text without control and direction characters; escaping follows."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 

@@ -137,14 +137,14 @@ class Page:
         return save_document(path, self.html(), "page", self._thinner)
 
     def _thinner(self) -> str:
-        """What to do about a page that is too large."""
+        """Return what to do about a page that is too large."""
         sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
         largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
         return f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
 
     @staticmethod
     def _name(text: str, taken: Iterable[str]) -> str:
-        """A name for addresses and files, unlike those that are taken."""
+        """Return a name for addresses and files, unlike those that are taken."""
         words = anchor(text)
         name, count = words, 1
         while name in taken:
@@ -160,5 +160,5 @@ def _plain_json(figure: go.Figure) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    """plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
+    """Return plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()

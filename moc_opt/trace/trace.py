@@ -234,7 +234,7 @@ class Trace:
 
     @classmethod
     def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
-        """Of columns and meta that were checked before."""
+        """Make a trace of columns and meta that were checked before."""
         made = object.__new__(cls)
         object.__setattr__(made, "columns", columns)
         object.__setattr__(made, "meta", meta)
@@ -276,7 +276,7 @@ class Trace:
 
 
 def _name(name: str) -> str:
-    """The name of a column, if it can be one."""
+    """Return the name of a column, if it can be one."""
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
         raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     return name

@@ -52,7 +52,7 @@ class Outcome:
 
 @cache
 def _imports(root: Path) -> dict[str, Collection[str]]:
-    """Every module of the project -> those that it imports; read once."""
+    """Return every module of the project -> those that it imports; read once."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
