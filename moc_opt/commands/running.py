@@ -80,7 +80,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     if given.json:
         print_json(run_json(trace, wanted))
     else:
-        short = not scenario.metrics and not getattr(given, "all", True)  # `plant` has no such option, and prints all
+        short = not scenario.metrics and not given.all
         screen, table = console(), run_table(title, trace, wanted, first=short)
         for piece in table.fitted(screen.width):
             screen.print(piece)

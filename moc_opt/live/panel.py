@@ -19,7 +19,7 @@ COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
-    "RCM error, tip error [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
+    "RCM error, tip error in space [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
