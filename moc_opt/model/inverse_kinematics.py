@@ -125,7 +125,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
 
 
 def _step(robot: RobotModel, q: Array, error: Array, jacobian: Array, damping: float) -> Array:
-    """Smallest damped least-squares step whose joints do not run against the limits they stand at."""
+    """Return the smallest damped least-squares step whose joints do not run against the limits they stand at."""
     free = np.ones(robot.n, dtype=np.bool_)
     step = np.zeros(robot.n)
     for _ in range(robot.n):

@@ -190,7 +190,7 @@ def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, referenc
 
 
 def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Joint velocity (n,) for tip and wrist velocity (6,), with the smallest share of the speed limits needed.
+    """Return the joint velocity (n,) for tip and wrist velocity (6,) that needs the smallest share of the speed limits.
 
     The smallest one by length is nearly always good enough; where it is not, the self-motion that brings the
     largest share down is found by a linear program.
