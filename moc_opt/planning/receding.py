@@ -1,8 +1,9 @@
 """A course planned anew while the arm moves: a short horizon from the measured pose, and V for what comes after.
 
 Every 1/rate a way is searched for on the map from the measured pose over the horizon and on by V (`to_go`): it decides
-which hump of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows the last
-answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop would be.
+which local maximum of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows
+the last answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop
+would be.
 """
 
 from __future__ import annotations
