@@ -54,7 +54,7 @@ class Course:
         return self.violation <= MOST_VIOLATION
 
     def as_certified(self) -> Course:
-        """The same, said to be a local optimum."""
+        """Return the same, said to be a local optimum."""
         return replace(self, certified=True)
 
 
@@ -67,7 +67,7 @@ def weights(count: int) -> Array:
 
 
 def faster(q: Array) -> Array:
-    """|ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
+    """Return |ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
     return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
 
 

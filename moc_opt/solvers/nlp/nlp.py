@@ -45,7 +45,7 @@ class Kinematics(Protocol):
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """The NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
+    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
     """
@@ -115,7 +115,7 @@ class NLP(ABC):
         return None
 
     def start(self, qp: NullSpaceQP) -> NLPSession:
-        """A session with buffers of its own; the compiled program is shared and holds no state."""
+        """Return a session with buffers of its own; the compiled program is shared and holds no state."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")
@@ -123,7 +123,7 @@ class NLP(ABC):
 
     @abstractmethod
     def options(self) -> dict[str, Any]:
-        """Options of the CasADi plug-in."""
+        """Return the options of the CasADi plug-in."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ class SQP(NLP):
     plugin: ClassVar[str] = "sqpmethod"
 
     def options(self) -> dict[str, Any]:
-        """Silent, with both KKT tolerances at eps."""
+        """Return options: silent, with both KKT tolerances at eps."""
         quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
         return {
             "qpsol": "qrqp",
@@ -170,7 +170,7 @@ class Ipopt(NLP):
     plugin: ClassVar[str] = "ipopt"
 
     def options(self) -> dict[str, Any]:
-        """Silent, inside the box to the last digit, without IPOPT's own scaling of a cost this small."""
+        """Return options: silent, inside the box to the last digit, without IPOPT's scaling of a cost this small."""
         return {
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
@@ -204,7 +204,7 @@ class Fatrop(NLP):
             raise SolverError(f"{self.name}: hessian = {self.hessian!r} is not to be had; 'exact' is")
 
     def options(self) -> dict[str, Any]:
-        """Silent, and without a search for stages."""
+        """Return options: silent, and without a search for stages."""
         return {
             "print_time": False,
             "error_on_fail": False,
