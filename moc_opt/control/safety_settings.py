@@ -146,7 +146,7 @@ class SafetyFilterSettings(MotionSettings):
     stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
 
     def position_margins(self, slides: NDArray[np.bool_]) -> Array:
-        """How far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
+        """Return how far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
         return np.where(slides, self.position_margin_m, self.position_margin_rad)
 
     @model_validator(mode="after")

@@ -59,7 +59,7 @@ class Course:
 
 
 def weights(count: int) -> Array:
-    """Of the trapezoidal rule on evenly spaced times, (count,)."""
+    """Return the weights of the trapezoidal rule on evenly spaced times, (count,)."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5

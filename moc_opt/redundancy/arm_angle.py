@@ -133,5 +133,6 @@ def nearest_turns(robot: RobotModel, q: Array) -> Array:
 
 
 def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length one."""
     lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / lengths

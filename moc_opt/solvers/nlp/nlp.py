@@ -34,13 +34,20 @@ class Kinematics(Protocol):
     """CasADi functions of q (n,): tip and wrist (3,) [m], mu. Hashable, so that programs can be kept."""
 
     @property
-    def n(self) -> int: ...
+    def n(self) -> int:
+        """Number of joints."""
+
     @property
-    def tip(self) -> Any: ...
+    def tip(self) -> Any:
+        """Function q -> (3,) [m]."""
+
     @property
-    def wrist(self) -> Any: ...
+    def wrist(self) -> Any:
+        """Function q -> (3,) [m]."""
+
     @property
-    def mu(self) -> Any: ...
+    def mu(self) -> Any:
+        """Function q -> mu [m^3]."""
 
 
 @lru_cache(maxsize=16)
@@ -105,7 +112,7 @@ class NLP(ABC):
         checks.like_defaults(self, hessian=("limited-memory", "exact"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """It needs to know where the problem was linearized, and a rigid tool."""
+        """Say what is missing: it needs to know where the problem was linearized, and a rigid tool."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
