@@ -57,7 +57,7 @@ def _sentences(summary: Mapping[str, Any], runs: Rows) -> Iterator[str]:
 
 
 def _mean(values: Sequence[float]) -> str:
-    """The mean with its interval, where there are two values and more."""
+    """Return the mean with its interval, where there are two values and more."""
     try:
         found = mean(values)
     except StatisticsError:
@@ -66,7 +66,7 @@ def _mean(values: Sequence[float]) -> str:
 
 
 def _table(summary: Mapping[str, Any]) -> Table:
-    """One row a robot and third level: its gap and what it costs, against the goals."""
+    """Return one row a robot and third level: its gap and what it costs, against the goals."""
     rows = []
     for robot, by in summary["loops"].items():
         for name, found in by.items():
@@ -95,7 +95,7 @@ def _table(summary: Mapping[str, Any]) -> Table:
 
 
 def _mark(found: Mapping[str, Any], name: str, limit: float | None, spec: str) -> Mark | None:
-    """The figure, marked by whether both ends of its interval lie on one side of the limit; None: not measured."""
+    """Mark the figure by whether both ends of its interval lie on one side of the limit; None: not measured."""
     value, low, high = (found.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -234,7 +234,7 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """How far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
+        """Return how far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
         return np.where(slides, self.limit_margin_m, self.box_margin_rad)
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:

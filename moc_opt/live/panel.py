@@ -147,7 +147,7 @@ class Panel:
 
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
-    """A plot without a point yet."""
+    """Return a plot without a point yet."""
     series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
     nothing = np.array([0.0, 1.0])
     scales: dict[str, Any] = {"x": {"time": False}}

@@ -34,7 +34,7 @@ class Targets:
         return float(self.t_s[1] - self.t_s[0])
 
     def last(self) -> Targets:
-        """The last two times alone."""
+        """Return the last two times alone."""
         return Targets(self.t_s[-2:], self.tip[-2:], self.wrist[-2:], self.arc_length_m[-2:])
 
     def __len__(self) -> int:

@@ -60,7 +60,7 @@ class Elbow:
         return angles
 
     def direction(self, q: Array) -> Array:
-        """Return the unit vector (3,) along which the elbow at q (n,) moves as its swivel grows, tip and wrist at rest."""
+        """Return the unit vector (3,) along which the elbow at q (n,) moves as its swivel grows, all else at rest."""
         origins, rotations = link_frames(self._chain, q[None])
         shoulder, elbow = origins[0, self._shoulder], origins[0, self.joint]
         wrist = origins[0, -1] + rotations[0, -1] @ self._chain.offsets[1]
@@ -133,5 +133,6 @@ def nearest_turns(robot: RobotModel, q: Array) -> Array:
 
 
 def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length one."""
     lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / lengths

@@ -42,7 +42,8 @@ def allowed(
 ) -> None:
     """Compute the step (n,) nearest to the wish that moves tip and wrist by the error and leads to no limit.
 
-    No joint within ``near`` of a limit goes towards it. An active-set method: joints that would leave are held, and one that its multiplier draws inwards is let go.
+    No joint within ``near`` of a limit goes towards it. An active-set method: joints that would leave are held, and
+    one that its multiplier draws inwards is let go.
     """
     n = q.shape[0]
     part, still = a.copy(), wish.copy()

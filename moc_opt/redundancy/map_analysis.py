@@ -108,7 +108,7 @@ def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str
 
 
 def _apart(one: Trajectory, two: Trajectory) -> float:
-    """Return the largest distance of two trajectories at one time [rad]; inf where one lasts longer or folds otherwise."""
+    """Return the largest distance of two trajectories at one time [rad]; inf where their lengths or folds differ."""
     longer = abs(one.t_s[-1] - two.t_s[-1]) > 0.02 * (one.t_s[-1] - one.t_s[0])
     folded = (one.gap_rad > OTHER_BRANCH_RAD) != (two.gap_rad > OTHER_BRANCH_RAD)
     if longer or folded:

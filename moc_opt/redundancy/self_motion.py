@@ -184,7 +184,7 @@ def _rank(matrix: Array) -> int:
 
 
 def _active_joints(robot: RobotModel, a: Array) -> list[int]:
-    """Return the joints that take part, which move tip or wrist; of several freedoms less a rail, then the last ones."""
+    """Return the joints that take part, which move tip or wrist; of several freedoms less a rail, then the last."""
     active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
     rng = np.random.default_rng(0)
     draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]

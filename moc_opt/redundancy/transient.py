@@ -26,7 +26,7 @@ STILL_RAD_PER_S = 0.05
 
 
 def uphill(curve: SelfMotion) -> tuple[float, float]:
-    """Return the arc length [rad] from the scan's first pose (s = 0) to the local maximum of mu uphill of it, and mu there.
+    """Return the arc length [rad] from the scan's pose (s = 0) to the local maximum of mu uphill of it, and mu there.
 
     The maximum is refined by a parabola between the samples; at a joint limit it is the last sample.
     """

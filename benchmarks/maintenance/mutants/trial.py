@@ -206,7 +206,7 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def _interpret(modules: Iterable[str]) -> None:
-    """From now on ``njit`` leaves the kernels of these modules as they are, with what our code asks of a kernel."""
+    """Let ``njit`` leave the kernels of these modules as they are, with what our code asks of a kernel."""
     import numba
 
     compiled, plain = numba.njit, set(modules)
