@@ -28,7 +28,9 @@ ASKED_EACH = 25
 class Follower:
     """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
-    def __init__(self, course: Course, period_s: float, *, gain_per_s: float = 5.0, rescue: Receding | None = None) -> None:
+    def __init__(
+        self, course: Course, period_s: float, *, gain_per_s: float = 5.0, rescue: Receding | None = None
+    ) -> None:
         """Sample the course at the ticks.
 
         Args:
