@@ -86,10 +86,15 @@ class Receding:
 
     def start(self) -> None:
         """Go back to t = 0."""
+        self.begin(self._q_start, 0)
+
+    def begin(self, q: Array, tick: int) -> bool:
+        """Begin from rest in a pose (n,) [rad] at a tick; False: no course was found from there."""
         self._horizon.forget()
-        self._tick, self.solve_s, self.kept = 0, [], 0
+        self._tick, self.solve_s, self.kept = tick, [], 0
         self._answer: Answer | None = None
-        self._before = self._answer = self._next = self._solve(self._q_start, 0.0)
+        self._before = self._answer = self._next = self._solve(q, tick * self._period)
+        return self._answer is not None
 
     @property
     def told(self) -> dict[str, float]:

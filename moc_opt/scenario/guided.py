@@ -52,10 +52,24 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     if settings.third_level == "local":
         return None
     settings.check_guided()
-    period = scenario.plant.period_s
-    if settings.third_level == "planned":
-        course = followed_course(scenario, robot, layout)
+    if settings.third_level == "receding":
+        return replanned(scenario, robot, layout)
+    course, period = followed_course(scenario, robot, layout), scenario.plant.period_s
+    try:
+        rescue = replanned(scenario, robot, layout)
+    except (ScenarioError, TaskError):  # its coarser map has no way where the course has one
         return lambda: Follower(course, period)
+    return lambda: Follower(course, period, rescue=rescue())
+
+
+def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Receding]:
+    """Compute the map and V of a receding horizon, and return what makes one of them.
+
+    Raises:
+        ScenarioError: the map has no way from the start to the end.
+        TaskError: no smooth course was found at the start.
+    """
+    settings, period = scenario.control, scenario.plant.period_s
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
