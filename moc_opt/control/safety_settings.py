@@ -143,7 +143,12 @@ class SafetyFilterSettings(MotionSettings):
     stop_yield_s: float = Field(
         0.4, ge=0.0, le=60.0, description="and for no longer: a force that rises by as much more opens them again"
     )
-    stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
+    stop_s: float = Field(
+        0.5,
+        gt=0.0,
+        description="how long the stop is watched before the run ends; until rest, for twice as long at most, where "
+        "the trocar opens the brakes",
+    )
 
     def position_margins(self, slides: NDArray[np.bool_]) -> Array:
         """How far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
