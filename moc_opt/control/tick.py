@@ -34,6 +34,8 @@ SHAFT_PULL = 0.1
 """Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
 SHAFT_LOST = 0.1
 """Share of ``shaft_margin`` below which the push fades out again: where the shaft is lost it has no direction."""
+BOX_OPENS = 3.0
+"""The box has opened to the joints' whole speed a third of ``shaft_margin`` below it."""
 
 
 @njit(cache=True, nogil=True)
@@ -114,9 +116,9 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
         row[at.b + i], row[at.b + 3 + i] = v_T[i], v_W[i]
     push, limits = shaft_push(s.scalars[2], c.shaft_margin), c.limits
     if s.scalars[2] < c.shaft_margin:
-        limits = c.limits.copy()
+        limits, opened = c.limits.copy(), min(1.0, BOX_OPENS * (1.0 - s.scalars[2] / c.shaft_margin))
         for i in range(n):
-            limits[2, i] *= 1.0 + c.spare_speed * (1.0 - s.scalars[2] / c.shaft_margin)
+            limits[2, i] *= 1.0 + c.spare_speed * opened
     for i in range(n):
         row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i] + push * s.grad_mu_shaft[i], s.q[i]
     for i in range(4):

@@ -14,7 +14,7 @@ import numpy as np
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
-from moc_opt.control.tick import SHAFT_LOST, SHAFT_PULL
+from moc_opt.control.tick import BOX_OPENS, SHAFT_LOST, SHAFT_PULL
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
@@ -201,7 +201,7 @@ class _Law:
             mu_shaft, slope = dynamics.shaft_manipulability(self.at)
             left, lost = ca.fmax(1 - mu_shaft / margin, 0), SHAFT_LOST * margin
             gradient = gradient + SHAFT_PULL * left * mu_shaft / (mu_shaft**2 + lost**2) * slope  # tick.shaft_push
-            v_max = v_max * (1 + (1 / settings.speed_fraction - 1) * left)
+            v_max = v_max * (1 + (1 / settings.speed_fraction - 1) * ca.fmin(1, BOX_OPENS * left))
         box = swivel.Box(
             ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max), ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max)
         )
