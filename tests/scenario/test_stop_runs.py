@@ -57,21 +57,6 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(weak, share, swivel):
         assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
 
 
-def test_a_force_that_is_felt_late_opens_the_brakes_and_the_stop_ends_at_rest_all_the_same():
-    """Under readings that lag more and more the brakes open 0.35 s after the order, and a load of 1 kg sinks."""
-    faults = {"lag_at_s": 0.25, "lag_growth": 0.5, "forged_stamps": True, "payload_kg": 1.0}
-    trace = run(Scenario(
-        faults=faults, control={"preset": "tuned", "law": "dcac"}, start={"swivel": "random"}, duration_s=2.5,
-        plant={"preset": "realistic", "delay_ticks": 0}, **QUICK
-    ))  # fmt: skip
-    stop = trace.t_s - trace.meta["stopped_at_s"]
-    speed = np.abs(trace.v_rad_per_s).max(axis=1)
-    assert speed[(stop > 0.1) & (stop < 0.3)].max() < 0.01
-    assert speed[(stop > 0.35) & (stop < 0.5)].max() > 0.1  # the brakes are open
-    assert 0.5 < stop[-1] < 2.01
-    assert speed[-1] < 0.01
-
-
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
 @pytest.mark.parametrize("seed", [41, 42])
 def test_an_unknown_load_does_not_sink(load, seed):
