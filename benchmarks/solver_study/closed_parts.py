@@ -158,7 +158,7 @@ JOBS: dict[str, Part] = {
 
 
 SECONDS = {
-    "open_loop": 9.0, "testsets": 35.0, "closed_loop": 50.0, "sweeps": 65.0, "growth": 5.0, "duals": 1.0,
+    "open_loop": 9.0, "testsets": 35.0, "closed_loop": 50.0, "sweeps": 42.0, "growth": 5.0, "duals": 1.0,
     "qpbenchmark": 10.0,
 }  # fmt: skip
 """That each part takes, roughly, on two cores: what its steps weigh in the time that is left."""
