@@ -196,7 +196,7 @@ class Controller:
         self._tau = read_only(np.array(tau, dtype=np.float64))
 
     def _checked(self, tip_ref: Array, trocar: Array) -> tuple[Array, Array]:
-        """The references as contiguous float64: what is compiled takes that for granted."""
+        """Return the references as contiguous float64: what is compiled takes that for granted."""
         check_references(self._started, tip_ref, trocar)
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
@@ -205,7 +205,7 @@ class Controller:
         return tip_ref, trocar
 
     def _solve(self, session: Session, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
-        """The x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
+        """Return the x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
         row = np.empty(self._row_length)
         if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
             self._Z = null_space(state.A, like=self._Z)

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from moc_opt.control.gains import per_joint
 from moc_opt.control.null_space import box_limits
-from moc_opt.control.settings import PROJECTORS, ControlSettings, per_joint
+from moc_opt.control.settings import PROJECTORS, ControlSettings
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit

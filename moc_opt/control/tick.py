@@ -15,15 +15,10 @@ from moc_opt.control.null_space import (
     self_motion_torque,
     velocity_damper,
 )
-from moc_opt.control.rcm import (
-    desired_wrist,
-    project_as_published,
-    project_dynamic,
-    project_static,
-    published_share,
-)
+from moc_opt.control.rcm import project_as_published, project_dynamic, project_static, published_share
 from moc_opt.control.tip_impedance import compliance_force, task_inertia
 from moc_opt.model.kinematics_kernels import state_views
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed

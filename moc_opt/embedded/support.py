@@ -45,7 +45,7 @@ GUARDED = frozenset((
     "stop_damping_Nm_s_per_rad", "stop_s", "stop_holding", "stop_yield_N", "stop_yield_s",
     "motion", "motion_s", "motion_rad", "motion_lag_s",
     "repeat_m", "repeat_torque", "repeat_whole_torque", "repeat_whole_m", "repeat_whole_ticks",
-    "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks",
+    "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks", "repeat_reading_ticks",
     "residual_torque", "residual_whole_torque", "residual_rate_per_s", "residual_s",
 ))  # fmt: skip
 SUPERVISED = frozenset((
