@@ -56,14 +56,21 @@ def here(found: Table) -> Table:
 
 
 def robots() -> Table:
-    """Return every arm of the package."""
-    from moc_opt.robots import available_robots, load_data
+    """Return every arm of the package: its joints, what tip and shaft leave of them, and what it is."""
+    from moc_opt.model.robot_model import load_robot
+    from moc_opt.redundancy.freedoms import best_freedoms
+    from moc_opt.robots import about, available_robots
 
     rows = []
     for name in available_robots():
-        data = load_data(name)
-        rows.append({"robot": name, "joints": len(data.joint_names), "tool": data.tool_length})
-    columns = [Column("robot", "robot"), Column("joints", "joints"), Column("tool", "tool", "m")]
+        robot = load_robot(name)
+        left = best_freedoms(robot)
+        rows.append({"robot": name, "joints": robot.n, "real": left.real, "idle": len(left.idle),
+                     "tool": robot.data.tool_length, "about": about(name)})  # fmt: skip
+    columns = [
+        Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
+        Column("tool", "tool", "m"), Column("about", "what it is"),
+    ]  # fmt: skip
     told = "A path to a robot file of your own may stand in the place of a name; `moc-opt robot check NAME` says more."
     return Table("Robots: [robot] name", columns, rows, told)
 

@@ -24,7 +24,7 @@ REGULAR, SINGULAR = (0.1, 0.05), 1e-4
 """Singular values over the largest, of the tip's Jacobian and of A, below which to take care, and to refuse."""
 LITTLE_TO_GAIN = 0.05
 RADII_MM = (30, 20, 15, 10, 5)
-MARGIN_DEG = 15.0
+MARGIN_DEG, MARGIN_MM = 15.0, 80.0
 CARE = 0.8
 """Share of the stability limit from which on to take care."""
 GYRATION_M = 0.6
@@ -123,14 +123,19 @@ def _task(robot: RobotModel, asked: Scenario) -> Finding:
 
 
 def _limits(robot: RobotModel) -> Finding:
-    q, moving = robot.data.q_home, robot.moves.any(axis=0) & ~robot.chain.prismatic
-    room = np.degrees(np.minimum(q - robot.q_min, robot.q_max - q))
-    room[~moving] = np.inf
-    j = int(np.argmin(room))
-    text = f"{robot.data.joint_names[j]} is {room[j]:.0f} deg away"
-    close = room[j] < MARGIN_DEG
-    cure = f"the third level keeps 9 deg free: move home.q_rad {MARGIN_DEG:.0f} deg or more inside"
-    return Finding("nearest limit", text, "care" if close else "ok", cure if close else "")
+    q, moving, slides = robot.data.q_home, robot.moves.any(axis=0), robot.chain.prismatic
+    room = np.minimum(q - robot.q_min, robot.q_max - q)
+    texts, cures = [], []
+    for kind, unit, scale, margin, kept in (
+        (moving & ~slides, "deg", np.degrees(1.0), MARGIN_DEG, "9 deg"),
+        (moving & slides, "mm", 1e3, MARGIN_MM, "50 mm"),
+    ):  # fmt: skip
+        if kind.any():
+            j = int(np.argmin(np.where(kind, room, np.inf)))
+            texts.append(f"{robot.data.joint_names[j]} is {scale * room[j]:.0f} {unit} away")
+            if scale * room[j] < margin:
+                cures.append(f"the third level keeps {kept} free: move home.q_rad {margin:.0f} {unit} or more inside")
+    return Finding("nearest limit", ", ".join(texts), "care" if cures else "ok", "; ".join(cures))
 
 
 def _speeds(robot: RobotModel) -> Finding:

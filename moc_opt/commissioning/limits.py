@@ -20,6 +20,8 @@ STRONGEST = {"turning": 2000.0, "sliding": 20000.0}
 """Nm, N."""
 TRAVEL_M = 0.5
 """Range of a sliding joint without limits, to both sides [m]."""
+_DEGREES = 40.0
+"""A range [rad] beyond it is one of degrees: six turns are the most that an arm's joint has."""
 _PLACEHOLDER = 1e3
 _POSES = 200
 
@@ -79,6 +81,12 @@ def _range(name: str, endless: bool, unit: Unit, given: dict[str, float], notes:
         return -TRAVEL_M, TRAVEL_M
     if endless or not lower < upper:
         notes.append(f"{name} {'turns without end' if endless else 'has no range'}: +-180 deg is taken")
+        return -math.pi, math.pi
+    if upper - lower > _DEGREES:
+        notes.append(
+            f"{name}: {lower:g} to {upper:g} {unit.position} is no range of a joint (are they degrees?): +-180 deg is "
+            "taken; see the data sheet"
+        )
         return -math.pi, math.pi
     if upper - lower > 2.0 * math.pi + 1e-6:
         middle = 0.0 if lower <= -math.pi and upper >= math.pi else 0.5 * (lower + upper)

@@ -19,7 +19,7 @@ from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
 from moc_opt.robots.numbers import as_text, triple
-from moc_opt.robots.rebuild import MOVING, rebuild
+from moc_opt.robots.rebuild import MOVING, SMALLEST_MASS, rebuild
 from moc_opt.robots.urdf import end
 
 _RESERVED = {"tool", "tip", "wrist", "tool_mount", "tip_frame", "wrist_frame", "world"}
@@ -27,6 +27,10 @@ _KEPT = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "
 _PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_]")
 _QUOTED = re.compile(r'"[^"]*"|\'[^\']*\'')
 TURN = 2.0 * math.pi
+_ENDLESS = re.compile(r"\s*[+-]?inf(inity)?\s*", re.IGNORECASE)
+_DECIMAL = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.IGNORECASE)
+_LARGEST = 1e5
+"""rad, rad/s, Nm, m, m/s and N."""
 
 
 @dataclass
@@ -64,6 +68,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     if undeclared:
         arm.notes.append(f"names with {', '.join(undeclared)} are not read: the file does not say what they are")
     _rename(arm)
+    _drop_endless_limits(arm)
     positions = _known(arm.root, dict(lock or {}))
     tree = LinkTree(arm.root)
     if tip is not None and tip not in tree.links:
@@ -80,7 +85,14 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
     chain = [j for j in path_to_tip if j.get("type") in MOVING and j.get("name") not in positions]
     if not chain:
         raise RobotError(f"urdf: no moving joint lies between the base and {arm.last_link!r}: choose another --tip")
+    for joint in path_to_tip[path_to_tip.index(chain[0]) :]:
+        if joint.get("type") not in MOVING | {"fixed"}:
+            raise RobotError(
+                f"urdf joint {joint.get('name')!r} lies between two joints of the arm and is {joint.get('type')}: no "
+                "drive moves it so; make it revolute, prismatic or fixed, or choose another --tip"
+            )
     arm.chain = [joint.get("name", "") for joint in chain]
+    _note_massless(arm, tree)
     _prune(arm, tree, chain[0])
     bodies.mend(arm.root, arm.notes)
     _fix_others(arm, positions)
@@ -124,6 +136,38 @@ def _rename(arm: VendorArm) -> None:
                     for end in arm.root.iterfind("joint/*[@link]"):
                         if end.get("link") == old:
                             end.set("link", f"{old}_{kind}")
+
+
+def _drop_endless_limits(arm: VendorArm) -> None:
+    """Leave out limits that are infinite, or larger than any number of an arm: as vendors write that there is none."""
+    for joint in arm.root.findall("joint"):
+        for limit in joint.findall("limit"):
+            endless = [key for key, text in limit.attrib.items() if _ENDLESS.fullmatch(text) or _size(text) > _LARGEST]
+            if not endless:
+                continue
+            told = ", ".join(f"{key} = {limit.get(key)}" for key in endless)
+            arm.notes.append(f"{joint.get('name')}: {told} is no limit, and is taken for none")
+            for key in {"lower", "upper", *endless} if {"lower", "upper"} & set(endless) else endless:
+                limit.attrib.pop(key, None)
+
+
+def _size(text: str) -> float:
+    """The size of a decimal number; 0 where it is none, which is refused later by name."""
+    return abs(float(text)) if _DECIMAL.fullmatch(text) else 0.0
+
+
+def _note_massless(arm: VendorArm, tree: LinkTree) -> None:
+    """Say where the last joint carries frames alone: the tool is then the only mass that it moves."""
+    last = next(joint for joint in reversed(tree.path(arm.last_link)) if joint.get("name") == arm.chain[-1])
+    links = [end(last, "child")]
+    for link in links:  # grows while it is walked
+        links += [end(joint, "child") for joint in tree.carried[link]]
+    masses = {link.get("name"): link.find("inertial/mass") for link in arm.root.findall("link")}
+    if all(masses[link] is None or _size(masses[link].get("value", "")) < SMALLEST_MASS for link in links):  # type: ignore[union-attr]
+        arm.notes.append(
+            f"{', '.join(links)}: what {arm.chain[-1]} carries has no mass, and the tool is all that it moves; see the "
+            "data sheet for the mass of the flange"
+        )
 
 
 def _known(root: ET.Element, lock: dict[str, float]) -> dict[str, float]:

@@ -5,6 +5,6 @@ and ``numbers`` read a URDF strictly, ``rebuild`` writes it anew for pinocchio a
 docs/extending.md. Imports ``errors`` and ``inputs``; model and sim build their engines from it.
 """
 
-from moc_opt.robots.loader import RobotData, available_robots, load_data
+from moc_opt.robots.loader import RobotData, about, available_robots, load_data
 
-__all__ = ["RobotData", "available_robots", "load_data"]
+__all__ = ["RobotData", "about", "available_robots", "load_data"]

@@ -74,9 +74,10 @@ class Home(_Table):
 
 
 class RobotDescription(_Table):
-    """The whole TOML file; `urdf` is relative to the file itself."""
+    """The whole TOML file; `urdf` is relative to the file itself, and `about` says what the arm is."""
 
     name: Name
+    about: Annotated[str, Field(max_length=100, pattern=r"^[ -~]*$")] = ""
     urdf: Annotated[str, Field(min_length=1)]
     frames: Frames
     tool: Tool = Tool()

@@ -87,6 +87,11 @@ def available_robots() -> list[str]:
     return sorted(path.stem for path in _FOLDER.glob("*.toml"))
 
 
+def about(name_or_path: str | os.PathLike[str]) -> str:
+    """Return what the robot's TOML says that it is; empty where it says nothing. Errors as of `load_data`."""
+    return read_description(_find(name_or_path)).about
+
+
 def load_data(
     name_or_path: str | os.PathLike[str] = "lwr4", *, tool_length: float | None = None, tool_mass: float | None = None
 ) -> RobotData:
@@ -109,11 +114,11 @@ def load_data(
     urdf.check_names_free(given)
     root = rebuild(given, description.name)
     chain = urdf.moving_joints(root, description.frames.last_link)
-    urdf.check_masses(root, chain)
     bounds = _limits(description, chain)
     for joint, *values in zip(chain, *bounds.values(), strict=True):
         urdf.write_limits(joint, *values)
     urdf.append_tool(root, description.frames, tool)
+    urdf.check_masses(root, chain)
     n, drives = len(chain), description.joints
     q_home = _vector("home.q_rad", description.home.q_rad, n)
     outside = np.flatnonzero((q_home < bounds["q_min"]) | (q_home > bounds["q_max"]))

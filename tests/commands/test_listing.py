@@ -71,4 +71,16 @@ def test_the_list_of_solvers_fits_a_screen(capsys, monkeypatch):
 def test_the_sentence_below_a_narrow_list_is_as_wide_as_the_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert main(["robots"]) == 0
-    assert "A path to a robot file of your own may stand" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "A path to a robot file of your own may stand" in shown
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_the_list_of_robots_says_what_each_is(capsys):
+    main(["robots", "--json"])
+    rows = json.loads(capsys.readouterr().out)
+    assert {name: (row["joints"], row["real"], row["idle"]) for name, row in rows.items()} == {
+        **dict.fromkeys(("lwr4", "iiwa14", "panda", "gen3", "xarm7"), (7, 1, 1)), "lwr4_rail": (8, 2, 1),
+    }  # fmt: skip
+    assert all(row["about"] for row in rows.values())
+    assert "rail" in rows["lwr4_rail"]["about"]

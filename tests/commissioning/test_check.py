@@ -46,6 +46,20 @@ def test_absurd_speeds_are_noticed(robot: RobotModel) -> None:
     assert "joint_3 10 rad/s" in row.cure
 
 
+def test_a_joint_that_slides_has_its_room_in_mm() -> None:
+    rail = load_robot("lwr4_rail")
+    row = rows(rail)["nearest limit"]
+    room = 1e3 * min(rail.data.q_home[0] - rail.q_min[0], rail.q_max[0] - rail.data.q_home[0])
+    assert f"joint_1 is {room:.0f} mm away" in row.found
+    assert " deg away" in row.found
+    near = rail.data.q_home.copy()
+    near[0] = rail.q_max[0] - 0.04
+    row = rows(altered(rail, q_home=near))["nearest limit"]
+    assert row.verdict == "care"
+    assert "keeps 50 mm free: move home.q_rad 80 mm" in row.cure
+    assert "deg or more" not in row.cure
+
+
 def test_an_arm_that_cannot_hold_itself_is_refused(robot: RobotModel) -> None:
     row = rows(altered(robot, tau_max=np.full(7, 5.0)))["gravity at home"]
     assert row.verdict == "cannot"

@@ -72,6 +72,31 @@ def test_an_endless_joint_gets_a_turn(tmp_path: Path) -> None:
     assert chain_joints(arm)[0].get("type") == "revolute"
 
 
+@pytest.mark.parametrize("size", ["inf", "Infinity", "1e16"])
+def test_endless_numbers_are_none_and_are_told(size: str, tmp_path: Path) -> None:
+    limit = f'<limit lower="-{size}" upper="1.5" velocity="{size}" effort="{size}"/>'
+    path = tmp_path / "arm.urdf"
+    path.write_text(changed(text_of("panda"), (PANDA_1, limit)), encoding="utf-8")
+    arm = read_vendor(path)
+    assert any(f"joint_1: lower = -{size}, velocity = {size}, effort = {size} is no limit" in n for n in arm.notes)
+    _, weak, first = chosen(tmp_path, path.read_text(encoding="utf-8"))
+    assert (first["lower"], first["upper"], first["velocity"]) == (-np.pi, np.pi, CHOSEN["turning"])
+    assert weak == ["joint_1"]
+
+
+@pytest.mark.parametrize("bad", ["nan", "0x2", "1_0", "two"])
+def test_what_is_no_number_is_refused_by_name(bad: str, tmp_path: Path) -> None:
+    with pytest.raises(RobotError, match="joint 'joint_1', lower is"):
+        chosen(tmp_path, changed(text_of("panda"), ('lower="-2.8973"', f'lower="{bad}"')))
+
+
+def test_degrees_in_the_place_of_radians_are_asked_about(tmp_path: Path) -> None:
+    limit = '<limit lower="-166" upper="166" velocity="120" effort="87"/>'
+    arm, _, first = chosen(tmp_path, changed(text_of("panda"), (PANDA_1, limit)))
+    assert (first["lower"], first["upper"]) == (-np.pi, np.pi)
+    assert any("joint_1: -166 to 166 rad" in note and "degrees?" in note for note in arm.notes)
+
+
 def test_a_rail_has_metres(tmp_path: Path) -> None:
     text = changed(
         text_of("lwr4_rail"), ('<limit lower="-0.5" upper="0.5" velocity="0.5" effort="500"/>', "")

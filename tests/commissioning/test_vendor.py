@@ -98,6 +98,17 @@ def test_a_mimic_joint_in_the_chain_is_refused_by_name(tmp_path: Path) -> None:
     assert len(read_vendor(written(tmp_path, text), lock={"joint_5": 0.0}).chain) == 6
 
 
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_that_no_drive_moves_so_is_refused_inside_the_arm_alone(kind: str, tmp_path: Path) -> None:
+    text = changed(text_of(), ('name="joint_4" type="revolute"', f'name="joint_4" type="{kind}"'))
+    with pytest.raises(RobotError, match=f"'joint_4' lies between two joints of the arm and is {kind}"):
+        read_vendor(written(tmp_path, text))
+    below = added(text_of(), link("ship") + joint("sea", kind, "ship", "link_0"))
+    arm = read_vendor(written(tmp_path, below))
+    assert arm.chain == CHAIN
+    assert any(f"sea ({kind})" in note for note in arm.notes)
+
+
 def test_names_that_the_tool_needs_are_moved_out_of_the_way(tmp_path: Path) -> None:
     text = added(text_of(), link("world") + joint("tip_frame", "fixed", "world", "link_0"))
     arm = read_vendor(written(tmp_path, text))

