@@ -72,7 +72,7 @@ def faulty_run(case: dict[str, Any]) -> Verdict:
         Wrong: a torque beyond its limit, a run that ended in no known way, an arm that moves after its stop, or a run
             that completed while the trocar was pressed.
     """
-    scenario = Scenario(**case, duration_s=1.2, bound_samples=0, judge=False)
+    scenario = Scenario(**case, duration_s=1.8, bound_samples=0, judge=False)
     setup = Setup(scenario)
     trace = setup.trace()
     ended = Ending.of(trace.meta["ended"])

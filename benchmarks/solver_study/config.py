@@ -98,7 +98,7 @@ class Sweeps(Settings):
 
     KIND: ClassVar[str] = "[sweeps]"
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
-    seeds: int = Field(5, ge=1, description="trials per task, the first ones of [closed_loop]")
+    seeds: int = Field(3, ge=1, description="trials per task, the first ones of [closed_loop]")
     duration_s: Level = Field(4.0, description="of a trial; as in [closed_loop], its runs count in the prediction too")
     values: Literal["few", "usual", "many"] = "usual"
     deadline_solvers: list[str] = Field(["osqp", "piqp"])

@@ -155,7 +155,7 @@ class SafetyFilterSettings(MotionSettings):
     )
 
     def position_margins(self, slides: NDArray[np.bool_]) -> Array:
-        """How far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
+        """Return how far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""
         return np.where(slides, self.position_margin_m, self.position_margin_rad)
 
     @model_validator(mode="after")

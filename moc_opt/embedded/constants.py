@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.gains import per_joint
 from moc_opt.control.motion import SETTLED
 from moc_opt.control.safety_filter import PRESS_PER_S
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import number, render
 from moc_opt.embedded.support import TickSpec

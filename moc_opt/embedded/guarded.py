@@ -128,7 +128,7 @@ class GuardedController:
     def _pointers(
         self, *given: ArrayLike, sizes: tuple[int, ...] | None = None
     ) -> tuple[list[ctypes.c_void_p], list[Array]]:
-        """Addresses of flat copies, and the copies, which have to live as long."""
+        """Return the addresses of flat copies, and the copies, which have to live as long."""
         arrays = [np.ascontiguousarray(values, dtype=np.float64).ravel() for values in given]
         for array, size in zip(arrays, sizes or (self._n,) * len(arrays), strict=True):
             if array.size != size:

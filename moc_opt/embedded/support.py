@@ -27,7 +27,7 @@ class TickSpec(NamedTuple):
 OBEYED = frozenset((
     "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
     "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "regularization", "fallback",
-    "speed_fraction", "limit_margin_rad", "limit_margin_m", "shaft_margin_m2", "ramp_s", "backend", "supervisor",
+    "speed_fraction", "limit_margin_rad", "limit_margin_m", "shaft_margin", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
 
 # What is read where a course is followed alone.

@@ -180,7 +180,7 @@ class Scenario(Settings):
 
 
 def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
-    """The table with the robot's file, where one is given, taken from the scenario's own folder."""
+    """Return the table with the robot's file, where one is given, taken from the scenario's own folder."""
     robot = table.get("robot")
     name = robot.get("name") if isinstance(robot, Mapping) else None
     if robot is None or not isinstance(name, str) or Path(name).suffix.lower() not in (".toml", ".urdf"):

@@ -104,7 +104,7 @@ class Encoders:
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
-        """The encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
+        """Return the encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
         return cls(
             bias.size, settings.period_s, rng, noise_rad=settings.encoder_noise_rad,
             resolution_rad=settings.encoder_resolution_rad, cutoff_Hz=settings.velocity_cutoff_Hz, bias=bias,
@@ -116,7 +116,7 @@ class Encoders:
         return self._sample(q, v, self.conversion * [1.0, 1.0, 0.0, 1.0])
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self.conversion)
 
     def _sample(self, q: Array, v: Array, conversion: Array) -> tuple[Array, Array]:
@@ -136,11 +136,11 @@ class WrenchSensor:
 
     @classmethod
     def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
-        """The sensor that the plant's settings describe."""
+        """Return the sensor that the plant's settings describe."""
         return cls(rng, force_noise_N=settings.force_noise_N, torque_noise_Nm=settings.torque_noise_Nm)
 
     def read(self, held: Array) -> Array:
-        """(6,) force [N] and torque [Nm] as measured, read-only, where the mount truly holds the tool with ``held``.
+        """Return force [N] and torque [Nm] as measured, (6,) read-only, where the mount truly holds with ``held``.
 
         The sensor shows the reaction to that: its negative.
         """
