@@ -75,7 +75,8 @@ class Controller:
             settings.check_guided()
         self._fade = 1.0 if settings.ramp_s == 0.0 else min(1.0, period / settings.ramp_s)
         gain = settings.observer_rate_per_s
-        self._observer = MomentumObserver(robot, gain, period) if gain else None
+        name = "course_observer_gain_per_s" if settings.follows else "observer_gain_per_s"
+        self._observer = MomentumObserver(robot, gain, period, name) if gain else None
         self._observes = self._started = False
         self._damps = solver is None and settings.damps_dcac
         self._rest = np.zeros(robot.n)

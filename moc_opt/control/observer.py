@@ -50,13 +50,17 @@ class MomentumObserver:
         robot: the model whose error is to be observed.
         gain: K_o [1/s]; the explicit step needs gain * period < 2, and noise asks for much less.
         period: control period [s].
+        name: of the setting that the gain stands in.
+
+    Raises:
+        ControlError: gain * period is not between 0 and 1.
     """
 
-    def __init__(self, robot: RobotModel, gain: float, period: float) -> None:
+    def __init__(
+        self, robot: RobotModel, gain: float, period: float, name: str = "observer_gain_per_s"
+    ) -> None:
         if not 0.0 < gain * period < 1.0:
-            raise ControlError(
-                f"observer_gain_per_s = {gain} at a period of {period} s: keep it below {1.0 / period:g}"
-            )
+            raise ControlError(f"{name} = {gain} at a period of {period} s: keep it below {1.0 / period:g}")
         self._observe = _OBSERVE.code
         self._robot, self._gain, self._period = robot, gain, period
         self._integral, self.external_torque = np.zeros(robot.n), np.zeros(robot.n)

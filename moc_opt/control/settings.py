@@ -70,7 +70,10 @@ class ControlSettings(Settings):
     feedforward: bool = Field(
         default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
     )
-    observer_gain_per_s: NotNegative = Field(default=20.0, description="momentum observer; 0 switches it off")
+    observer_gain_per_s: NotNegative = Field(
+        default=20.0,
+        description="momentum observer; 0: none; under planned and receding course_observer_gain_per_s counts",
+    )
     limit_torque: bool = Field(
         default=True, description="whether the controller keeps within the joints' largest torques"
     )

@@ -476,6 +476,8 @@ def test_references_of_the_wrong_shape(robot, shapes):
 def test_observer_gain_against_the_period(robot):
     with pytest.raises(ControlError, match="observer_gain_per_s = 300"):
         Controller(robot, ControlSettings(observer_gain_per_s=300.0), EXACT, period=0.01)
+    with pytest.raises(ControlError, match="course_observer_gain_per_s = 600"):
+        Controller(robot, ControlSettings(third_level="planned", course_observer_gain_per_s=600.0), EXACT, period=0.002)
 
 
 # --- limits, memory, repetition ---
