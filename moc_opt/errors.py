@@ -82,7 +82,7 @@ class UnknownNameError(MocOptError, LookupError):
 
 
 def shown(value: object, most: int = 200) -> str:
-    """The value as a message shows it, in at most ``most`` characters, whatever its size.
+    """Return the value as a message shows it, in at most ``most`` characters, whatever its size.
 
     An integer of thousands of digits has no text, and neither has a list nested a thousand deep.
     """
@@ -94,7 +94,7 @@ def shown(value: object, most: int = 200) -> str:
 
 
 def describe(error: BaseException, most: int = 300) -> str:
-    """The exception's type and text in one line of at most ``most`` characters; it comes from foreign code.
+    """Return the exception's type and text in one line of at most ``most`` characters; it comes from foreign code.
 
     Whatever its text raises (but a user's Ctrl-C) is named instead, and no character in it steers a terminal.
     """

@@ -2,12 +2,12 @@
 Follow a plan instead of climbing
 =================================
 
-A local law climbs mu from where the arm stands, and may stay on a lower hump. `third_level = "planned"` follows the
-best course over the whole path, behind the same solver, supervisor and guard.
+A local law climbs mu from where the arm stands, and may stay at a lower local maximum. With `third_level = "planned"`
+it follows the best course over the whole path, behind the same solver, supervisor and guard.
 """
 
 import moc_opt as mo
-from moc_opt.report.figures.series import time_series
+from moc_opt.figures.series import time_series
 
 trial = mo.Scenario(seed=26, start={"pose": "random", "swivel": "random"}, bound_samples=0)
 runs = {level: mo.run(trial.change(control={"third_level": level})) for level in ("local", "planned")}

@@ -179,7 +179,7 @@ def field_name(keys: Iterable[object]) -> str:
 
 
 def explain(error: ValidationError, kind: str) -> list[str]:
-    """One line per wrong field: kind of table, name, value, cure; what a table inside raised is not quoted again."""
+    """Return one line per wrong field: kind of table, name, value, cure; what a table inside raised is not repeated."""
     lines = []
     for item in error.errors():
         field = field_name(item["loc"])

@@ -4,10 +4,10 @@ Dynamic programming backwards over the map, once, before anything moves:
 
     V_k(p) = mu dt + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-A horizon that ends in V chooses as if it went to the end of the path: it leaves a hump of mu for a better one where
-that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model. It
-does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for half
-of the half cell around it.
+A horizon that ends in V chooses as if it went to the end of the path: it leaves a local maximum of mu for a better one
+where that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model.
+It does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for
+half of the half cell around it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class End(NamedTuple):
 
 
 def _poses_and_ways(found: PoseMap, k: int) -> tuple[Array, Array]:
-    """Poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
+    """Return poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
     q = found.poses(k)
     return q, 0.5 * half_cells(q)
 
@@ -108,7 +108,7 @@ class ToGo:
         return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
 
     def near(self, end: int, b: int, j: int) -> End:
-        """The parabola through V around one pose of the map."""
+        """Return the parabola through V around one pose of the map."""
         q, count, value = self._poses(end)[0][b], self.value.shape[2], self.value[end, b]
         along = q[(j + 1) % count] - q[j - 1]
         size = float(np.linalg.norm(along))

@@ -36,7 +36,7 @@ class TracedMap(PoseMap):
     """(k,1,m,n)"""
 
     def poses(self, k: int) -> Array:
-        """The poses (1,m,n) [rad] at time k; NaN where there is none."""
+        """Return the poses (1,m,n) [rad] at time k; NaN where there is none."""
         found: Array = self.q_rad[k]
         return found
 

@@ -140,7 +140,7 @@ def load_data(
 
 
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    """The TOML file meant."""
+    """Return the TOML file meant."""
     known = available_robots()
     if isinstance(name_or_path, str) and name_or_path in known:
         return _FOLDER / f"{name_or_path}.toml"
@@ -175,7 +175,7 @@ def _tool(default: Tool, length: float | None, mass: float | None) -> Tool:
 
 
 def _limits(description: RobotDescription, chain: list[Element]) -> dict[str, Array]:
-    """Limits of the TOML where given, else of the URDF; complete, finite and in order."""
+    """Return limits of the TOML where given, else of the URDF; complete, finite and in order."""
     n, given = len(chain), description.limits
     sources = {
         "q_min": ("lower", "q_min_deg", given.q_min_deg),

@@ -18,6 +18,7 @@ from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ScenarioError, TraceError, describe, shown
 from moc_opt.inputs.files import as_path
 from moc_opt.numerics.arrays import Array
+from moc_opt.planning.follow import Follower
 from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -86,7 +87,7 @@ class Setup:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """The plant at the start, where it truly holds the tool, and the true trocar."""
+        """Put the plant at the start, where it truly holds the tool, and lay the true trocar."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
@@ -237,10 +238,11 @@ class Setup:
                 faults=faults if wrong.around_the_arm else None,
                 stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
             )  # fmt: skip
-        return found.with_meta(replans=self.guide.told) if isinstance(self.guide, Receding) else found
+        told = self.guide.told if isinstance(self.guide, Receding | Follower) else {}
+        return found.with_meta(replans=told) if told else found
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
-        """A run whose rows go to the disk as they come; judged block by block."""
+        """Return a run whose rows go to the disk as they come; judged block by block."""
         period, broken = self.scenario.plant.period_s, None
         with TraceWriter(to, {**meta, "period_s": period, "ticks_planned": self.ticks}) as writer:
 
@@ -272,7 +274,7 @@ class Setup:
         return trace
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]], first: int = 0) -> dict[str, NDArray[Any]]:
-        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, residuals."""
+        """Return the columns that follow from the same rows: faults injected, the robot's errors, mu, residuals."""
         found: dict[str, NDArray[Any]] = {}
         rows = len(columns["t_s"])
         if self.scenario.faults.solver != "none":
@@ -282,7 +284,7 @@ class Setup:
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
     def _yardsticks(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """What mu is held against: the largest at single ticks, and the best courses; columns, and entries of meta."""
+        """Return what mu is held against: the largest at single ticks, and best courses; columns, and meta."""
         bound, method = largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
         best, told = against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
         return {"mu_bound": bound, **best}, {**method, **told}

@@ -17,20 +17,20 @@ from moc_opt.sim.protocols import SafetyFilter, TorqueController
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated [s].
+    """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated at least [s].
 
-    Brakes that the trocar's force has opened meanwhile are watched until the arm rests again, for as long once more.
+    It goes on until the arm is at rest, as while brakes that are open let the tissue push it, ``LONGEST`` times as long
+    at most.
     """
 
     damping: float = 15.0
     seconds: float = 0.5
 
 
-_TO_REST = 0.2
-"""Of ``Stop.seconds``: how long closed brakes take to bring the arm to rest."""
-
-
 DEFAULT_STOP = Stop()
+AT_REST = 0.005
+"""Largest speed of a joint at rest [rad/s], [m/s] where it slides."""
+LONGEST = 4
 
 
 class ClosedLoop:
@@ -60,7 +60,7 @@ class ClosedLoop:
         self._filtered: Filtered = (
             controller if isinstance(controller, Filtered) else FilteredController(controller, safety_filter, self.tau)
         )
-        self.seen, self.ticks, self._stopped_at, self._open_at = plant.measure(), 0, -1, -1
+        self.seen, self.ticks, self._stopped_at = plant.measure(), 0, -1
 
     def start(self, tip_ref: Array, trocar: Array) -> None:
         """Start controller and safety filter at the plant's present measurement; arguments as for ``step``."""
@@ -88,9 +88,7 @@ class ClosedLoop:
         self.seen, self.tau = seen, tau
         if self._filtered.stop_reason:
             self._stopped_at = self.ticks if self._stopped_at < 0 else self._stopped_at
-            friction = self._filtered.brake_friction(seen)
-            self._open_at = self._open_at if np.any(friction) else self.ticks
-            self._plant.brake(self._damping, friction)
+            self._plant.brake(self._damping, self._filtered.brake_friction(seen))
         self.ticks += 1
         self._plant.step(tau, trocar)
 
@@ -102,9 +100,10 @@ class ClosedLoop:
     @property
     def finished(self) -> bool:
         """Whether the arm has been stopped, and simulated for as long as ``Stop`` says."""
-        since, closed = self.ticks - self._stopped_at, self.ticks - self._open_at
-        rests = self._open_at < 0 or closed > _TO_REST * self._watched or since > 2 * self._watched
-        return self._stopped_at >= 0 and since > self._watched and rests
+        if not 0 <= self._stopped_at < self.ticks - self._watched:
+            return False
+        over = self.ticks - self._stopped_at > LONGEST * self._watched
+        return over or bool(np.abs(self._plant.v).max() < AT_REST)
 
     @property
     def limited(self) -> int:

@@ -81,7 +81,7 @@ class Waypoints(Path):
         return (*p, *tangent, *bend)
 
     def _speed(self, w: Vector) -> tuple[Vector, Vector]:
-        """|dp/dw| and its derivative at parameters (k,)."""
+        """Return |dp/dw| and its derivative at parameters (k,)."""
         piece = np.clip(np.searchsorted(self.knots_m, w, side="right") - 1, 0, len(self._pieces) - 1)
         h = (w - self.knots_m[piece])[:, None]
         _, b, c, e = (self._pieces[piece, :, i] for i in range(4))
@@ -120,7 +120,7 @@ def _checked(points: ArrayLike) -> Vector:
 
 
 def _spline(t: Vector, points: Vector) -> Vector:
-    """Coefficients (k, 3, 4) of the natural cubic spline, in powers of t - t_i, from the second derivatives M.
+    """Return the coefficients (k, 3, 4) of the natural cubic spline, in powers of t - t_i, from second derivatives M.
 
     h_(i-1) M_(i-1) + 2 (h_(i-1) + h_i) M_i + h_i M_(i+1) = 6 (d_i - d_(i-1)), d_i = (p_(i+1) - p_i)/h_i; M = 0 at
     both ends.

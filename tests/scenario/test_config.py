@@ -278,6 +278,12 @@ def test_the_safety_filter_is_told_of_the_encoders():
     assert Scenario().told_guard.repeat_joint_ticks == 89
     assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_joint_ticks is None
     assert Scenario(guard={"repeat_joint_ticks": 40}).told_guard.repeat_joint_ticks == 40
+    assert Scenario().guard.repeat_reading_ticks is None
+    assert Scenario(guard={"patience_ticks": 5}).told_guard.repeat_reading_ticks == 5
+    assert Scenario(guard={"repeat_joint_ticks": 40, "repeat_reading_ticks": 2}).told_guard.repeat_reading_ticks == 2
+    # Without noise, or a filter, a reading may well be the same.
+    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_reading_ticks is None
+    assert Scenario(plant={"velocity_cutoff_Hz": 0.0}).told_guard.repeat_reading_ticks is None
 
 
 def test_change_makes_a_copy():
