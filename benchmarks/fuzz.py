@@ -7,7 +7,6 @@ A long run keeps the figures of every kind that is through in DIR/kinds.json; ``
 
 from __future__ import annotations
 
-import importlib
 import sys
 import traceback
 import warnings
@@ -94,9 +93,21 @@ def explore(kind: str, cases: int, seed: int, done: Callable[[], Any]) -> tuple[
 
 def lookup(kind: str) -> Kind:
     """Find the check of one kind of input, and where its cases come from."""
-    names = ("checks", "file_checks", "names", "numbers", "pages", "runs", "solvers", "wire")
-    modules = (importlib.import_module(f"benchmarks.reliability.fuzz_{name}") for name in names)
-    return next(module.KINDS[kind] for module in modules if kind in module.KINDS)
+    from benchmarks.reliability import (
+        fuzz_checks,
+        fuzz_file_checks,
+        fuzz_names,
+        fuzz_numbers,
+        fuzz_pages,
+        fuzz_runs,
+        fuzz_solvers,
+        fuzz_wire,
+    )  # fmt: skip
+
+    every = (
+        fuzz_checks, fuzz_file_checks, fuzz_names, fuzz_numbers, fuzz_pages, fuzz_runs, fuzz_solvers, fuzz_wire,
+    )  # fmt: skip
+    return next(module.KINDS[kind] for module in every if kind in module.KINDS)
 
 
 def has_compiler() -> bool:

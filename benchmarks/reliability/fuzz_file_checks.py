@@ -30,9 +30,11 @@ from benchmarks.sweeps import store as sweep_store
 from benchmarks.sweeps.config import Config as SweepConfig
 from benchmarks.sweeps.plan import Plan
 from benchmarks.testsets import TestSet
+from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import MocOptError
 from moc_opt.model.robot_model import load_robot
 from moc_opt.scenario import Scenario, Setup
+from moc_opt.tasks import Waypoints
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.writer import TraceWriter, parts_of
 
@@ -54,11 +56,15 @@ def _read_urdf(path: Path) -> None:
     load_robot(path.with_suffix(".toml"))
 
 
+def _read_waypoints(path: Path) -> None:
+    Waypoints(read_waypoints(str(path)), (0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), heading=(1.0, 0.0, 0.0))
+
+
 READ: dict[str, Callable[[Path], Any]] = {
     "scenario": Scenario.load, "sweep": SweepConfig.load, "study": StudyConfig.load, "faults": FaultsConfig.load,
     "robot": load_robot, "urdf": _read_urdf, "trace": Trace.load, "plan": _read_plan, "part": _read_part,
     "replay_us": lambda path: Setup(Scenario(solver={"replay_us": str(path)})),
-    "testset": lambda path: TestSet.load("file", path.parent),
+    "waypoints": _read_waypoints, "testset": lambda path: TestSet.load("file", path.parent),
 }  # fmt: skip
 
 

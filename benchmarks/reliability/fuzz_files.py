@@ -24,6 +24,7 @@ from moc_opt.scenario import Scenario
 
 READERS = (
     "scenario", "sweep", "study", "faults", "robot", "urdf", "trace", "replay_us", "testset", "plan", "part",
+    "waypoints",
 )  # fmt: skip
 """Whatever opens a file from outside; see `fuzz_file_checks.READ`."""
 
@@ -87,6 +88,16 @@ def _npy(case: HostileFile) -> bytes:
     return sink.getvalue() + b"\0" * case.size
 
 
+def _points(case: HostileFile) -> bytes:
+    """Return waypoints a step apart, some numbers of which an arm does not reach, or nothing does."""
+    rng = np.random.default_rng(case.seed)
+    points = rng.normal(0.0, 0.01, (1 + case.size % 100, 3)).astype(object)
+    for _ in range(int(rng.integers(0, 4))):
+        far = float(rng.choice([value for value in EXTREMES if isinstance(value, float)]))
+        points[int(rng.integers(len(points))), int(rng.integers(3))] = far
+    return "\n".join(",".join(map(repr, row)) for row in points.tolist()).encode()
+
+
 def _constant_parquet(case: HostileFile) -> bytes:
     """Return a trace of so many rows of one value: a few hundred bytes."""
     import json
@@ -147,6 +158,7 @@ SHAPES: dict[str, Callable[[Path, HostileFile], None]] = {
     "attributes": _bytes(lambda c: b"<robot " + b" ".join(b'a%d="1"' % i for i in range(c.size)) + b"></robot>"),
     "UTF-16": _bytes(lambda c: TOML.encode("utf-16")),
     "byte-order mark": _bytes(lambda c: b"\xef\xbb\xbf" + TOML.encode()),
+    "points": _bytes(_points),
     "array header": _bytes(_npy), "constant trace": _bytes(_constant_parquet), "lying footer": _bytes(_trace_with_lies),
 }  # fmt: skip
 """What the file is -> how it is made."""
@@ -158,7 +170,7 @@ def hostile_files(draw: st.DrawFn) -> HostileFile:
     reader = draw(st.sampled_from(READERS))
     meant = {"trace": ("constant trace", "lying footer"), "urdf": ("nested XML", "wide XML", "attributes"),
              "replay_us": ("array header",), "testset": ("array header",), "part": ("array header", "noise"),
-             "plan": ("nested JSON", "no JSON")}  # fmt: skip
+             "plan": ("nested JSON", "no JSON"), "waypoints": ("points",)}  # fmt: skip
     shape = draw(st.one_of(st.sampled_from(list(SHAPES)), st.sampled_from(meant.get(reader, tuple(SHAPES)))))
     size = draw(st.one_of(st.integers(0, 100), st.sampled_from([3000, 20_000, 100_000, 400_000])))
     return HostileFile(reader, shape, size, draw(st.integers(0, 2**32 - 1)))
@@ -195,6 +207,8 @@ def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], 
         value: Any = draw(st.sampled_from(EXTREMES))
         if path == ("task", "sizes"):
             value = {"radius": value}
+        elif path[-1] == "waypoints_m":
+            value = [(0.01, 0.0, 0.0), (0.02, value, 0.0)]
         elif path[-1] == "settings":
             value = {draw(st.sampled_from(["eps", "max_iter", "x"])): value}
         elif path[-1] in ("grid", "fields"):

@@ -7,6 +7,7 @@ import json
 import os
 import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,23 @@ from moc_opt.trace.parquet_file import (
 )
 
 Columns = Mapping[str, NDArray[Any]]
+_OTHER_FORMATS = frozenset({".csv", ".tsv", ".txt", ".json", ".npy", ".npz", ".mat", ".h5", ".xlsx", ".html", ".toml"})
+
+
+def new_file(path: str | os.PathLike[str]) -> Path:
+    """Return where a trace may be written.
+
+    Raises:
+        TraceError: a name that promises another format than Parquet, or something that is no file is there.
+    """
+    target = as_path(path, "trace", TraceError)
+    if target.suffix.lower() in _OTHER_FORMATS:
+        raise TraceError(
+            f"trace {str(target)!r}: a trace is written as Parquet: name it {target.stem + '.parquet'!r}; in Python "
+            "load_trace(...).to_pandas().to_csv(...) makes a CSV of it"
+        )
+    check_replaceable(target, "trace", TraceError)
+    return target
 
 
 def write(path: str | os.PathLike[str], columns: Columns, meta: Mapping[str, Any]) -> None:
@@ -63,8 +81,7 @@ def join(path: str | os.PathLike[str], blocks: Iterable[Columns], types: Types, 
         META_KEY: json.dumps(dict(meta), allow_nan=False),
         TYPES_KEY: json.dumps({name: dtype.str for name, dtype in types.items()}, allow_nan=False),
     }
-    target = as_path(path, "trace", TraceError)
-    check_replaceable(target, "trace", TraceError)
+    target = new_file(path)
     # In the same directory, because only there is a rename atomic.
     partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
     writer = None

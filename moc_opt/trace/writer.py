@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from moc_opt.errors import TraceError, describe
-from moc_opt.inputs.files import as_path, check_replaceable, file_in, read_json
-from moc_opt.trace.parquet import Columns, Stored, join, write
+from moc_opt.inputs.files import as_path, file_in, read_json
+from moc_opt.trace.parquet import Columns, Stored, join, new_file, write
 
 KILLED = "interrupted: the process ended before the run did"
 _META, _LOCK = "meta.json", ".lock"
@@ -42,7 +42,7 @@ class TraceWriter:
         self._lock: int | None = None
 
     def __enter__(self) -> Self:
-        check_replaceable(self.path, "trace", TraceError)  # before the run, not after it
+        new_file(self.path)  # before the run, not after it
         try:
             self.folder.mkdir(exist_ok=True)
             self._lock = os.open(self.folder / _LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o666)

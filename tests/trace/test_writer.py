@@ -219,6 +219,16 @@ def test_a_folder_that_is_not_there_is_said_before_the_run(target, tmp_path, cap
     assert "there is no folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["t.csv", "t.JSON", "a.b.npz"])
+def test_a_name_of_another_format_is_refused_before_the_run(name, tmp_path, capsys):
+    (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
+    assert main(["run", str(tmp_path / "s.toml"), "--trace", str(tmp_path / name)]) == 2
+    assert f"name it '{name.rpartition('.')[0]}.parquet'" in capsys.readouterr().err
+    with pytest.raises(TraceError, match="a trace is written as Parquet"):
+        Trace({"t_s": np.zeros(1)}, {}).save(tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.toml"]
+
+
 def test_memory_of_a_streamed_run_does_not_grow_with_it(tmp_path):
     """Three times as many rows: a tenth of their bytes at most."""
     code = (
