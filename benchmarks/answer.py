@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import plotly.graph_objects as go
 
-from moc_opt.report.figures.style import figure, label, log_axis, rule
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -152,7 +152,8 @@ def show(screen: Console, parts: Iterable[Any]) -> None:
 class Step(Protocol):
     """Counts one step of a progress bar as done, and says which."""
 
-    def __call__(self, text: str = "") -> None: ...
+    def __call__(self, text: str = "") -> None:
+        """Count one more step, told as ``text``."""
 
 
 @contextmanager

@@ -63,7 +63,7 @@ def _of(pattern: str, head: str) -> str:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """What lies beside a report; nothing where it is not there or no JSON: the index links the report all the same."""
+    """Return what lies beside a report; nothing where that is absent or no JSON: the index links the report anyway."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

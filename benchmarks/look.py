@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from moc_opt.errors import MocOptError
+from moc_opt.figures.style import Styles
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.manipulability_map import FEASIBLE, SwivelMap, manipulability_map
-from moc_opt.report.figures.style import Styles
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
 from moc_opt.trace.trace import Trace

@@ -57,12 +57,12 @@ class Config(Configuration):
     scenario: Scenario = Scenario(start={"pose": "random"})  # type: ignore[arg-type]
 
     def quick(self) -> Self:
-        """The same on less data."""
+        """Return the same on less data."""
         less = {"robots": self.robots[:2], "tasks": self.tasks[:1], "poses": 2, "map_points": 1, "random_starts": 30}
         return self.model_copy(update=less | {"restart_poses": 1, "restarts": 3, "halvings": 1})
 
     def jobs(self) -> list[Job]:
-        """Every part on every trial that it is for; the timed one first, before other processes are busy."""
+        """Return every part on every trial that it is for; the timed one first, before other processes are busy."""
         found: list[Job] = []
         for name in self.robots:
             base = self.scenario.change(robot={"name": name})

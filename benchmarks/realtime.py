@@ -47,7 +47,7 @@ class Config(Configuration):
 
 
 def _share(name: str, least: int) -> Any:
-    """The share of missed cycles of a case; LookupError where there were too few to tell."""
+    """Return the share of missed cycles of a case; LookupError where there were too few to tell."""
 
     def measured(summary: Any) -> float:
         found = summary["cases"][name]

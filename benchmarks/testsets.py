@@ -24,10 +24,10 @@ from scipy.optimize import linprog
 
 from benchmarks.output import write_atomically
 from moc_opt.control.null_space import consistent_wrist_velocity, velocity_damper
-from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import read_arrays
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run

@@ -101,6 +101,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     plant.add_argument("--listen", metavar="HOST:PORT", default="127.0.0.1:30200", help="default 127.0.0.1:30200")
     plant.add_argument("--lock-step", action="store_true", help="wait for each command instead of keeping the time")
     plant.add_argument("--trace", type=Path, help="the trace goes here (Parquet)")
+    plant.add_argument("--all", action="store_true", help="print every metric, not those alone to look at first")
     control = commands.add_parser(
         "control", help="the controller of a scenario, for a plant at the other end of a wire",
         epilog="Exit status: 0 the plant ended the run; 2 the input is wrong; 3 the controller asked for a stop, or "
@@ -168,7 +169,7 @@ def _command(arguments: Sequence[str] | None) -> int:
 
 
 def _one_line(error: BaseException) -> str:
-    """What went wrong, and where what there is of the run is to be found."""
+    """Return what went wrong, and where what there is of the run is to be found."""
     said = "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"
     where = ""
     if not isinstance(error, MocOptError | MemoryError | KeyboardInterrupt):

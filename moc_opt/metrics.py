@@ -1,3 +1,3 @@
-"""The metrics of a run, under their old name: see `moc_opt.trace.metrics`."""
+"""Metrics of a run: the short import path of `moc_opt.trace.metrics`."""
 
 from moc_opt.trace.metrics import *  # noqa: F403

@@ -9,11 +9,11 @@ import pinocchio as pin
 from numba import njit
 from numpy.typing import NDArray
 
-from moc_opt.control.rcm import desired_wrist
 from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.manipulability_kernels import manipulability
 from moc_opt.model.place_kernels import point_in_world
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 
 CLIMB = 30.0

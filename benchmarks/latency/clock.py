@@ -11,8 +11,8 @@ import plotly.graph_objects as go
 from benchmarks.answer import Answer, Picture, marked_answer
 from benchmarks.latency.report import GOALS
 from benchmarks.latency.wire import SAFE_RCM_M, Case, Found
+from moc_opt.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.numerics.arrays import Array
-from moc_opt.report.figures.style import Styles, figure, legend_height, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
@@ -126,7 +126,7 @@ def _goal(summary: Mapping[str, Any], case: str) -> str | None:
 
 
 def _pictures(runs: Runs) -> Iterator[Picture]:
-    """Histograms: the round trip at each rate, and how late the plant wakes up at the first of them."""
+    """Yield histograms: the round trip at each rate, and how late the plant wakes up at the first of them."""
     rates = sorted({case.rate_Hz for case in runs})
     for rate in rates[:2]:
         late = {f"{NAMES[c.controller]}, {c.load}": sum(run.missed for run in found)

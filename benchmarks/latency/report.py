@@ -11,7 +11,7 @@ from benchmarks import baselines as peers
 from benchmarks.answer import Answer, Picture, goals_answer
 from benchmarks.latency.goals import Summary
 from benchmarks.latency.tick import PARTS
-from moc_opt.report import figures
+from moc_opt import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -138,7 +138,7 @@ def _popen(*command: str) -> subprocess.Popen[str]:
 
 
 def _read(trace: Trace, said: dict[str, Any]) -> Found:
-    """What a trace and the controller's last words say of a run."""
+    """Return what a trace and the controller's last words say of a run."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
     rest = bool(np.abs(trace.v_rad_per_s[-1]).max() < AT_REST_RAD_PER_S)

@@ -18,6 +18,7 @@ from moc_opt.control.null_space import (
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.tip_impedance import task_inertia
 from moc_opt.model.robot_model import RobotModel, RobotState, load_robot
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.dense import cholesky
 from moc_opt.qp.problem import NullSpaceQP
@@ -133,7 +134,7 @@ def true_lambdas(arm: Arm, off_m: float = 0.002) -> list[float]:
         across /= np.linalg.norm(across)
         for task in BOARD_TASKS.values():
             trocar = s.tip - task.depth_m * s.tool_direction + off_m * across
-            wish, _ = rcm.desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            wish, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
             distance = float(shaft_distance(s.tip, s.wrist, trocar))
             found.append(distance / float(np.linalg.norm(s.wrist - wish)))
     return found

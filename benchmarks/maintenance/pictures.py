@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import cli
-from moc_opt.report import figures
+from moc_opt import figures
 from moc_opt.report.export import save_figures
 from moc_opt.scenario import Scenario, run
 

@@ -57,7 +57,6 @@ class Score:
 
 def figures(found: Sequence[Measurement]) -> dict[str, float]:
     """Return the figures that the objective reads, over all trials."""
-
     whole = [m.metrics for m in found if (m.controller, m.phase) == (SOLVER, "whole")]
     gain = effect(found, "", SOLVER, MATCHED, "mu_mean")
     values = {"gain": -100.0 if gain is None else gain.value}  # without a pair of runs there is none

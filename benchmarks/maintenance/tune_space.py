@@ -73,7 +73,7 @@ class Candidate:
 
     @property
     def control(self) -> dict[str, Any]:
-        """As a table of control settings."""
+        """Return it as a table of control settings."""
         table: dict[str, Any] = {"gains": "default", **self.values}
         if "rho_over_c2" in table:
             table["regularization"] = float(f"{table.pop('rho_over_c2') * 1e-3:.3g}")

@@ -11,9 +11,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from benchmarks.paper_experiment.trials import BASELINES, Outcome
-from moc_opt.report import figures
+from moc_opt import figures
+from moc_opt.figures.style import MUTED, SERIES, figure, label
 from moc_opt.report.export import browser, save_figures
-from moc_opt.report.figures.style import MUTED, SERIES, figure, label
 from moc_opt.trace.trace import Trace
 
 PANELS = {

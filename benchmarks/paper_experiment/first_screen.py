@@ -11,8 +11,8 @@ from benchmarks.answer import Answer, Picture, interval_picture
 from benchmarks.paper_experiment.tables import Summary
 from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, Claim
 from moc_opt.comparison.statistics import spread
-from moc_opt.report.figures.style import GOOD, SERIES, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import GOOD, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 
 NETWORK = "rnn"
@@ -41,7 +41,7 @@ def answer(summary: Summary, groups: Sequence[str], drawn: Mapping[str, go.Figur
 
 
 def _claims(summary: Summary) -> dict[tuple[str, str], dict[str, Mapping[str, Any]]]:
-    """(group, solver) -> claim -> its row of the verdicts."""
+    """Return (group, solver) -> claim -> its row of the verdicts."""
     names = {claim.name for claim in CLAIMS}
     found: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in summary["verdict"]:
@@ -51,7 +51,7 @@ def _claims(summary: Summary) -> dict[tuple[str, str], dict[str, Mapping[str, An
 
 
 def _sentence(summary: Summary, key: tuple[str, str], mine: Mapping[str, Mapping[str, Any]]) -> str:
-    """What the paper's parameters give with one solver."""
+    """Return what the paper's parameters give with one solver."""
     group, solver = key
     held = [name for name, row in mine.items() if row["verdict"] == HOLDS]
     count = "All" if len(held) == len(mine) else "None" if not held else str(len(held))
@@ -66,7 +66,7 @@ def _sentence(summary: Summary, key: tuple[str, str], mine: Mapping[str, Mapping
 
 
 def _goals(summary: Summary, claims: Mapping[tuple[str, str], Any]) -> str:
-    """What fails, and how far our own goals are reached."""
+    """Return what fails, and how far our own goals are reached."""
     none = [solver for (group, solver), mine in claims.items()
             if group == PRINTED and all(row["verdict"] != HOLDS for row in mine.values())]  # fmt: skip
     goals = summary["goals"]
@@ -98,7 +98,7 @@ def _table(summary: Summary, order: Sequence[tuple[str, str]], claims: Mapping[t
 
 
 def _mark(claim: Claim, row: Mapping[str, Any]) -> Mark:
-    """The effect, and the end of its interval that decides."""
+    """Return the effect, and the end of its interval that decides."""
     symbol, tone, rank = MARKS[row["verdict"]]
     value, end = row.get("matched_percent"), row.get(f"matched_percent_{'low' if claim.upwards else 'high'}")
     said = "no trial" if value is None else _short(value)

@@ -17,9 +17,9 @@ from benchmarks.look import add_replay, trial_map
 from benchmarks.paper_experiment.config import Config
 from benchmarks.paper_experiment.figures import titles
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Outcome
+from moc_opt.figures.style import Styles
 from moc_opt.redundancy.manipulability_map import SwivelMap
 from moc_opt.redundancy.map_analysis import read_trajectory
-from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.map_page import add_map, lines
 from moc_opt.report.page import Page

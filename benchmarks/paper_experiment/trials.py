@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt import scenario
-from moc_opt.control.settings import GAINS
+from moc_opt.control.gains import GAINS
 from moc_opt.errors import MocOptError
 from moc_opt.redundancy.transient import in_transient
 from moc_opt.robots import load_data
@@ -190,7 +190,7 @@ def any_transient(trial: Scenario, traces: Mapping[str, Trace], **sampling: floa
 
 
 def _measure_phases(outcome: Outcome, job: Job, traces: Mapping[str, Trace]) -> None:
-    """Every controller at the same ticks: see the head of the module."""
+    """Measure every controller at the same ticks: see the head of the module."""
     flags = any_transient(job.trial, traces)
     if flags is None:
         return

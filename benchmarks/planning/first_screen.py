@@ -9,8 +9,8 @@ from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_pictur
 from benchmarks.planning.goals import MOST_CHANGE_PERCENT, MOST_GAP_PERCENT
 from benchmarks.planning.parts import ERRORS
 from moc_opt.comparison.statistics import StatisticsError, mean
-from moc_opt.report.figures.style import GOOD, SERIES, Styles, figure, label, log_axis, rule
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import GOOD, SERIES, Styles, figure, label, log_axis, rule
 from moc_opt.report.tables import Column, Table
 
 Rows = Sequence[Mapping[str, Any]]
@@ -57,7 +57,7 @@ def _sentences(summary: Mapping[str, Any], runs: Rows) -> Iterator[str]:
 
 
 def _mean(values: Sequence[float]) -> str:
-    """The mean with its interval, where there are two values and more."""
+    """Return the mean with its interval, where there are two values and more."""
     try:
         found = mean(values)
     except StatisticsError:
@@ -66,7 +66,7 @@ def _mean(values: Sequence[float]) -> str:
 
 
 def _table(summary: Mapping[str, Any]) -> Table:
-    """One row a robot and third level: its gap and what it costs, against the goals."""
+    """Return one row a robot and third level: its gap and what it costs, against the goals."""
     rows = []
     for robot, by in summary["loops"].items():
         for name, found in by.items():
@@ -95,7 +95,7 @@ def _table(summary: Mapping[str, Any]) -> Table:
 
 
 def _mark(found: Mapping[str, Any], name: str, limit: float | None, spec: str) -> Mark | None:
-    """The figure, marked by whether both ends of its interval lie on one side of the limit; None: not measured."""
+    """Mark the figure by whether both ends of its interval lie on one side of the limit; None: not measured."""
     value, low, high = (found.get(f"{name}{end}") for end in ("", "_low", "_high"))
     if value is None:
         return None

@@ -26,7 +26,7 @@ GOALS = [
 
 
 def goal_rows(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row a robot and goal: "met", "missed", or "open" where the interval holds the limit; "not measured"."""
+    """Return one row a robot and goal: "met", "missed", "open" where the interval holds the limit, "not measured"."""
     rows = []
     for robot, figures in summary["courses"].items():
         for goal, limit, found, name in _asked(robot, figures, summary):
@@ -49,7 +49,7 @@ def _verdict(low: float | None, high: float | None, limit: float) -> str:
 def _asked(
     robot: str, figures: Mapping[str, Any], summary: Mapping[str, Any]
 ) -> list[tuple[str, float, Mapping[str, Any], str]]:
-    """Goal, limit, the figures it is judged by, and which of them."""
+    """Return goal, limit, the figures it is judged by, and which of them."""
     loops = summary["loops"].get(robot, {})
     found: list[tuple[str, float, Mapping[str, Any], str]] = []
     for name, limit in MOST_GAP_PERCENT.items():

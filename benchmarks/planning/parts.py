@@ -45,13 +45,13 @@ class Job:
     """Name of a closed loop -> what it changes in [control]."""
 
     def row(self) -> dict[str, Any]:
-        """What tells its rows from others."""
+        """Return what tells its rows from others."""
         return {"part": self.part, "robot": self.robot, "task": self.task, "trial": self.trial.name,
                 "seed": self.trial.seed, "error": ""}  # fmt: skip
 
 
 def run_job(job: Job) -> list[dict[str, Any]]:
-    """One row, of "courses" one more for each closed loop; what went wrong with the trial is in its ``error``."""
+    """Return one row, of "courses" one more for each closed loop; ``error`` says what went wrong with the trial."""
     work: Callable[[Job], list[dict[str, Any]]] = {
         "courses": courses, "halving": halving, "closed_form": closed_form, "restarts": restarts, "map": map_time
     }[job.part]  # fmt: skip
@@ -63,7 +63,7 @@ def run_job(job: Job) -> list[dict[str, Any]]:
 
 
 def courses(job: Job) -> list[dict[str, Any]]:
-    """Every course from one start with their bounds, and what closed loops make of the best one."""
+    """Return every course from one start with their bounds, and what closed loops make of the best one."""
     trial = placed(job.trial)
     found = plan(trial)
     row: dict[str, Any] = {
@@ -89,7 +89,7 @@ def courses(job: Job) -> list[dict[str, Any]]:
 
 
 def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, best: float) -> dict[str, Any]:
-    """One run of the trial in its plant, against the mean mu of the best courses."""
+    """Return one run of the trial in its plant, against the mean mu of the best courses."""
     row: dict[str, Any] = {"part": "loop", "loop": name}
     try:
         trace = scenario.run(trial.change(control=change, best_courses=False, bound_samples=0, judge=False))
@@ -107,7 +107,7 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
 
 
 def halving(job: Job) -> list[dict[str, Any]]:
-    """What refinement adds to the grid's course, and what a grid twice as fine in both directions does."""
+    """Return what refinement adds to the grid's course, and what a grid twice as fine in both directions does."""
     found, coarse = plan(job.trial), plan(job.trial, refined=False)
     finer = plan(job.trial, refined=False, times=2 * len(found.targets) - 1, swivels=1440).from_start
     row = {}
@@ -120,7 +120,7 @@ def halving(job: Job) -> list[dict[str, Any]]:
 
 
 def closed_form(job: Job) -> list[dict[str, Any]]:
-    """The map's largest mu at the trial's first point, against inverse kinematics from random starts.
+    """Return the map's largest mu at the trial's first point, against inverse kinematics from random starts.
 
     Each pose that is found is then climbed along its own self-motion by continuation.
     """
@@ -143,7 +143,7 @@ def closed_form(job: Job) -> list[dict[str, Any]]:
 
 
 def restarts(job: Job) -> list[dict[str, Any]]:
-    """The nonlinear program begun at courses that are best for a mu distorted at random, against the plan's own."""
+    """Begin the nonlinear program at courses best for a mu distorted at random; rows against the plan's own."""
     found = plan(job.trial)
     if found.from_start is None:
         return [{}]

@@ -69,7 +69,7 @@ RESTARTS = [
 
 
 def summarise(rows: Rows) -> dict[str, Any]:
-    """part -> robot (or "robot, trial") -> figures; trials that failed are counted."""
+    """Return part -> robot (or "robot, trial") -> figures; trials that failed are counted."""
     summary: dict[str, Any] = {"courses": {}, "loops": {}, "closed_form": {}, "restarts": {}, "map": {}}
     for robot in dict.fromkeys(row["robot"] for row in rows):
         mine = [row for row in rows if row["robot"] == robot]
@@ -88,7 +88,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
 
 
 def _loop(runs: Rows, name: str) -> dict[str, Any]:
-    """Means over the whole runs of one third level; changes against "local" on the trials that both ended."""
+    """Return means over the whole runs of one third level; changes against "local" on the trials that both ended."""
     mine = {row["trial"]: row for row in runs if row["loop"] == name}
     whole = {trial: row for trial, row in mine.items() if not row["error"]}
     found: dict[str, Any] = {"runs": len(mine), "broken": len(mine) - len(whole)}
@@ -126,7 +126,7 @@ def _courses(rows: Rows) -> dict[str, Any]:
 
 
 def tables(summary: Mapping[str, Any]) -> list[Table]:
-    """What the courses are worth, how far they can be trusted, and the checks of map and program."""
+    """Return what the courses are worth, how far they can be trusted, and the checks of map and program."""
     by_robot = [{"robot": robot, **figures} for robot, figures in summary["courses"].items()]
     made = [
         Table("Courses along the path, means over the trials", COURSES, by_robot),
@@ -162,7 +162,7 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
 def report(
     summary: Mapping[str, Any], rows: Rows, first: Answer, environment: Mapping[str, Any]
 ) -> Page:
-    """One page that opens by itself: the first screen, and folded below it these tables."""
+    """Return one page that opens by itself: the first screen, and folded below it these tables."""
     page = Page("Planning over the redundancy", "the best course along a path, and what a local climb leaves")
     first.begin(page)
     page.section("How to read this")
@@ -188,7 +188,7 @@ def report(
 
 
 def headline(summary: Mapping[str, Any]) -> str:
-    """One sentence a robot."""
+    """Return one sentence a robot."""
     said = []
     for robot, row in summary["courses"].items():
         if "climb_gap_percent" in row:

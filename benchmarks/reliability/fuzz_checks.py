@@ -113,7 +113,7 @@ def subproblem(case: dict[str, Any]) -> Verdict:
 
 
 def _claim(qp: NullSpaceQP, name: str, x: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-    """A claim on numbers of ordinary size must be true."""
+    """Check that a claim on numbers of ordinary size is true."""
     part = qp.fields
     largest = max(float(np.abs(a).max(initial=0.0)) for a in (part.A, part.b, part.lower, part.upper, part.grad_mu))
     smallest = np.linalg.svd(part.A, compute_uv=False)

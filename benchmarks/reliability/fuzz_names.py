@@ -151,7 +151,7 @@ def _tick() -> Tick:
 
 
 def _comments(text: str) -> None:
-    """The header's code is the same whatever the comments hold."""
+    """Check that the header's code is the same whatever the comments hold."""
     plain = code_of(source.header(_tick(), "a title", {"joints": "a, b"}))
     if code_of(source.header(_tick(), text, {text: text, "joints": f"a, {text}"})) != plain:
         raise Wrong(f"{text!r} leaves the comment")
@@ -190,7 +190,7 @@ def _vocabulary() -> frozenset[tuple[str, tuple[str, ...]]]:
 
 
 def _pages(text: str) -> None:
-    """A page has no tag or attribute but those of pages about plain texts, and no more scripts."""
+    """Check that a page has no tag or attribute but those of pages about plain texts, and no more scripts."""
     found = _page(text)
     odd = {tag for tag in found if tag not in _vocabulary()}
     if odd or [tag for tag, _ in found].count("script") != [tag for tag, _ in _page("a")].count("script"):

@@ -33,7 +33,7 @@ _NUMBERS = st.sampled_from([0.0, np.nan, np.inf, -np.inf, 1e308, -1e308, 5e-324,
 
 @cache
 def _sound() -> tuple[Columns, dict[str, Any], list[Place]]:
-    """A run's columns and meta, refusals, warnings and restarts among it, and every place in the latter."""
+    """Return a run's columns and meta, refusals, warnings and restarts among it, and every place in the latter."""
     trace = run(Scenario(duration_s=0.04, bound_samples=2, faults={"solver": "raise", "solver_share": 0.5}))
     meta = json.loads(json.dumps(dict(trace.meta)))
     meta["warnings"] = [{"of": "the RCM error", "unit": "m", "level": 6e-3, "first_s": 0.1, "largest": 8e-3}]

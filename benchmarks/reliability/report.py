@@ -7,7 +7,7 @@ from typing import Any
 
 from benchmarks.answer import Answer, Picture, goals_answer
 from benchmarks.reliability.summary import Summary, outcome
-from moc_opt.report import figures
+from moc_opt import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace

@@ -8,8 +8,8 @@ from typing import Any
 from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_picture
 from benchmarks.robots_study.tables import FINDINGS, LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, of
 from moc_opt.comparison.statistics import spread
-from moc_opt.report.figures.style import BAD, GOOD, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import BAD, GOOD, WORST
 from moc_opt.report.tables import Column, Table
 
 RESULTS, FOUND, EACH = "Results", "Which findings hold where", "One picture an arm"
@@ -55,7 +55,7 @@ def _sentences(summary: Mapping[str, Any]) -> list[str]:
 
 
 def _missed(summary: Mapping[str, Any], finding: str) -> list[str]:
-    """The arms on which a finding does not hold, with the figure where there is one."""
+    """Return the arms on which a finding does not hold, with the figure where there is one."""
     found = []
     for arm, by in summary["findings"].items():
         if by[finding] is False:
@@ -66,7 +66,7 @@ def _missed(summary: Mapping[str, Any], finding: str) -> list[str]:
 
 
 def _table(summary: Mapping[str, Any]) -> Table:
-    """One row an arm: what `exact`, or the first solver there is, does there."""
+    """Return one row an arm: what `exact`, or the first solver there is, does there."""
     rows = []
     for arm, figures in summary["robots"].items():
         row = figures.get(of(figures) or "", {})

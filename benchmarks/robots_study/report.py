@@ -14,7 +14,7 @@ from benchmarks.paper_experiment.trials import MATCHED
 from benchmarks.robots_study.first_screen import EACH, FOUND, RESULTS
 from benchmarks.robots_study.tables import Rows, tables
 from moc_opt.comparison.statistics import spread
-from moc_opt.report.figures.boxes import box_plots
+from moc_opt.figures.boxes import box_plots
 from moc_opt.report.page import Page
 
 

@@ -111,7 +111,7 @@ def of(figures: Mapping[str, Any]) -> str | None:
 
 
 def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None]:
-    """Finding -> whether it holds; None where nothing was measured."""
+    """Return finding -> whether it holds; None where nothing was measured."""
     name = of(figures)
     if name is None or "mu_gain_percent" not in figures[name]:
         return dict.fromkeys(FINDINGS)
@@ -130,7 +130,7 @@ def _findings(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, bool | None
 
 
 def _ranking(robots: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
-    """Solvers by mean mu to a thousandth, best first, and the rank correlation of arms that tell them apart."""
+    """Return solvers by mean mu to a thousandth, best first, and rank correlation of arms that tell them apart."""
     scores = {
         robot: {name: row["mu_mean"] for name, row in figures.items() if name != MATCHED and "mu_mean" in row}
         for robot, figures in robots.items()

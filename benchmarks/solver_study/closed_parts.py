@@ -99,14 +99,14 @@ def all_sweeps(study: Study, so_far: Findings) -> Findings:
 
 
 def _in_open_loop(study: Study, worker: Worker, point: Point, data: Data, limits: Limits) -> Cell | None:
-    """The answers of a point's solver to the recorded sequence; None where the sweep is not about accuracy."""
+    """Return the answers of a point's solver to the recorded sequence; None where the sweep is not about accuracy."""
     if point.setting is None:
         return None
     return Cell(point.setting, data, asked(study.store, worker, point.setting, data, limits))
 
 
 def _known(study: Study, so_far: Findings) -> dict[str, dict[str, Run]]:
-    """Controller -> trial -> its run in the part before, if that has trials of the same length."""
+    """Return controller -> trial -> its run in the part before, if that has trials of the same length."""
     found: dict[str, dict[str, Run]] = {}
     if study.config.sweeps.duration_s == study.config.closed_loop.duration_s:
         for run in so_far.runs:
@@ -117,7 +117,7 @@ def _known(study: Study, so_far: Findings) -> dict[str, dict[str, Run]]:
 def _deadlines(
     study: Study, trials: Mapping[str, Scenario], baselines: Mapping[str, Run], known: Mapping[str, Mapping[str, Run]]
 ) -> list[Sweep]:
-    """Sweeps over recorded times; a run with nothing beside it makes the recording, and it is kept as a file."""
+    """Return sweeps over recorded times; a run with nothing beside it makes the recording, and it is kept as a file."""
     found, first = [], next(iter(trials.values()))
     with Worker() as worker:
         for name in study.deadline_solvers:

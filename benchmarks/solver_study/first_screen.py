@@ -12,10 +12,10 @@ from benchmarks.answer import Answer, Picture, interval_picture
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.verdicts import AVOID, BEST_MU, GAPS, NEAR, OTHER, SOUND, TAKE, Row, assess
+from moc_opt import figures
 from moc_opt.comparison.statistics import spread
-from moc_opt.report import figures
-from moc_opt.report.figures.style import BAD, GOOD, MUTED, SERIES, WORST
-from moc_opt.report.notation import Mark
+from moc_opt.figures.notation import Mark
+from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
 
 CERTIFIED, RECORDED, CLOSED_LOOP = "Certified test sets", "Open loop on a recorded run", "Closed loop"
@@ -105,7 +105,7 @@ def _setting(summary: Mapping[str, Any], solver: str) -> str:
 
 
 def _avoid(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[str]:
-    """What to avoid: solvers with the reason, and the settings that libraries come with."""
+    """Return what to avoid: solvers with the reason, and the settings that libraries come with."""
     parts = []
     for row in rows:
         if row["verdict"] is AVOID:
@@ -189,6 +189,6 @@ def _deadline_picture(rows: Sequence[Row], deadline_us: float) -> list[Picture]:
 
 
 def _tones(rows: Sequence[Row]) -> dict[str, str]:
-    """Solver -> colour of its verdict."""
+    """Return solver -> colour of its verdict."""
     colors: dict[Mark, str] = COLORS
     return {row["solver"]: colors.get(row["verdict"], BAD) for row in rows}

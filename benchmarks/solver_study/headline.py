@@ -30,7 +30,7 @@ def headline(summary: Mapping[str, Rows], words: Mapping[str, str]) -> str:
 
 
 def _answers(every: Rows) -> Iterator[str]:
-    """What the answers to the certified sets are worth; `every` is "solver@setting" -> metric."""
+    """Yield what the answers to the certified sets are worth; `every` is "solver@setting" -> metric."""
     linear = _under("recommended", every)
     if linear:
         right = sum(m["right"] == m["solves"] for m in linear.values())
@@ -56,12 +56,12 @@ def _answers(every: Rows) -> Iterator[str]:
 
 
 def _under(setting: str, every: Rows) -> Rows:
-    """Solver -> metric under one setting."""
+    """Return solver -> metric under one setting."""
     return {n.partition("@")[0]: m for n, m in every.items() if n.endswith(f"@{setting}")}
 
 
 def _growth(rows: Rows) -> Iterator[str]:
-    """How the median time grows with the joints."""
+    """Yield how the median time grows with the joints."""
     ratios = {
         name: (value, key.rpartition("us_")[2].split("_over_"))
         for name, row in rows.items()
@@ -78,7 +78,7 @@ def _growth(rows: Rows) -> Iterator[str]:
 
 
 def _closed_loop(rows: Rows) -> Iterator[str]:
-    """What the solvers do to manipulability; of few trials no solver is named and no interval given."""
+    """Yield what the solvers do to manipulability; of few trials no solver is named and no interval given."""
     whole = {n: m for n, m in rows.items() if n != BASELINE and not m.get("short_runs")}  # of the same ticks
     gains = {n: m["mu_gain_percent"] for n, m in whole.items() if "mu_gain_percent" in m}
     if not gains:

@@ -10,9 +10,9 @@ from typing import Any
 from benchmarks.look import add_replay, trial_map
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.closed_loop import Run
+from moc_opt.figures.style import Styles
 from moc_opt.redundancy.manipulability_map import SwivelMap
 from moc_opt.redundancy.map_analysis import read_trajectory
-from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.scenario import Scenario

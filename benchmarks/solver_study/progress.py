@@ -47,7 +47,7 @@ class Progress:
             self._screen.print(f"so far: {said}", markup=False)
 
     def _stands(self) -> bool:
-        """Whether every solver has answered the certified sets: before that the best one is not known."""
+        """Return whether every solver has answered the certified sets: before that the best one is not known."""
         answered = {name.removesuffix("@recommended") for name in self._summary.get("testsets", {})}
         return bool(answered) and set(self._summary.get("open_loop_warm", {})) <= answered
 

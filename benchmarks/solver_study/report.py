@@ -16,7 +16,7 @@ from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.look import Look
 from benchmarks.solver_study.study import Findings, Study
 from benchmarks.solver_study.tables import FOOTNOTE, STEADY
-from moc_opt.report import figures
+from moc_opt import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Table
 

@@ -61,7 +61,7 @@ def answers(setting: SolverSetting, rows: Array, warm: bool, arm: Callable[[], A
 
 
 def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
-    """A session, or None and the reason why there is none: the solver's own, or what it raised."""
+    """Return a session, or None and the reason why there is none: the solver's own, or what it raised."""
     try:
         reason = solver.supports(qp)
         if reason is None:
@@ -73,7 +73,7 @@ def _session(solver: Solver, qp: NullSpaceQP) -> tuple[Session | None, str]:
 
 
 def _asked(session: Session, qp: NullSpaceQP) -> tuple[Solution, str]:
-    """The answer, and what was raised or is wrong with its form."""
+    """Return the answer, and what was raised or is wrong with its form."""
     try:
         return received(session.solve(qp), qp.n)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - as above

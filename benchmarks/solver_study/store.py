@@ -84,7 +84,7 @@ class Store:
 
 
 def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """The values and arrays of a part.
+    """Return the values and arrays of a part.
 
     Raises:
         MocOptError: damaged, or not written by ``put``.
@@ -115,7 +115,7 @@ def circumstances() -> str:
     files = [*sorted((ROOT / "moc_opt").rglob("*.py")), *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*"))]
     files += [ROOT / "benchmarks" / f"{name}.py" for name in SOURCES]
     for file in files:
-        if "report" not in file.parts and file.exists():
+        if not {"report", "figures"} & set(file.parts) and file.exists():
             digest.update(file.read_bytes())
     return f"{' '.join(versions)} {digest.hexdigest()}"
 

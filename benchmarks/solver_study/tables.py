@@ -112,7 +112,7 @@ def tables(summary: Summary) -> dict[str, Table]:
 
 
 def _with_intervals(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The row with its changes against the baseline as texts, each with its interval."""
+    """Return the row with its changes against the baseline as texts, each with its interval."""
     texts = {name: spread(row, name) for name in COMPARED.values()}
     return {**row, **{name.replace("_percent", "_interval"): text for name, text in texts.items()}}
 
@@ -149,7 +149,7 @@ def _growth_columns(summary: Summary) -> list[Column]:
 
 
 def _beside_ours(summary: Summary) -> list[dict[str, Any]]:
-    """qpbenchmark's rows with our figures of the same library: default beside default, high accuracy beside tight."""
+    """Return qpbenchmark's rows with our figures of the library: default beside default, high accuracy beside tight."""
     ours = {
         label.removeprefix(QPSOLVERS): metrics
         for label, metrics in summary.get("testsets", {}).items()

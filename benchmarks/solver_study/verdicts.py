@@ -24,7 +24,7 @@ from benchmarks.solver_study.cells import RIGHTLY, share_right
 from benchmarks.solver_study.compare import CLOSED, HARMLESS
 from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import NONLINEAR
-from moc_opt.report.notation import Mark, Missing
+from moc_opt.figures.notation import Mark, Missing
 
 Summary = Mapping[str, Any]
 Row = dict[str, Any]
@@ -71,7 +71,7 @@ def assess(summary: Summary) -> list[Row]:
 
 
 def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
-    """The figures of one solver: certified sets first, the recorded sequence where they were not run."""
+    """Return the figures of one solver: certified sets first, the recorded sequence where they were not run."""
     counted = certified or warm
     other = name.startswith(NONLINEAR)
     hidden = Missing(TOLD)
@@ -93,7 +93,7 @@ def _figures(name: str, certified: Row, warm: Row, closed: Row) -> Row:
 
 
 def _alone(row: Row) -> Mark:
-    """The verdict without what the answers do in closed loop to mean figures."""
+    """Return the verdict without what the answers do in closed loop to mean figures."""
     counted, closed = row["counted"], row["closed"]
     if row["solver"].startswith(NONLINEAR):
         return OTHER
@@ -110,7 +110,7 @@ def _ended(closed: Row) -> dict[str, int]:
 
 
 def _reference(rows: Sequence[Row]) -> Row | None:
-    """What is compared with: of the solvers that ran in closed loop the soundest, fastest one."""
+    """Return what is compared with: of the solvers that ran in closed loop the soundest, fastest one."""
     ran = [row for row in rows if row["closed"].get("mu_mean") is not None and row["verdict"] is not OTHER]
     return min(ran, key=_order, default=None)
 
@@ -123,7 +123,7 @@ def _order(row: Row) -> tuple[float, float, float]:
 
 
 def _same_ticks(summary: Summary, row: Row, reference: Row) -> tuple[Row, Row]:
-    """The figures of both over the same ticks: those of the beginning where one of them ran no more than that."""
+    """Return the figures of both over the same ticks: those of the beginning where one ran no more than that."""
     if bool(row["closed"].get("short_runs")) == bool(reference["closed"].get("short_runs")):
         return row["closed"], reference["closed"]
     beginning = summary.get("closed_loop_beginning", {})
@@ -131,7 +131,7 @@ def _same_ticks(summary: Summary, row: Row, reference: Row) -> tuple[Row, Row]:
 
 
 def _costs(mine: Row, theirs: Row) -> dict[str, tuple[float, float]]:
-    """Metric -> by how many percent it differs from the reference's, and how much worse that is in what is harmless."""
+    """Return metric -> percent by which it differs from the reference's, and that over what is harmless."""
     found = {}
     for metric, more_is_better in CLOSED.items():
         a, b = mine.get(metric), theirs.get(metric)
@@ -143,7 +143,7 @@ def _costs(mine: Row, theirs: Row) -> dict[str, tuple[float, float]]:
 
 
 def _damage(closed: Row, costs: Mapping[str, tuple[float, float]]) -> tuple[Any, float]:
-    """The worst of it in words, and how many times as much as counts as equal."""
+    """Return the worst of it in words, and how many times as much as counts as equal."""
     for word, count in _ended(closed).items():
         if count:
             return f"{count} {word}", TOO_MUCH

@@ -90,7 +90,7 @@ class DaskPool:
 
 
 def _version() -> str:
-    """On a worker: whether everything can be loaded, and which it is."""
+    """Say on a worker whether everything can be loaded, and which worker it is."""
     import benchmarks.sweeps.engine  # noqa: F401
 
     return code_version()

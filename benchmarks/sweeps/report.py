@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from moc_opt.report.figures.style import Styles, figure
+from moc_opt.figures.style import Styles, figure
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

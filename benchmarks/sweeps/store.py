@@ -204,7 +204,7 @@ class Store:
         self.dropped.append(str(damaged))
 
     def _compact(self) -> None:
-        """Loose files into one; a stop after the shard leaves files that :meth:`_load` takes away."""
+        """Put loose files into one; a stop after the shard leaves files that :meth:`_load` takes away."""
         number = 1 + max((int(path.stem.partition("-")[0]) for path in self._shards), default=-1)
         indices = sorted(self._loose)
         table = record_table([self._loose[i] for i in indices], self.plan.metrics)

@@ -6,7 +6,7 @@ The exact answer and the recurrent network of the 2019 paper, in the same contro
 """
 
 import moc_opt as mo
-from moc_opt.report.figures.series import time_series
+from moc_opt.figures.series import time_series
 
 trial = mo.Scenario(seed=1, start={"swivel": "random"}, duration_s=6.0)
 runs = {name: mo.run(trial.change(solver={"name": name, "settings": {}})) for name in ("exact", "rnn")}

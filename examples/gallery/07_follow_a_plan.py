@@ -7,7 +7,7 @@ it follows the best course over the whole path, behind the same solver, supervis
 """
 
 import moc_opt as mo
-from moc_opt.report.figures.series import time_series
+from moc_opt.figures.series import time_series
 
 trial = mo.Scenario(seed=26, start={"pose": "random", "swivel": "random"}, bound_samples=0)
 runs = {level: mo.run(trial.change(control={"third_level": level})) for level in ("local", "planned")}

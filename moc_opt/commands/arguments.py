@@ -65,7 +65,7 @@ def check_paths(given: argparse.Namespace) -> None:
 
 
 def _place(path: Path | str) -> str:
-    """The path without links; one that leads nowhere (a loop, a NUL) as it is: its reader says what is wrong."""
+    """Return the path without links; one that leads nowhere (a loop, a NUL) as it is: its reader says what is wrong."""
     try:
         return os.path.realpath(path)
     except (OSError, ValueError):

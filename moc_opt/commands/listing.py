@@ -33,7 +33,7 @@ def print_list(given: argparse.Namespace) -> int:
 
 
 def solvers() -> Table:
-    """Every registered solver, whether it can run here, and its settings."""
+    """Return every registered solver, whether it can run here, and its settings."""
     from moc_opt.solvers.registry import available, defaults
 
     rows = []
@@ -56,7 +56,7 @@ def here(found: Table) -> Table:
 
 
 def robots() -> Table:
-    """Every arm of the package."""
+    """Return every arm of the package."""
     from moc_opt.robots import available_robots, load_data
 
     rows = []
@@ -69,7 +69,7 @@ def robots() -> Table:
 
 
 def tasks() -> Table:
-    """Every path, its sizes with their defaults, and what it is."""
+    """Return every path, its sizes with their defaults, and what it is."""
     from moc_opt.errors import MocOptError
     from moc_opt.scenario.tables import TaskTable
     from moc_opt.tasks.kinds import kinds, sizes
@@ -87,7 +87,7 @@ def tasks() -> Table:
 
 
 def metrics() -> Table:
-    """Every metric with its unit."""
+    """Return every metric with its unit."""
     from moc_opt.trace.metrics import METRICS
     from moc_opt.trace.metrics.registry import load_plugins
 

@@ -80,7 +80,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     if given.json:
         print_json(run_json(trace, wanted))
     else:
-        short = not scenario.metrics and not getattr(given, "all", True)  # `plant` has no such option, and prints all
+        short = not scenario.metrics and not given.all
         screen, table = console(), run_table(title, trace, wanted, first=short)
         for piece in table.fitted(screen.width):
             screen.print(piece)
@@ -164,7 +164,7 @@ def read_waypoints(path: str) -> list[tuple[float, ...]]:
 
 
 def _matched_dcac(scenario: Scenario, title: str, ticks: int, to: Path | None) -> Trace | None:
-    """The first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
+    """Return the first ticks of DCAC with the same gains; None, and a word on it, where it was stopped before."""
     from moc_opt.scenario import RunAway, run
 
     try:

@@ -52,7 +52,7 @@ def run_control(given: argparse.Namespace) -> int:
 
 
 def _ending_table(title: str, found: dict[str, Any]) -> Table:
-    """How the run looked from the controller's end, a row a figure; counts of zero are left out."""
+    """Return how the run looked from the controller's end, a row a figure; counts of zero are left out."""
     rows = []
     for name, value in found.items():
         if isinstance(value, dict):

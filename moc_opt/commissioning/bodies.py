@@ -58,7 +58,7 @@ def mend(root: ET.Element, notes: list[str]) -> None:
 
 
 def _lacking(moments: list[float]) -> float:
-    """What must be added to the three moments so that a body can have them."""
+    """Return what must be added to the three moments so that a body can have them."""
     xx, yy, zz, xy, xz, yz = moments
     least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     needed = max(most - least - middle, 1e-3 * most - least, 10.0 * SMALLEST_MOMENT - least)

@@ -91,7 +91,7 @@ def _regularity(robot: RobotModel) -> Finding:
 
 
 def _climb(robot: RobotModel) -> Iterator[Finding]:
-    """The range of mu on the self-motion through home, and the largest with tip and wrist there."""
+    """Yield the range of mu on the self-motion through home, and the largest with tip and wrist there."""
     mu = robot.state(robot.data.q_home).mu
     (largest,), how = largest_mu(robot.data.q_home[None], robot, 1)
     try:
@@ -109,7 +109,7 @@ def _climb(robot: RobotModel) -> Iterator[Finding]:
 
 
 def _task(robot: RobotModel, asked: Scenario) -> Finding:
-    """Whether the task can be done from home, and where not, the largest circle that can."""
+    """Return whether the task can be done from home, and where not, the largest circle that can."""
     fault = task_fault(robot, robot.data.q_home, asked)
     if not fault:
         return Finding("task from home", f"{asked.task.path} can be done", "ok")
@@ -155,7 +155,7 @@ def _weight(robot: RobotModel) -> Finding:
 
 
 def _bodies(robot: RobotModel) -> Finding:
-    """The loader refuses inertias that no body has; here, those that no arm has."""
+    """Judge inertias that no arm has; the loader refuses those that no body has."""
     wrong, total = [], 0.0
     for link in urdf.parse(robot.data.urdf).findall("link"):
         inertial = link.find("inertial")
@@ -175,7 +175,7 @@ def _bodies(robot: RobotModel) -> Finding:
 
 
 def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
-    """The rates of the asked control's gains, and of those of the preset "tuned"."""
+    """Yield the rates of the asked control's gains, and of those of the preset "tuned"."""
     limit, period = allowed_rate(asked.plant), asked.plant.period_s
     yield _rate_row("gains", gain_rates(robot, asked.control), limit, period, lambda s: (
         f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {s[0]} by {s[1]:.2g} in "

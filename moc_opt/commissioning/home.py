@@ -86,12 +86,12 @@ def search_home(robot: RobotModel, *, seed: int = 0) -> Home:
 
 
 def _gain(home: Home) -> float:
-    """How far its share of the best is from the wanted one."""
+    """Return how far its share of the best is from the wanted one."""
     return home.mu / home.mu_best - 0.5 * (SHARE[0] + SHARE[1])
 
 
 def _ranked(robot: RobotModel, poses: Array) -> list[Home]:
-    """The best poses by limits, singularities and mu, each with the best on its self-motion, until one is fit."""
+    """Return the best poses by limits, singularities and mu, each with its self-motion's best, until one is fit."""
     moving = robot.moves.any(axis=0)
     scores, mu = np.full(len(poses), -np.inf), robot.mu_along(poses)
     for k, q in enumerate(poses):

@@ -127,7 +127,7 @@ class _Draft:
         self._drives = _drives(arm)
 
     def load(self, q: Array, efforts: Mapping[str, float] | None = None) -> RobotModel:
-        """The arm so far, at home at q clipped into its limits."""
+        """Return the arm so far, at home at q clipped into its limits."""
         for joint in chain_joints(self._arm):
             if efforts and joint.get("name") in efforts:
                 found = urdf.limits(joint)
@@ -145,7 +145,7 @@ class _Draft:
         return load_robot(path)
 
     def toml(self, home: Home, robot: RobotModel) -> str:
-        """The finished text, with gains."""
+        """Return the finished text, with gains."""
         return robot_toml(
             self._name, self._arm, self._shaft, self._tool_m, self._drives, home.q, home=home,
             gains=derived_gains(robot),
@@ -153,7 +153,7 @@ class _Draft:
 
 
 def _drives(arm: VendorArm) -> dict[str, list[float]]:
-    """Rotor inertia and friction by the torque limit: ours, as nobody publishes them.
+    """Return rotor inertia and friction by the torque limit: ours, as nobody publishes them.
 
     A turning joint of 10 Nm and more gets the LWR4+'s 0.2 kg m^2, a weaker one less in proportion; friction is 0.8 %
     of the torque limit, at most 1 Nm. A sliding joint's drive is as heavy as 4 % of its force limit says.

@@ -84,18 +84,18 @@ def find_shaft(text: str, last_link: str, *, wrist_m: float | None = None) -> Sh
 
 
 def _tidy(point: Array) -> Array:
-    """Zeros in the place of rounding errors."""
+    """Return zeros in the place of rounding errors."""
     return np.where(np.abs(point) < 1e-15, 0.0, point)
 
 
 def _line(data: pin.Data, j: int) -> tuple[Array, Array] | None:
-    """A point on joint j's axis and its direction, in the world; None where it slides."""
+    """Return a point on joint j's axis and its direction, in the world; None where it slides."""
     axis = data.J.reshape(6, -1)[3:, j - 1].copy()  # of one joint pinocchio gives a vector
     return None if np.linalg.norm(axis) < 0.5 else (data.oMi[j].translation.copy(), axis)
 
 
 def _foot(point: Array, axis: Array, other: Array, direction: Array) -> Array:
-    """The point of the first line that is nearest to the second one; they are not parallel."""
+    """Return the point of the first line that is nearest to the second one; they are not parallel."""
     b, gap = float(axis @ direction), other - point
     s = (gap @ axis - b * (gap @ direction)) / (1.0 - b * b)
     nearest: Array = point + s * axis
@@ -103,7 +103,7 @@ def _foot(point: Array, axis: Array, other: Array, direction: Array) -> Array:
 
 
 def _towards(direction: Array) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a rotation whose third column is ``direction``, the one that turns least."""
+    """Return roll, pitch, yaw of a rotation whose third column is ``direction``, the one that turns least."""
     if np.hypot(direction[0], direction[1]) < 1e-14:  # a tilt of 1e-9 rad would wake an idle joint
         return (0.0, 0.0, 0.0) if direction[2] > 0.0 else (float(np.pi), 0.0, 0.0)
     z = np.array([0.0, 0.0, 1.0])

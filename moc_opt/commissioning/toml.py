@@ -80,6 +80,6 @@ def _list(values: Sequence[float] | np.ndarray) -> str:
 
 
 def _wrapped(note: str) -> list[str]:
-    """A note as comment lines; control characters of a vendor's names stay out."""
+    """Return a note as comment lines; control characters of a vendor's names stay out."""
     clean = "".join(c if c.isprintable() else " " for c in note)
     return textwrap.wrap(clean, _WIDTH, initial_indent="# - ", subsequent_indent="#   ")

@@ -89,7 +89,7 @@ def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float]
 
 
 def _declared(text: str) -> tuple[str, list[str]]:
-    """The text with every prefix of its names declared on <robot>, and those that were not."""
+    """Return the text with every prefix of its names declared on <robot>, and those that were not."""
     used = {name for tag in re.findall(r"<[^!?][^>]*>", text) for name in _PREFIX.findall(_QUOTED.sub("", tag))}
     missing = sorted(name for name in used - {"xml", "xmlns"} if f"xmlns:{name}=" not in text.replace(" ", ""))
     told = "".join(f' xmlns:{name}="{name}"' for name in missing)
@@ -97,13 +97,13 @@ def _declared(text: str) -> tuple[str, list[str]]:
 
 
 def _in_braces(given: ET.Element) -> bool:
-    """Whether a link or joint still has expressions of xacro in the place of numbers or names."""
+    """Return whether a link or joint still has expressions of xacro in the place of numbers or names."""
     parts = (part for kind in _KEPT for element in given.findall(kind) for part in element.iter())
     return any("${" in value for part in parts for value in part.attrib.values())
 
 
 def _bare(given: ET.Element) -> ET.Element:
-    """A copy of links and joints without shapes, transmissions and simulators' elements."""
+    """Return a copy of links and joints without shapes, transmissions and simulators' elements."""
     made = ET.Element("robot", name=given.get("name", ""))
     for element in given:
         if element.tag in _KEPT:

@@ -114,7 +114,7 @@ def _row(
 
 
 def _starts(base: Scenario, random_start: bool) -> str:
-    """From where the trials start, where that is not what the scenario says, or the same for all."""
+    """Say from where the trials start, where that is not what the scenario says, or the same for all."""
     if not random_start:
         fixed = base.start.pose != "random" and base.start.swivel != "random"
         return "All trials start as the scenario's [start] says, from one pose." if fixed else ""
@@ -124,7 +124,7 @@ def _starts(base: Scenario, random_start: bool) -> str:
 
 
 def _settings(base: Scenario, name: str) -> Mapping[str, Any]:
-    """Settings of the scenario's own solver, where that one is meant."""
+    """Return the settings of the scenario's own solver, where that one is meant."""
     return base.solver.settings if name == base.solver.name else {}
 
 

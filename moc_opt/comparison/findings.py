@@ -147,7 +147,7 @@ class Comparison:
         return Table(f"{title}: solvers on the same trials", used, rows, about)
 
     def _failures(self) -> list[str]:
-        """One sentence a solver of which runs could not be made: how many, and why the first."""
+        """Return one sentence a solver of which runs could not be made: how many, and why the first."""
         said = []
         for name in self.solvers:
             failed = [
@@ -163,7 +163,7 @@ class Comparison:
         Raises:
             UnknownNameError: no run has such a metric.
         """
-        from moc_opt.report.figures import box_plots
+        from moc_opt.figures import box_plots
 
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
         return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)

@@ -43,10 +43,10 @@ class ScaledClimb:
         self._robot, self._shaft_margin = robot, shaft_margin_m2
 
     def start(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing: nothing is remembered."""
 
     def wish(self, state: RobotState) -> Array:
-        """x_d (n,) [rad/s]; zero at a top of mu, and where the pose is singular."""
+        """Return x_d (n,) [rad/s]; zero at a top of mu, and where the pose is singular."""
         slope = self._slope(state)
         steepness = float(np.sqrt(slope @ slope))
         if not steepness > 1e-12:  # also catches NaN

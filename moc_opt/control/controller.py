@@ -12,7 +12,7 @@ from moc_opt.control import tick
 from moc_opt.control.climb import ScaledClimb
 from moc_opt.control.guide import Guide
 from moc_opt.control.isolated import IsolatedSession
-from moc_opt.control.law import law_of
+from moc_opt.control.law import law_of, shaft_margin_m2
 from moc_opt.control.null_space import follow_null_space, null_space
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.session import check_references, start_session
@@ -69,7 +69,7 @@ class Controller:
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = law_of(settings, robot)
         if guide is None and settings.climb == "scaled" and (settings.law, settings.third_level) == ("moc", "local"):
-            guide = ScaledClimb(robot, settings.shaft_margin_m2)
+            guide = ScaledClimb(robot, shaft_margin_m2(settings, robot))
         self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
         if guide is not None:
             settings.check_guided()
@@ -196,7 +196,7 @@ class Controller:
         self._tau = read_only(np.array(tau, dtype=np.float64))
 
     def _checked(self, tip_ref: Array, trocar: Array) -> tuple[Array, Array]:
-        """The references as contiguous float64: what is compiled takes that for granted."""
+        """Return the references as contiguous float64: what is compiled takes that for granted."""
         check_references(self._started, tip_ref, trocar)
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)
@@ -205,7 +205,7 @@ class Controller:
         return tip_ref, trocar
 
     def _solve(self, session: Session, state: RobotState, tip_ref: Array, trocar: Array) -> Array:
-        """The x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
+        """Return the x (n,) [rad/s] that the arm follows; also sets ``subproblem``, ``solution`` and ``answer``."""
         row = np.empty(self._row_length)
         if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
             self._Z = null_space(state.A, like=self._Z)

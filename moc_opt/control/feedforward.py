@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from moc_opt.control.rcm import shaft_turn
+from moc_opt.model.shaft_kernels import shaft_turn
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.dense import dot, forward_in_place

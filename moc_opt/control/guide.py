@@ -19,4 +19,4 @@ class Guide(Protocol):
         """Begin at t = 0."""
 
     def wish(self, state: RobotState) -> Array:
-        """x_d (n,) [rad/s] of this tick; what it holds outside ker A does not count. Called once a tick."""
+        """Return x_d (n,) [rad/s] of this tick; what it holds outside ker A does not count. Called once a tick."""

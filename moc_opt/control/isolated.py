@@ -89,7 +89,7 @@ class Isolated:
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """None: the solver is asked where it runs, in ``start``."""
+        """Return None: the solver is asked where it runs, in ``start``."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -162,7 +162,7 @@ class IsolatedSession:
         raise Unanswered(Fault.RAISED, found.text)
 
     def _ready(self, qp: NullSpaceQP) -> Worker:
-        """The process that takes this tick's subproblem, its session started."""
+        """Return the process that takes this tick's subproblem, its session started."""
         while self._workers or len(self.restarts) <= self._settings.most_restarts:
             if not self._workers:
                 self._workers.append(self._solver.worker(qp))

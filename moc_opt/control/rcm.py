@@ -1,8 +1,9 @@
 """Level 2, the remote centre of motion: the shaft is turned about the tip until it meets the trocar.
 
 The tip at X and the trocar at P_t fix where the wrist belongs: N_d = X + L e with
-e = (P_t - X)/|P_t - X|. A spring pulls the wrist there, F_W = K_N (N_d - N) + D_N (dN_d - J_W v),
-projected so that it does not move the tip (Su et al. 2019; the consistent form of its projector).
+e = (P_t - X)/|P_t - X| (`moc_opt.model.shaft_kernels`). A spring pulls the wrist there,
+F_W = K_N (N_d - N) + D_N (dN_d - J_W v), projected so that it does not move the tip (Su et al. 2019; the consistent
+form of its projector).
 The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant lambda: ``published_share``.
 """
 
@@ -12,41 +13,7 @@ import numpy as np
 
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-from moc_opt.numerics.dense import cholesky, dot, gram, solve_factored, times, transpose_times
-
-
-@njit(cache=True, nogil=True)
-def shaft_turn(
-    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array
-) -> tuple[float, Array, float, Array]:
-    """Compute how the line from tip to trocar lies and turns.
-
-    Returns:
-        |P_t - X| [m]; e (3,); its rate of change e^T (dP_t - dX) [m/s]; and
-        de/dt = (I - e e^T)(dP_t - dX)/|P_t - X| (3,) [1/s].
-    """
-    e, turn, square = np.empty(3), np.empty(3), 0.0
-    for i in range(3):
-        e[i], turn[i] = trocar[i] - tip[i], trocar_velocity[i] - tip_velocity[i]
-        square += e[i] * e[i]
-    distance = np.sqrt(square)
-    for i in range(3):
-        e[i] /= distance
-    closing = dot(e, turn)
-    for i in range(3):
-        turn[i] = (turn[i] - closing * e[i]) / distance
-    return distance, e, closing, turn
-
-
-@njit(cache=True, nogil=True)
-def desired_wrist(
-    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
-) -> tuple[Array, Array]:
-    """Compute N_d = X + L e, which puts the shaft through the trocar, and dN_d = dX + L de/dt, (3,) [m], [m/s]."""
-    _, e, _, turn = shaft_turn(tip, tip_velocity, trocar, trocar_velocity)
-    for i in range(3):
-        e[i], turn[i] = tip[i] + span * e[i], tip_velocity[i] + span * turn[i]
-    return e, turn
+from moc_opt.numerics.dense import cholesky, gram, solve_factored, times, transpose_times
 
 
 @njit(cache=True, nogil=True)

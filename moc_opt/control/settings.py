@@ -4,32 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
+from moc_opt.control.gains import GAINS, Gains, PerJoint, resolve
 from moc_opt.control.presets import PRESETS as PRESETS
 from moc_opt.control.supervisor import SupervisorSettings
 from moc_opt.errors import ControlError, MocOptError, UnknownNameError
-from moc_opt.inputs.files import LARGEST
 from moc_opt.inputs.settings import Settings
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-def _number_or_numbers(value: Any) -> float | tuple[float, ...]:
-    numbers = value if isinstance(value, list | tuple) else (value,)
-    for number in numbers:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not 0.0 <= number <= LARGEST:
-            raise ValueError("input should be a number of 0 or more, or a list with one for each joint")
-    return float(value) if numbers is not value else tuple(float(number) for number in numbers)
-
-
-PerJoint = Annotated[float | tuple[float, ...], BeforeValidator(_number_or_numbers)]
-"""One number for all joints, or one per joint."""
 
 
 def _current_projector(value: Any) -> Any:
@@ -42,22 +30,6 @@ PROJECTORS: tuple[Projector, ...] = get_args(Projector)
 
 COURSE_K0_PER_S = 10.0
 """Least k0 of the box under a course."""
-
-
-class Gains(NamedTuple):
-    """The gains of the three levels as a controller uses them."""
-
-    K_X: float
-    D_X: float
-    K_N: float
-    D_N: float
-    K_N2: NDArray[np.float64]
-    """(n,) [N m s/rad]"""
-    D_N2: NDArray[np.float64]
-    """(n,) [N m s/rad]"""
-
-
-GAINS = Gains._fields
 
 
 class ControlSettings(Settings):
@@ -145,13 +117,14 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides"
     )
-    shaft_margin_m2: float = Field(
-        default=0.025,
+    shaft_margin: float = Field(
+        default=0.175,
         ge=0.0,
-        le=0.1,
+        le=1.0,
         allow_inf_nan=False,
-        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip "
-        "where it is does to the shaft, is below this, the climb leads away from losing the shaft; 0 as in the paper",
+        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip where it is does to "
+        "the shaft, over the square of the distance from wrist point to tip is below this, the climb leads away from "
+        "losing the shaft, and the box opens up to the joints' whole speed; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
@@ -262,56 +235,10 @@ class ControlSettings(Settings):
         return self.observer_gain_per_s
 
     def limit_margins(self, slides: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """How far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
+        """Return how far inside the limit of each joint the box closes, (n,) [rad], [m] where ``slides``."""
         return np.where(slides, self.limit_margin_m, self.box_margin_rad)
 
     def resolve_gains(self, tables: Mapping[str, Mapping[str, Any]], joints: int) -> Gains:
-        """Return K_X .. D_N2 as numbers: settings first, then the robot's table.
-
-        Args:
-            tables: the robot's [gains.*].
-            joints: n, to which K_N2 and D_N2 are spread; they are zero under DCAC.
-
-        Raises:
-            UnknownNameError: ``gains`` names no table of this robot.
-            ControlError: a gain that this law needs stands nowhere, is no number of 0 or more, or has another
-                length than the arm has joints.
-        """
-        name = self.gains or self.law
-        if name not in tables:
-            raise UnknownNameError("table of gains", name, tables)
-        found: dict[str, Any] = {}
-        for gain in GAINS if self.law == "moc" else GAINS[:4]:
-            value, where = getattr(self, gain), ""
-            if value is None:
-                value, where = tables[name].get(gain), f" in [gains.{name}] of the robot"
-            if value is None:
-                raise ControlError(
-                    f"{gain}: not set, and [gains.{name}] of the robot has none; give a number"
-                )
-            if gain in GAINS[:4]:
-                found[gain] = _one_number(gain, value, where)
-            else:
-                found[gain] = per_joint(gain, value, joints, where)
-        return Gains(**{"K_N2": np.zeros(joints), "D_N2": np.zeros(joints), **found})
-
-
-def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np.float64]:
-    """Return one number for all joints, or one per joint, as (n,) numbers of 0 or more.
-
-    Raises:
-        ControlError: another length, or something that is no such number; the message says ``where`` it stands.
-    """
-    numbers = value if isinstance(value, list | tuple) else [value] * joints
-    if len(numbers) != joints:
-        raise ControlError(
-            f"{name} = {value!r}{where} has {len(numbers)} entries for {joints} joints: give one number, "
-            "or one per joint"
-        )
-    return np.array([_one_number(name, number, where) for number in numbers])
-
-
-def _one_number(name: str, value: Any, where: str) -> float:
-    if not isinstance(value, int | float) or not 0.0 <= value < float("inf"):
-        raise ControlError(f"{name} = {value!r}{where}: give one number of 0 or more")
-    return float(value)
+        """Return K_X .. D_N2 as numbers: settings first, then the robot's table (`moc_opt.control.gains.resolve`)."""
+        given = {gain: getattr(self, gain) for gain in GAINS}
+        return resolve(self.law, given, tables, self.gains or self.law, joints)

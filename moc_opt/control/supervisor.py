@@ -193,7 +193,7 @@ class Supervisor:
         return solution, self._replace(solution, qp, Z)
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
-        """The answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
+        """Return the answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
         shown, given, text = qp.copy(), None, ""
         fault: Fault | None = None
         status = Status.NUMERICAL
@@ -250,7 +250,7 @@ class Supervisor:
         return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
-        """What the solver has when its budget ends: its iterations are taken to last equally long.
+        """Return what the solver has when its budget ends: its iterations are taken to last equally long.
 
         One that cannot be stopped is waited for, and its whole answer taken.
         """

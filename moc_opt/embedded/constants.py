@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.gains import per_joint
 from moc_opt.control.motion import SETTLED
 from moc_opt.control.safety_filter import PRESS_PER_S
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.control.settings import per_joint
 from moc_opt.embedded.operations import worst_path
 from moc_opt.embedded.source import number, render
 from moc_opt.embedded.support import TickSpec
@@ -114,6 +114,7 @@ def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str
         "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
         "MOC_REPLAYED_TICKS": number(guard.replayed_ticks(n)),
         "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
+        "MOC_REPEAT_READING_TICKS": number(guard.repeat_reading_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
         "MOC_RESIDUAL_WHOLE": number(guard.residual_whole_torque),

@@ -127,7 +127,7 @@ def shaft_manipulability(at: Points) -> tuple[SX, SX]:
 
 
 def _adjugate(S: SX) -> tuple[SX, SX]:
-    """Determinant of a symmetric (3, 3), and its adjugate: the determinant times the inverse."""
+    """Compute the determinant of a symmetric (3, 3), and its adjugate: the determinant times the inverse."""
     rows = [S[:, 1], S[:, 2], S[:, 0]]
     adjugate = ca.horzcat(*(ca.cross(rows[i], rows[(i + 1) % 3]) for i in range(3)))
     det = S[:, 0].T @ adjugate[:, 0]
@@ -222,7 +222,7 @@ def drift(at: Points, J: SX, v: SX) -> SX:
 
 
 def _summed(frames: list[Frame], linear: list[SX], angular: list[SX]) -> list[tuple[SX, SX]]:
-    """Force-like pairs of the bodies, each summed with all beyond it, in its own joint's frame."""
+    """Return force-like pairs of the bodies, each summed with all beyond it, in its own joint's frame."""
     n = len(frames)
     sums = [(linear[n - 1], angular[n - 1])]
     for j in reversed(range(n - 1)):
@@ -233,12 +233,12 @@ def _summed(frames: list[Frame], linear: list[SX], angular: list[SX]) -> list[tu
 
 
 def _along(arm: Arm, j: int, force: SX, moment: SX) -> SX:
-    """What joint j feels of a force and a moment in its own frame."""
+    """Return what joint j feels of a force and a moment in its own frame."""
     return ca.dot(ca.SX(arm.axes[j]), force if arm.prismatic[j] else moment)
 
 
 def _rotation_about(axis: Array, angle: SX) -> SX:
-    """Rodrigues' formula c I + s [a]x + (1 - c) a a^T, exact ones and zeros for a coordinate axis."""
+    """Compute Rodrigues' formula c I + s [a]x + (1 - c) a a^T, exact ones and zeros for a coordinate axis."""
     c, s = ca.cos(angle), ca.sin(angle)
     outer = np.outer(axis, axis)
     return ca.SX(outer) + c * ca.SX(np.eye(3) - outer) + s * ca.skew(ca.SX(axis))

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from moc_opt.control import Controller, ControlSettings
+from moc_opt.control.gains import GAINS
 from moc_opt.control.safety_settings import SafetyFilterSettings
-from moc_opt.control.settings import GAINS
 from moc_opt.embedded import program, source
 from moc_opt.embedded.compiler import FLAGS
 from moc_opt.embedded.constants import DEFAULT_SAFETY_FILTER, constants
@@ -98,7 +98,7 @@ def export(
 
 
 def _constants(robot: RobotModel, settings: ControlSettings, solver: Solver | None, period: float) -> dict[str, Any]:
-    """What is baked in, for the comment at the top of the header."""
+    """Return what is baked in, for the comment at the top of the header."""
     data = robot.data
     limits = {"q_min [rad]": data.q_min, "q_max [rad]": data.q_max, "v_max [rad/s]": data.v_max,
               "tau_max [Nm]": data.tau_max, "rotor inertia [kg m^2]": data.rotor_inertia}  # fmt: skip

@@ -120,15 +120,15 @@ class GuardedController:
 
     @property
     def remembered(self) -> Array:
-        """(13 + 12 n,) what is remembered from tick to tick, as access.c lists it."""
-        out = np.empty(13 + 12 * self._n)
+        """(14 + 14 n,) what is remembered from tick to tick, as access.c lists it."""
+        out = np.empty(14 + 14 * self._n)
         self.library.moc_remembered(self._state, ctypes.c_void_p(out.ctypes.data))
         return out
 
     def _pointers(
         self, *given: ArrayLike, sizes: tuple[int, ...] | None = None
     ) -> tuple[list[ctypes.c_void_p], list[Array]]:
-        """Addresses of flat copies, and the copies, which have to live as long."""
+        """Return the addresses of flat copies, and the copies, which have to live as long."""
         arrays = [np.ascontiguousarray(values, dtype=np.float64).ravel() for values in given]
         for array, size in zip(arrays, sizes or (self._n,) * len(arrays), strict=True):
             if array.size != size:

@@ -185,7 +185,7 @@ class NativeController:
 
 @lru_cache(maxsize=8)
 def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
-    """Layout and C files of (robot data, settings, solver, period): the second run of a law need not write it again."""
+    """Return layout and C files of (robot data, settings, solver, period): a law's second run need not write them."""
     data, settings, solver, period = pickle.loads(pickled)
     tick, texts = c_files(TickSpec(RobotModel(data), settings, solver, period))
     return tick.layout, texts
@@ -207,18 +207,18 @@ _LABELS = {code: status.label for code, status in _STATUS.items()}
 
 
 def _memory(fields: tuple[Field, ...]) -> tuple[Array, dict[str, NDArray[Any]]]:
-    """The doubles of one of the header's structs, and a view of each member."""
+    """Return the doubles of one of the header's structs, and a view of each member."""
     whole = np.zeros(sum(field.length for field in fields))
     return whole, _named(whole, fields)
 
 
 def _named(whole: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
-    """A view of each member of one of the structs."""
+    """Return a view of each member of one of the structs."""
     return {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
 
 
 def _views(rows: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
-    """A view (k, ...) of each member of the structs that are the k rows."""
+    """Return a view (k, ...) of each member of the structs that are the k rows."""
     views, begin = {}, 0
     for field in fields:
         views[field.name] = rows[:, begin : begin + field.length].reshape(len(rows), *field.shape)

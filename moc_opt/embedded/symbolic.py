@@ -14,7 +14,7 @@ import numpy as np
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
-from moc_opt.control.tick import SHAFT_LOST, SHAFT_PULL
+from moc_opt.control.tick import BOX_OPENS, SHAFT_LOST, SHAFT_PULL
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
@@ -107,7 +107,7 @@ class _Law:
             self.results |= {"momentum": integral, "external_torque": residual}
 
     def _shaft_turn(self, tip_velocity: SX) -> tuple[SX, SX, SX, SX]:
-        """|P_t - X|, e, its closing speed and de/dt, see `moc_opt.control.rcm.shaft_turn`."""
+        """Compute |P_t - X|, e, its closing speed and de/dt, see `moc_opt.model.shaft_kernels.shaft_turn`."""
         to_trocar = self.s["trocar"][:3] - self.at.tip
         distance = ca.norm_2(to_trocar)
         e = to_trocar / distance
@@ -116,12 +116,12 @@ class _Law:
         return distance, e, closing, (slip - closing * e) / distance
 
     def _desired_wrist(self, tip_velocity: SX) -> tuple[SX, SX]:
-        """N_d = X + L e and its velocity, see `moc_opt.control.rcm.desired_wrist`."""
+        """Compute N_d = X + L e and its velocity, see `moc_opt.model.shaft_kernels.desired_wrist`."""
         _, e, _, turn = self._shaft_turn(tip_velocity)
         return self.at.tip + self.span * e, tip_velocity + self.span * turn
 
     def _tip_and_rcm(self) -> SX:
-        """Levels 1 and 2, see `moc_opt.control.tick.tracking_torque`."""
+        """Compute levels 1 and 2, see `moc_opt.control.tick.tracking_torque`."""
         J_tip, J_wrist, v, gains = self.at.J_tip, self.at.J_wrist, self.s["v"], self.gains
         X_d, dX_d, ddX_d = (self.s["tip_ref"][i : i + 3] for i in (0, 3, 6))
         dX, dN = J_tip @ v, J_wrist @ v
@@ -147,7 +147,7 @@ class _Law:
         return tau + self._feedforward(factor, dX, ddX_d) if self.settings.feedforward else tau
 
     def _feedforward(self, factor: SX, dX: SX, ddX_d: SX) -> SX:
-        """Accelerations of tip and desired wrist, see `moc_opt.control.feedforward`."""
+        """Compute the accelerations of tip and desired wrist, see `moc_opt.control.feedforward`."""
         at, v = self.at, self.s["v"]
         distance, e, closing, turn = self._shaft_turn(dX)
         pull = -ddX_d - 2 * closing * turn
@@ -158,7 +158,7 @@ class _Law:
         return factor @ _orthogonal_effort(ca.solve(factor, A5.T), wish)
 
     def _third_level(self, solver: Solver | None) -> None:
-        """The null space and, under MOC, the solver's answer; the torque that follows it is `moc_level3.c`.
+        """Compute the null space and, under MOC, the solver's answer; the torque that follows it is `moc_level3.c`.
 
         Z is z beside the unit vectors of the idle joints. Any basis of the null space gives the same torque, so that
         none is carried from tick to tick.
@@ -196,15 +196,15 @@ class _Law:
             robot.q_min, robot.q_max, robot.v_max,
             margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         )  # fmt: skip
+        gradient, margin = self.grad_mu, settings.shaft_margin * self.span**2
+        if margin > 0.0:
+            mu_shaft, slope = dynamics.shaft_manipulability(self.at)
+            left, lost = ca.fmax(1 - mu_shaft / margin, 0), SHAFT_LOST * margin
+            gradient = gradient + SHAFT_PULL * left * mu_shaft / (mu_shaft**2 + lost**2) * slope  # tick.shaft_push
+            v_max = v_max * (1 + (1 / settings.speed_fraction - 1) * ca.fmin(1, BOX_OPENS * left))
         box = swivel.Box(
             ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max), ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max)
         )
-        gradient = self.grad_mu
-        if settings.shaft_margin_m2 > 0.0:
-            mu_shaft, slope = dynamics.shaft_manipulability(self.at)
-            left, lost = 1 - mu_shaft / settings.shaft_margin_m2, SHAFT_LOST * settings.shaft_margin_m2
-            weight = SHAFT_PULL * ca.fmax(left, 0) * mu_shaft / (mu_shaft**2 + lost**2)  # tick.shaft_push
-            gradient = gradient + weight * slope
         answer = swivel.solve(
             triangle, z, ca.vertcat(v_wrist, rates), gradient, box, active,
             c2=settings.c2, rho=settings.regularization, tolerance=tolerance,
@@ -221,12 +221,12 @@ class _Law:
 
 
 def _tool_pose(robot: RobotModel, at: dynamics.Points) -> SX:
-    """(12,) rows x, y, z, tip; see `moc_opt.model.kinematics_kernels.tool_pose`."""
+    """Compute (12,) rows x, y, z, tip; see `moc_opt.model.kinematics_kernels.tool_pose`."""
     return ca.vertcat(*(at.R @ ca.SX(axis) for axis in without_dust(robot.mount)), at.tip)
 
 
 def _orthogonal_effort(Y: SX, wish: SX) -> SX:
-    """Shortest y with Y^T y = wish for Y (n,5); the wrist's harder direction as `control.feedforward` has it."""
+    """Compute the shortest y with Y^T y = wish for Y (n,5); the wrist's harder direction as `control.feedforward`."""
     columns: list[SX] = ca.horzsplit(Y)
     wishes: list[SX] = ca.vertsplit(wish)
     effort: SX = ca.SX.zeros(Y.shape[0])
@@ -256,7 +256,7 @@ def _orthogonal_effort(Y: SX, wish: SX) -> SX:
 
 
 def _across(direction: Array) -> tuple[Array, Array]:
-    """Unit vectors b1, b2 that make (b1, b2, direction) right-handed."""
+    """Return the unit vectors b1, b2 that make (b1, b2, direction) right-handed."""
     u = direction / np.linalg.norm(direction)
     b1 = np.cross(np.eye(3)[(int(np.argmax(np.abs(u))) + 2) % 3], u)
     b1 /= np.linalg.norm(b1)
@@ -264,7 +264,7 @@ def _across(direction: Array) -> tuple[Array, Array]:
 
 
 def _solve_factored(upper: SX, b: SX) -> SX:
-    """S^-1 b for S = upper^T upper."""
+    """Compute S^-1 b for S = upper^T upper."""
     return ca.solve(upper, ca.solve(upper.T, b))
 
 

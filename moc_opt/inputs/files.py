@@ -178,7 +178,7 @@ def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
 
 
 def entries(value: Any) -> Iterator[tuple[str, int, Any]]:
-    """Every value inside: its path, its depth, itself; on a stack of its own, whatever the depth."""
+    """Yield every value inside: its path, its depth, itself; on a stack of its own, whatever the depth."""
     stack: list[tuple[str, int, Any]] = [("", 0, value)]
     while stack:
         path, depth, entry = stack.pop()

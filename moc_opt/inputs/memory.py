@@ -28,7 +28,7 @@ def available_bytes() -> int:
 
 
 def _kilobytes(path: str) -> dict[str, int]:
-    """The lines "name: 123 kB" of a file of the kernel, in bytes."""
+    """Return the lines "name: 123 kB" of a file of the kernel, in bytes."""
     try:
         lines = Path(path).read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -53,7 +53,7 @@ class Access:
         self.token = secrets.token_urlsafe(24) if token is None else token
 
     def _own(self, address: str, port: int) -> bool:
-        """Whether "host:port" is this page."""
+        """Return whether "host:port" is this page."""
         try:
             parts = urlsplit(f"http://{address}")
             name, asked = parts.hostname or "", parts.port or 80

@@ -124,7 +124,7 @@ class LivePage:
 
 
 def _viser() -> Callable[..., Any]:
-    """A viser server that cannot be shared beyond its address.
+    """Return a viser server that cannot be shared beyond its address.
 
     viser's clients may ask for a tunnel that makes the page public through another host, whatever address it
     listens on; that is refused.
@@ -138,7 +138,7 @@ def _viser() -> Callable[..., Any]:
 
 
 def _no_tunnel(server: object, verbose: bool = True) -> None:
-    """Instead of `ViserServer.request_share_url`."""
+    """Refuse: stands in the place of `ViserServer.request_share_url`."""
 
 
 def serve(

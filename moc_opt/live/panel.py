@@ -19,7 +19,7 @@ COLUMN = {name: k for k, name in enumerate(QUANTITIES)}
 BLUE, ORANGE, GREEN, MUTED = "#0072b2", "#d55e00", "#009e73", "#77787b"
 PLOTS: dict[str, list[tuple[str, str, float, str]]] = {
     "µ and the largest on its self-motion curve [m³]": [("mu", "µ", 1.0, BLUE), ("mu_bound", "largest", 1.0, MUTED)],
-    "RCM error, tip error [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
+    "RCM error, tip error in space [mm]": [("rcm_error_m", "RCM", 1e3, BLUE), ("tip_error_m", "tip", 1e3, ORANGE)],
     "force of the trocar [N]": [("force_N", "force", 1.0, BLUE)],
     "whole tick, solver [µs]": [("tick_us", "tick", 1.0, BLUE), ("solve_us", "solver", 1.0, GREEN)],
 }
@@ -147,7 +147,7 @@ class Panel:
 
 
 def _empty(title: str, lines: list[tuple[str, str, float, str]]) -> dict[str, Any]:
-    """A plot without a point yet."""
+    """Return a plot without a point yet."""
     series = [{"label": "t [s]"}, *({"label": name, "stroke": color, "width": 1.5} for _, name, _, color in lines)]
     nothing = np.array([0.0, 1.0])
     scales: dict[str, Any] = {"x": {"time": False}}

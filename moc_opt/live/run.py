@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.control import Controller, ControlSettings
-from moc_opt.control.settings import Gains
+from moc_opt.control.gains import Gains
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.live.exchange import Choice, ExchangeableController
 from moc_opt.live.history import History, thinned

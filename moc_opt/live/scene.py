@@ -102,12 +102,12 @@ def lathe(radii: Array, heights: Array, around: int = AROUND) -> tuple[Array, ND
 
 
 def _segments(points: Array) -> NDArray[np.float32]:
-    """(k - 1, 2, 3) pieces of a line through (k, 3)."""
+    """Return (k - 1, 2, 3) pieces of a line through (k, 3)."""
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
 def _frame(axis: Array) -> Array:
-    """(3, 3) a rotation whose z axis is `axis`."""
+    """Return (3, 3) a rotation whose z axis is `axis`."""
     beside = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]
     across = np.cross(beside, axis)
     x = across / np.linalg.norm(across)
@@ -115,7 +115,7 @@ def _frame(axis: Array) -> Array:
 
 
 def _quaternion(rotation: Array) -> Array:
-    """(4,) w, x, y, z."""
+    """Return (4,) w, x, y, z."""
     from viser.transforms import SO3
 
     return np.asarray(SO3.from_matrix(rotation).wxyz, dtype=np.float64)

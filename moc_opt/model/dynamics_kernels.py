@@ -13,7 +13,7 @@ from moc_opt.numerics.cache import njit
 
 @njit(cache=True)
 def mass_moment(places: Array, bodies: Array, k: int) -> tuple[float, float, float]:
-    """Mass of link k times its centre of mass in the world [kg m]."""
+    """Compute the mass of link k times its centre of mass in the world [kg m]."""
     m, a, b, c = bodies[k, 0], bodies[k, 1], bodies[k, 2], bodies[k, 3]
     x = m * places[k, 9] + places[k, 0] * a + places[k, 3] * b + places[k, 6] * c
     y = m * places[k, 10] + places[k, 1] * a + places[k, 4] * b + places[k, 7] * c
@@ -23,7 +23,7 @@ def mass_moment(places: Array, bodies: Array, k: int) -> tuple[float, float, flo
 
 @njit(cache=True)
 def link_momentum(places: Array, bodies: Array, k: int, twist: Array, out: Array) -> None:
-    """Momentum of link k into out[k], linear and angular at the world origin [kg m/s], [kg m^2/s].
+    """Write the momentum of link k into out[k], linear and angular at the world origin [kg m/s], [kg m^2/s].
 
     ``twist`` (6,) is its velocity [m/s], [rad/s] there.
     """
@@ -47,7 +47,7 @@ def link_momentum(places: Array, bodies: Array, k: int, twist: Array, out: Array
 
 @njit(cache=True)
 def energy_slope(axes: Array, places: Array, bodies: Array, v: Array, out: Array) -> None:
-    """dT/dq (n,) [Nm], the slope of the kinetic energy, which is C^T v with Christoffel's C.
+    """Compute dT/dq (n,) [Nm], the slope of the kinetic energy, which is C^T v with Christoffel's C.
 
     Turning joint k takes all links beyond it along, but not the twist V of the links before it that carries them:
     dT/dq_k = (V x S_k) . H_k, with H_k the momentum of the links beyond, all at the world origin (Featherstone 2008,
@@ -80,7 +80,7 @@ def energy_slope(axes: Array, places: Array, bodies: Array, v: Array, out: Array
 
 @njit(cache=True)
 def gravity_torque(axes: Array, places: Array, bodies: Array, field: Array, out: Array) -> None:
-    """Torque (n,) [Nm] that carries the arm's weight: what joint k has to hold of the links beyond it."""
+    """Compute the torque (n,) [Nm] that carries the arm's weight: what joint k has to hold of the links beyond it."""
     mass = cx = cy = cz = 0.0
     fx, fy, fz = field[0], field[1], field[2]
     for k in range(axes.shape[0] - 1, -1, -1):

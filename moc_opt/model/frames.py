@@ -32,7 +32,7 @@ def link_frames(chain: Chain, q: Array) -> tuple[Array, Array]:
 
 
 def _turns(axis: Array, angles: Array) -> Array:
-    """(k, 3, 3) Rodrigues' rotations about one unit axis."""
+    """Return (k, 3, 3) Rodrigues' rotations about one unit axis."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]

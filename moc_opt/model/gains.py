@@ -112,5 +112,5 @@ def largest_rate(period_s: float, delay_ticks: int) -> float:
 
 
 def _rounded(value: float) -> float:
-    """Three significant digits: a gain is a choice."""
+    """Round to three significant digits: a gain is a choice."""
     return float(f"{value:.3g}")

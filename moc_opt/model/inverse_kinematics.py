@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 
 _TOLERANCE_M = 1e-8
@@ -30,20 +31,6 @@ class Placed(NamedTuple):
     def found(self) -> bool:
         """Whether this is a solution."""
         return self.miss_m < 1e-6
-
-
-def wrist_through(
-    tip: Array, tip_velocity: Array, trocar: Array, trocar_velocity: Array, span: float
-) -> tuple[Array, Array]:
-    """Return where the wrist belongs when the shaft passes the trocar, and its velocity, (3,) [m], [m/s].
-
-    N = X + L e, dN = dX + L (I - e e^T)(dP - dX)/|P - X|, e from the tip X to the trocar P, which must differ: the
-    control law's own wish (`moc_opt.control.rcm.desired_wrist`), without a compiler.
-    """
-    way = trocar - tip
-    distance = float(np.linalg.norm(way))
-    e, slip = way / distance, trocar_velocity - tip_velocity
-    return tip + span * e, tip_velocity + span / distance * (slip - (e @ slip) * e)
 
 
 def solve_pose(
@@ -117,7 +104,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
             f"1 to {1e3 * robot.data.tool_length:.0f} mm from its tip; move it, or lengthen the tool"
         )
     rest = np.zeros(3)
-    wrist, _ = wrist_through(x, rest, p, rest, robot.state(robot.data.q_home).tool_span)
+    wrist, _ = desired_wrist(x, rest, p, rest, robot.state(robot.data.q_home).tool_span)
     placed = solve_pose(robot, robot.data.q_home, x, wrist, iterations=100)
     if placed.found:
         return placed.q
@@ -138,7 +125,7 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
 
 
 def _step(robot: RobotModel, q: Array, error: Array, jacobian: Array, damping: float) -> Array:
-    """Smallest damped least-squares step whose joints do not run against the limits they stand at."""
+    """Return the smallest damped least-squares step whose joints do not run against the limits they stand at."""
     free = np.ones(robot.n, dtype=np.bool_)
     step = np.zeros(robot.n)
     for _ in range(robot.n):

@@ -56,13 +56,13 @@ class StateViews(NamedTuple):
 
 
 def record_size(n: int) -> int:
-    """Length of the flat record of an n-joint state."""
+    """Return the length of the flat record of an n-joint state."""
     return n * n + 13 * n + 18
 
 
 @njit(cache=True)
 def state_views(record: Array, n: int) -> StateViews:
-    """The named views of a flat record; for use inside other kernels, and in Python through `.py_func`."""
+    """Compute the named views of a flat record; for use inside other kernels, and in Python through `.py_func`."""
     a = 2 * n + 9
     d = a + 6 * n
     g = d + 6
@@ -78,7 +78,7 @@ def state_views(record: Array, n: int) -> StateViews:
 
 @njit(cache=True)
 def all_finite(x: Array) -> bool:
-    """Whether no entry is NaN or infinite."""
+    """Return whether no entry is NaN or infinite."""
     total = 0.0
     for value in x:
         total += 0.0 * value  # NaN for NaN and for both infinities
@@ -87,7 +87,7 @@ def all_finite(x: Array) -> bool:
 
 @njit(cache=True)
 def point_jacobian(axes: Array, point: Array, moves: Array, out: Array) -> None:
-    """Translational Jacobian (3,n) of a point fixed to the last link: J_j = lin_j + ang_j x point.
+    """Fill the translational Jacobian (3,n) of a point fixed to the last link: J_j = lin_j + ang_j x point.
 
     Columns of joints that can never move the point (moves[j] false) are exactly zero.
     """
@@ -103,7 +103,7 @@ def point_jacobian(axes: Array, point: Array, moves: Array, out: Array) -> None:
 
 @njit(cache=True)
 def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
-    """The acceleration dJ v (3,) of a point at zero joint acceleration.
+    """Compute the acceleration dJ v (3,) of a point at zero joint acceleration.
 
     In a serial chain dJ_j/dq_k = ang_min(j,k) x J_max(j,k), so that, with w_k = ang_k v_k,
     dJ v = sum_m (2 sum_{k<m} w_k + w_m) x J_m v_m.
@@ -124,7 +124,7 @@ def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
 
 @njit(cache=True)
 def tip_manipulability(q: Array, axes: Array, joints: Array, offsets: Array, moves: Array) -> float:
-    """mu of the tip, from the arguments of `fill_state`."""
+    """Compute mu of the tip, from the arguments of `fill_state`."""
     n = axes.shape[0]
     tip, jacobian, places = np.empty(3), np.empty((3, n)), np.empty((n, 12))
     place_joints(joints, q, places)

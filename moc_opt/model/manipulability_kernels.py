@@ -39,14 +39,14 @@ def adjugate(
 
 @njit(cache=True)
 def yoshikawa(jacobian: Array) -> float:
-    """mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
+    """Compute mu = sqrt(det(J J^T)) alone, to the bit that of `manipulability`."""
     a, b, c, d, e, f = gram(jacobian)
     return math.sqrt(max(adjugate(a, b, c, d, e, f)[0], 0.0))
 
 
 @njit(cache=True)
 def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
-    """mu = sqrt(det(J J^T)) (Yoshikawa), and its gradient (n,) into `grad`.
+    """Compute mu = sqrt(det(J J^T)) (Yoshikawa), and its gradient (n,) into `grad`.
 
     dmu/dq_k = mu trace(dJ/dq_k pinv(J)), with the dJ_j/dq_k of `drift` and rows P_j = (J J^T)^-1 J_j of the
     pseudo-inverse: dmu/dq_k = mu (ang_k . sum_{j>=k} J_j x P_j + J_k . sum_{j<k} P_j x ang_j).
@@ -84,7 +84,7 @@ def manipulability(axes: Array, jacobian: Array, grad: Array) -> float:
 
 @njit(cache=True)
 def shaft_manipulability(axes: Array, A: Array, u: Array, grad: Array) -> float:
-    """Manipulability of the shaft once the tip is held, mu_s = sqrt(pdet(C)) [m^2], and its gradient (n,) into `grad`.
+    """Compute mu_s = sqrt(pdet(C)) [m^2] of the shaft once the tip is held, and its gradient (n,) into `grad`.
 
     C = J_W N J_W^T (3,3) with N = I - pinv(J_T) J_T: how motion that leaves the tip alone moves the wrist; it has no
     part along the shaft u, so that pdet(C) is the product of its other two eigenvalues. mu mu_s is the volume of the

@@ -24,14 +24,14 @@ class ToolPlace(NamedTuple):
 
 @njit(cache=True)
 def point_in_world(rotation_t: Array, origin: Array, local: Array, out: Array) -> None:
-    """out = origin + R local; the rotation comes transposed, as pinocchio stores it by columns."""
+    """Compute out = origin + R local; the rotation comes transposed, as pinocchio stores it by columns."""
     for i in range(3):
         out[i] = origin[i] + rotation_t[0, i] * local[0] + rotation_t[1, i] * local[1] + rotation_t[2, i] * local[2]
 
 
 @njit(cache=True)
 def place_joints(joints: Array, q: Array, places: Array) -> None:
-    """Forward kinematics: write every joint's frame in the world.
+    """Write every joint's frame in the world: forward kinematics.
 
     Args:
         joints: (n,16) as in `Chain.joints`.

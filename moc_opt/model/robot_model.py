@@ -248,7 +248,7 @@ def _build(data: RobotData) -> Any:
 
 
 def _frame(model: Any, name: str) -> Any:
-    """The body frame of that name; it must ride on the last joint."""
+    """Return the body frame of that name; it must ride on the last joint."""
     if not model.existFrame(name, pin.FrameType.BODY):
         raise RobotError(f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}")
     frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]

@@ -13,7 +13,7 @@ from moc_opt.numerics.arrays import Array
 
 @cache
 def _layout(n: int) -> dict[str, slice]:
-    """Where each named view lies in a flat record, read off the views themselves."""
+    """Return where each named view lies in a flat record, read off the views themselves."""
     index = np.arange(kernels.record_size(n), dtype=np.float64)
     views = kernels.state_views.py_func(index, n)._asdict()
     return {name: slice(int(view.flat[0]), int(view.flat[-1]) + 1) for name, view in views.items()}

@@ -110,6 +110,6 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
 
 
 def _rotation_about(ca: Any, axis: Any, angle: Any) -> Any:
-    """Rodrigues' formula: I + sin K + (1 - cos) K^2."""
+    """Return Rodrigues' formula: I + sin K + (1 - cos) K^2."""
     k = ca.skew(axis)
     return ca.DM.eye(3) + ca.sin(angle) * k + (1 - ca.cos(angle)) * ca.mtimes(k, k)

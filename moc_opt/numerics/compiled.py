@@ -55,7 +55,7 @@ def _lend(typing_context: Any, array: Any) -> Any:
 
 
 def borrowed(array: Lent) -> Lent:
-    """The same array for use inside a kernel, without a share in its memory; in Python, the array itself.
+    """Return the same array for use inside a kernel, without a share in its memory; in Python, the array itself.
 
     A kernel counts references to every array that it is given, views or hands on, each time with a locked
     instruction, which costs more than most arithmetic there. What is borrowed, and every view of it, is not counted.

@@ -29,7 +29,7 @@ def cholesky(S: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def solve_in_place(L: Array, x: Array) -> None:
-    """x (m,) becomes S^-1 x, given the factor of S. No step waits for a division: they need no x."""
+    """Replace x (m,) by S^-1 x, given the factor of S. No step waits for a division: they need no x."""
     m = L.shape[0]
     for i in range(m):
         s = x[i]
@@ -45,7 +45,7 @@ def solve_in_place(L: Array, x: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def forward_in_place(L: Array, x: Array) -> None:
-    """x (m,) becomes L^-1 x, L being a lower triangle."""
+    """Replace x (m,) by L^-1 x, L being a lower triangle."""
     for i in range(L.shape[0]):
         s = x[i]
         for k in range(i):
@@ -55,7 +55,7 @@ def forward_in_place(L: Array, x: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def solve_factored(L: Array, b: Array) -> Array:
-    """S^-1 b for a vector b (m,), given the factor of S."""
+    """Compute S^-1 b for a vector b (m,), given the factor of S."""
     x = b.copy()
     solve_in_place(L, x)
     return x
@@ -63,7 +63,7 @@ def solve_factored(L: Array, b: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def times(A: Array, x: Array) -> Array:
-    """A x."""
+    """Compute A x."""
     out = np.empty(A.shape[0])
     for i in range(A.shape[0]):
         s = 0.0
@@ -75,7 +75,7 @@ def times(A: Array, x: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def transpose_times(A: Array, x: Array) -> Array:
-    """A^T x."""
+    """Compute A^T x."""
     out = np.empty(A.shape[1])
     for j in range(A.shape[1]):
         s = 0.0
@@ -87,7 +87,7 @@ def transpose_times(A: Array, x: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def gram(A: Array) -> Array:
-    """A A^T."""
+    """Compute A A^T."""
     m, n = A.shape
     S = np.zeros((m, m))
     for i in range(m):
@@ -102,7 +102,7 @@ def gram(A: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def dot(a: Array, b: Array) -> float:
-    """a . b without asking for contiguous memory."""
+    """Compute a . b without asking for contiguous memory."""
     s = 0.0
     for i in range(a.shape[0]):
         s += a[i] * b[i]

@@ -60,7 +60,7 @@ def top_of(found: PoseMap, q: Array) -> Top | None:
 
 
 def _uphill(mu: Array, within: NDArray[np.bool_], j: int) -> tuple[int, int]:
-    """The sample at which the climb from sample j ends, and the side, 1 or -1, to which it went."""
+    """Return the sample at which the climb from sample j ends, and the side, 1 or -1, to which it went."""
     side = 1 if _height(mu, within, j + 1) >= _height(mu, within, j - 1) else -1
     while _height(mu, within, j + side) > mu[j]:
         j = (j + side) % len(mu)

@@ -55,12 +55,12 @@ class Course:
         return self.violation <= MOST_VIOLATION
 
     def as_certified(self) -> Course:
-        """The same, said to be a local optimum."""
+        """Return the same, said to be a local optimum."""
         return replace(self, certified=True)
 
 
 def weights(count: int) -> Array:
-    """Of the trapezoidal rule on evenly spaced times, (count,)."""
+    """Return the weights of the trapezoidal rule on evenly spaced times, (count,)."""
     weight = np.ones(count)
     if count > 1:
         weight[[0, -1]] = 0.5
@@ -68,7 +68,7 @@ def weights(count: int) -> Array:
 
 
 def faster(q: Array) -> Array:
-    """|ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
+    """Return |ddq| dt^2 (k-1,n) [rad] of evenly spaced poses (k,n) that begin at rest."""
     return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
 
 

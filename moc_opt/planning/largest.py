@@ -63,7 +63,7 @@ def largest_mu(robot: RobotModel, poses: Array, *, starts: int = STARTS, seed: i
 
 
 def _climbed(robot: RobotModel, own: Array, targets: Array, starts: int, rng: np.random.Generator) -> Array:
-    """The best of random starts and of the neighbours' maxima, along the path and back again."""
+    """Return the best of random starts and of the neighbours' maxima, along the path and back again."""
     kept: list[Array] = [np.empty((0, robot.n))] * len(own)
     best = np.empty(len(own))
     before = np.empty((0, robot.n))
@@ -78,7 +78,7 @@ def _climbed(robot: RobotModel, own: Array, targets: Array, starts: int, rng: np
 
 
 def _maxima(robot: RobotModel, target: Array, starts: Array) -> tuple[Array, float]:
-    """The `KEPT` best different maxima reached from the starts, and the largest mu."""
+    """Return the `KEPT` best different maxima reached from the starts, and the largest mu."""
     chain = robot.chain
     moving = np.flatnonzero(robot.moves.any(axis=0)).astype(np.int64)
     arm = Constraint(chain.joints, chain.offsets, robot.moves, robot.q_min, robot.q_max, active=moving, target=target)

@@ -20,7 +20,7 @@ class Placement:
     """Of the tip below the trocar at the start [m]."""
 
     def changes(self) -> dict[str, object]:
-        """What a scenario needs to begin there: ``scenario.change(**placement.changes())``.
+        """Return what a scenario needs to begin there: ``scenario.change(**placement.changes())``.
 
         Raises:
             ScenarioError: the path cannot be executed.

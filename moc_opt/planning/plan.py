@@ -186,12 +186,12 @@ def make_plan(
 
 
 def _bound(found: Search, course: Course | None, objective: Objective) -> float:
-    """The map's bound on a course; NaN without a course, and where the course shows that it is none."""
+    """Return the map's bound on a course; NaN without a course, and where the course shows that it is none."""
     return np.nan if course is None or course.value(objective) > found.value else found.value
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 720) -> PoseMap:
-    """The map in closed form where the arm has one, by continuation otherwise; idle joints stand as at the start."""
+    """Lay the map in closed form where the arm has one, else by continuation; idle joints stand as at the start."""
     arm = spherical(robot)
     if arm is None:
         return traced_map(robot, targets, q_start)
@@ -231,7 +231,7 @@ def blocked(
 
 
 def _too_sudden(robot: RobotModel, targets: Targets, q: Array) -> Blocked:
-    """Where the best course without a limit on accelerations needs the largest one: with the limit none was found."""
+    """Return where the best course without a limit on accelerations needs the largest; with the limit there is none."""
     gained = faster(q) / targets.period_s**2
     k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
     return Blocked(
@@ -242,7 +242,7 @@ def _too_sudden(robot: RobotModel, targets: Targets, q: Array) -> Blocked:
 
 
 def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> NDArray[np.bool_]:
-    """(b,m) poses that the joints get to in one period, limits aside."""
+    """Return (b,m) poses that the joints get to in one period, limits aside."""
     near = np.zeros(q.shape[:2], dtype=np.bool_)
     for b in range(len(q)):
         for pose in before[b][here[b]]:
@@ -251,7 +251,7 @@ def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> ND
 
 
 def _nearest_limit(robot: RobotModel, found: PoseMap, k: int, among: NDArray[np.bool_]) -> int:
-    """The joint that is farthest beyond its limit at the pose which is least beyond."""
+    """Return the joint that is farthest beyond its limit at the pose which is least beyond."""
     room = np.where(among, found.room_rad[k], -np.inf)
     q = found.poses(k)[np.unravel_index(int(np.argmax(room)), room.shape)]
     moving = np.asarray(robot.moves.any(axis=0))

@@ -39,7 +39,7 @@ class Answer(NamedTuple):
     v_rad_per_s: Array
 
     def at(self, t_s: float) -> tuple[Array, Array]:
-        """Pose (n,) [rad] and velocity (n,) [rad/s]."""
+        """Return the pose (n,) [rad] and velocity (n,) [rad/s]."""
         if t_s >= self.t_s[-1]:
             return self.q_rad[-1], np.zeros_like(self.q_rad[-1])
         dt = self.t_s[1] - self.t_s[0]
@@ -104,7 +104,7 @@ class Receding:
         return {"solves": len(self.solve_s), "kept": self.kept, "solve_ms_median": median, "solve_ms_p99": high}
 
     def wish(self, state: RobotState) -> Array:
-        """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
+        """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         t = self._tick * self._period
         if self._tick and self._tick % self._every == 0:
             self._before, self._answer, self._next = self._answer, self._next, self._solve(state.q, t)
@@ -119,7 +119,7 @@ class Receding:
         return wish
 
     def _solve(self, q: Array, t: float) -> Answer | None:
-        """The course from a pose at a time; the last one where there is no usable answer, or the path is over."""
+        """Return the course from a pose at a time; the last one where no answer is usable, or the path is over."""
         path, began = self._to_go.map.targets, time.perf_counter()
         end = min(int(np.searchsorted(path.t_s, t + self._horizon_s)), len(path) - 1)
         if path.t_s[end] - t < 0.5 * path.period_s:
@@ -147,7 +147,7 @@ class Receding:
         return Answer(nodes, course, velocity)
 
     def _warm(self, t: Array, times: Array, poses: Array) -> Array:
-        """The last answer and then the way, as long as they go together; else the way alone."""
+        """Return the last answer and then the way, as long as they go together; else the way alone."""
         guess, last = _between(t, times, poses), self._answer
         if last is None:
             return guess

@@ -163,7 +163,7 @@ def too_fast(speed: Any, pose: Any, low: Any, high: Any, brake: float) -> Any:
 
 
 def across_shafts(shafts: Array) -> tuple[Array, Array]:
-    """Two unit vectors (k,3) each, at right angles to the shafts (k,3) and to each other."""
+    """Return two unit vectors (k,3) each, at right angles to the shafts (k,3) and to each other."""
     along = shafts / np.linalg.norm(shafts, axis=1, keepdims=True)
     other = np.eye(3)[np.argmin(np.abs(along).max(axis=0))]
     first = np.cross(along, other)

@@ -98,7 +98,7 @@ def search(
 
 
 def gain_of(mu: Array, objective: Objective) -> Array:
-    """What a pose of that mu [m^3] adds to a course's value."""
+    """Return what a pose of that mu [m^3] adds to a course's value."""
     with np.errstate(invalid="ignore"):
         return np.log(np.maximum(mu, LEAST_MU)) if objective == "log" else mu
 
@@ -117,7 +117,7 @@ def _slack(q: Array, generous: bool) -> Array:
 
 
 def half_cells(q: Array) -> Array:
-    """(b,m,n) way of each joint within half a cell to either side of poses (b,m,n) [rad]."""
+    """Return (b,m,n) way of each joint within half a cell to either side of poses (b,m,n) [rad]."""
     apart = np.abs(np.mod(np.roll(q, -1, axis=1) - q + np.pi, 2.0 * np.pi) - np.pi)
     return 0.5 * np.nan_to_num(np.fmax(apart, np.roll(apart, 1, axis=1)))
 
@@ -127,7 +127,7 @@ def _dilated(feasible: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _highest_nearby(mu: Array) -> Array:
-    """The largest mu within half a cell: by the parabola through three poses, and what the next two differences add.
+    """Return the largest mu within half a cell: the parabola through three poses, and what two more differences add.
 
     Stirling's interpolation at |s| <= 1/2: s (s^2 - 1)/6 of the third difference is at most 1/16 of it,
     s^2 (s^2 - 1)/24 of the fourth at most 1/128; the fifth is left to `CURVED`.

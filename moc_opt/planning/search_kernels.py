@@ -69,7 +69,7 @@ def advance(
 def nearest_share(
     q_before: Array, from_: NDArray[np.bool_], q: Array, to: NDArray[np.bool_], step: Array
 ) -> tuple[float, int]:
-    """Smallest share of the joints' steps that leads from any pose of one time to any of the next, and its joint.
+    """Find the smallest share of the joints' steps from any pose of one time to any of the next, and its joint.
 
     Args:
         q_before, from_: (b,m0,n) poses and (b,m0) which of them count.

@@ -76,13 +76,13 @@ def spherical(robot: RobotModel) -> Spherical | None:
 
 
 def branch_of(arm: Spherical, q: Array) -> int:
-    """The branch of a pose (7,) [rad]."""
+    """Return the branch of a pose (7,) [rad]."""
     angles = np.sin((q[:6] + arm.offset)[[1, 3, 5]])
     return int(sum(1 << bit for bit, sine in enumerate(angles) if sine < 0.0))
 
 
 def _meeting(origins: Array, axes: Array, j: int) -> Array:
-    """The point of axis j nearest to axis j + 1, which is at a right angle to it."""
+    """Return the point of axis j nearest to axis j + 1, which is at a right angle to it."""
     point: Array = origins[j] + axes[j] * ((origins[j + 1] - origins[j]) @ axes[j])
     return point
 
@@ -92,7 +92,7 @@ def _from_line(point: Array, on: Array, along: Array) -> float:
 
 
 def _turn(axis: int, angle: float) -> Array:
-    """About y (1) or z (2)."""
+    """Return the rotation about y (1) or z (2)."""
     c, s = np.cos(angle), np.sin(angle)
     if axis == 1:
         return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])

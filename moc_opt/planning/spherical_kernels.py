@@ -15,7 +15,7 @@ STRAIGHT = 1e-9  # sine of joint 4 below which the elbow has no plane
 
 @njit(cache=True)
 def room_of(angle: float, half: float) -> float:
-    """Distance of an angle, taken whole turns nearer to zero, from the ends of [-half, half] [rad]."""
+    """Compute the distance of an angle, taken whole turns nearer to zero, from the ends of [-half, half] [rad]."""
     return half - abs(angle - TURN * math.floor(angle / TURN + 0.5))
 
 

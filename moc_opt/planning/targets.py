@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from moc_opt.errors import TaskError
+from moc_opt.model.shaft_kernels import desired_wrists
 from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.tasks import Reference, Trocar
 
@@ -33,7 +34,7 @@ class Targets:
         return float(self.t_s[1] - self.t_s[0])
 
     def last(self) -> Targets:
-        """The last two times alone."""
+        """Return the last two times alone."""
         return Targets(self.t_s[-2:], self.tip[-2:], self.wrist[-2:], self.arc_length_m[-2:])
 
     def __len__(self) -> int:
@@ -58,8 +59,8 @@ def lay_targets(
         raise TaskError(f"count = {count}, duration_s = {duration_s:g}: give two times or more and a positive duration")
     t = np.linspace(0.0, duration_s, count)
     tip = np.array([reference.rows(each)[0] for each in t.tolist()])
-    way = trocar.at(t)[0] - tip
-    depth = np.linalg.norm(way, axis=1)
+    trocars = trocar.at(t)[0]
+    depth = np.linalg.norm(trocars - tip, axis=1)
     deepest = min(span_m, tool_m)
     for k in np.flatnonzero((depth < SHALLOWEST_M) | (depth > deepest))[:1].tolist():
         raise TaskError(
@@ -67,5 +68,4 @@ def lay_targets(
             f"{1e3 * SHALLOWEST_M:.0f} to {1e3 * deepest:.0f} mm from its tip; make the path smaller, or change depth_m"
         )
     arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
-    wrist = tip + span_m * way / depth[:, None]
-    return Targets(*map(read_only, (t, tip, wrist, arc)))
+    return Targets(*map(read_only, (t, tip, desired_wrists(tip, trocars, span_m), arc)))

@@ -48,7 +48,7 @@ class End(NamedTuple):
 
 
 def _poses_and_ways(found: PoseMap, k: int) -> tuple[Array, Array]:
-    """Poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
+    """Return poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
     q = found.poses(k)
     return q, 0.5 * half_cells(q)
 
@@ -108,7 +108,7 @@ class ToGo:
         return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
 
     def near(self, end: int, b: int, j: int) -> End:
-        """The parabola through V around one pose of the map."""
+        """Return the parabola through V around one pose of the map."""
         q, count, value = self._poses(end)[0][b], self.value.shape[2], self.value[end, b]
         along = q[(j + 1) % count] - q[j - 1]
         size = float(np.linalg.norm(along))

@@ -47,7 +47,7 @@ class TracedMap(PoseMap):
         return room.min(axis=-1) >= -ROUNDING_RAD  # NaN: no pose
 
     def poses(self, k: int) -> Array:
-        """The poses (1,m,n) [rad] at time k; NaN where there is none."""
+        """Return the poses (1,m,n) [rad] at time k; NaN where there is none."""
         found: Array = self.q_rad[k]
         return found
 

@@ -135,7 +135,7 @@ def random_start(
 
 
 def _unfit(robot: RobotModel, q: Array, margins: Array) -> str:
-    """Why a random start is rejected without a look at the task; "" where it is not."""
+    """Return why a random start is rejected without a look at the task; "" where it is not."""
     left, state = freedoms(robot, q), robot.state(q)
     if left.tip < REGULAR[0] or left.both < REGULAR[1]:
         return "singular"

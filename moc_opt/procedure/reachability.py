@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from moc_opt.errors import RobotError, TaskError
-from moc_opt.model.inverse_kinematics import Placed, solve_pose, wrist_through
+from moc_opt.model.inverse_kinematics import Placed, solve_pose
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import self_motion
 from moc_opt.tasks import Reference, Trocar
@@ -142,7 +143,7 @@ def _follow(robot: RobotModel, q: Array, places: _Places, reference: Reference, 
     worst: tuple[int, Array] | None = None
     for k in range(count):
         span = robot.state(q).tool_span
-        wrist, wrist_velocity = wrist_through(
+        wrist, wrist_velocity = desired_wrist(
             places.tip[k], places.tip_velocity[k], places.trocar[k], places.trocar_velocity[k], span
         )
         placed = solve_pose(robot, q, places.tip[k], wrist)
@@ -189,7 +190,7 @@ def _too_fast(robot: RobotModel, places: _Places, k: int, rates: Array, referenc
 
 
 def _least_share(robot: RobotModel, a: Array, velocity: Array) -> Array:
-    """Joint velocity (n,) for tip and wrist velocity (6,), with the smallest share of the speed limits needed.
+    """Return the joint velocity (n,) for tip and wrist velocity (6,) that needs the smallest share of the speed limits.
 
     The smallest one by length is nearly always good enough; where it is not, the self-motion that brings the
     largest share down is found by a linear program.

@@ -147,13 +147,13 @@ def _least_squares(E: Array, f: Array, free: NDArray[np.bool_]) -> Array:
 
 
 def _lower_bound(low: Array, high: Array, pull: Array, rho: float) -> float:
-    """Weak duality: with multipliers of A x = b the cost falls apart into one of each joint's own."""
+    """Bound the cost by weak duality: with multipliers of A x = b it falls apart into one of each joint's own."""
     best = np.clip(-pull / rho, low, high) if rho > 0.0 else np.where(pull > 0.0, low, high)
     return float((pull * best + 0.5 * rho * best**2).sum())
 
 
 def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array) -> float:
-    """The largest cost: a corner's, as the cost is convex; no less than that of the point ``w`` of the set."""
+    """Return the largest cost: a corner's, as the cost is convex; no less than that of the point ``w`` of the set."""
     n, r = Z.shape
 
     def cost(w: Array) -> float:
@@ -169,7 +169,7 @@ def _largest(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arr
 
 
 def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Array, way: Array) -> float:
-    """The largest cost met from ``w`` along ``way`` to the border, then uphill to a corner that no edge rises from.
+    """Return the largest cost from ``w`` along ``way`` to the border, then uphill to a corner that no edge rises from.
 
     Rosen's gradient projection (1960): on each face the way is the gradient along it, so each step adds a bound; a
     bound that holds back the rise is let go. Every point of the walk is one of the set.
@@ -207,7 +207,7 @@ def _uphill(Z: Array, low: Array, high: Array, slope: Array, rho: float, w: Arra
 
 
 def _largest_corner(Z: Array, low: Array, high: Array, slope: Array, rho: float) -> float:
-    """The largest cost over all corners: r joints at their bounds, the others follow."""
+    """Return the largest cost over all corners: r joints at their bounds, the others follow."""
     n, r = Z.shape
     joints, sides = _choices(n, r)
     basis = Z[joints]

@@ -61,12 +61,12 @@ def fields(rows: Array) -> Fields:
 
 @cache
 def _places(n: int) -> tuple[slice, ...]:
-    """Where each field lies in a record."""
+    """Return where each field lies in a record."""
     return tuple(slice(*ends) for ends in pairwise(offsets(n)))
 
 
 def compute_residuals(rows: Array, x: Array, y: Array | None = None) -> Residuals:
-    """Residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
+    """Return the residuals of a batch of answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
     return optimality.residuals(optimality.Problem(*fields(rows)[:6]), x, y)
 
 
@@ -168,7 +168,7 @@ class NullSpaceQP:
         return self
 
     def copy(self) -> NullSpaceQP:
-        """The same subproblem in memory of its own: what is done to one leaves the other as it is."""
+        """Return the same subproblem in memory of its own: what is done to one leaves the other as it is."""
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
@@ -233,7 +233,7 @@ class NullSpaceQP:
         return read_only(-(np.repeat(part.weights[:2], 3) * part.b) @ part.A - part.weights[2] * part.grad_mu)
 
     def objective(self, x: ArrayLike) -> float:
-        """1/2 x^T P x + p^T x, without the constant.
+        """Return 1/2 x^T P x + p^T x, without the constant.
 
         Raises:
             SubproblemError: x is no (n,) numbers.
@@ -249,7 +249,7 @@ class NullSpaceQP:
         return Reduced(read_only(A), read_only(b), read_only(lift))
 
     def reduced(self) -> Reduced:
-        """Five independent rows, or the six where tip and wrist are not rigidly tied."""
+        """Return five independent rows, or the six where tip and wrist are not rigidly tied."""
         return self._reduced
 
     def residuals(self, x: ArrayLike, y: ArrayLike | None = None) -> Residuals:
@@ -266,7 +266,7 @@ class NullSpaceQP:
 
     @staticmethod
     def _answer(name: str, value: ArrayLike, length: int, cure: str = "") -> Array:
-        """An array of numbers, NaN among them, of that length."""
+        """Return an array of numbers, NaN among them, of that length."""
         try:
             array = np.asarray(value, dtype=float)
         except (TypeError, ValueError) as error:
@@ -281,7 +281,7 @@ def _unpickle(row: Array) -> NullSpaceQP:
 
 
 def _array(name: str, value: ArrayLike | float, shape: Sequence[int] | None = None) -> Array:
-    """A finite float array of the given shape, or a SubproblemError that names the field."""
+    """Return a finite float array of the given shape, or a SubproblemError that names the field."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError) as error:

@@ -156,26 +156,26 @@ def ranks(s: Array) -> NDArray[np.intp]:
 
 
 def _idle_patterns(A: Array) -> list[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
-    """Rows (m,) of a batch ``A`` (k, 6, n) whose same joints (n,) move tip or wrist, for every pattern that occurs."""
+    """Return the rows (m,) of a batch ``A`` (k, 6, n) whose same joints (n,) move tip or wrist, for every pattern."""
     moves = np.linalg.norm(A, axis=1) > RANK_TOLERANCE * np.linalg.norm(A, axis=(1, 2))[:, None]
     patterns, which = np.unique(moves, axis=0, return_inverse=True)
     return [(np.flatnonzero(which.ravel() == i), pattern) for i, pattern in enumerate(patterns)]
 
 
 def _some(problem: Problem, rows: NDArray[np.intp], joints: NDArray[np.bool_]) -> Problem:
-    """Some rows of a batch with some of their joints."""
+    """Return some rows of a batch with some of their joints."""
     A, b, grad_mu, lower, upper, weights = (f[rows] for f in problem)
     return Problem(A[:, :, joints], b, grad_mu[:, joints], lower[:, joints], upper[:, joints], weights)
 
 
 def _gradient(grad_mu: Array, size: Array) -> Array:
-    """``grad_mu`` (k, n), zero in the rows that are rounding of a gradient of the given size (k,)."""
+    """Return ``grad_mu`` (k, n), zero in the rows that are rounding of a gradient of the given size (k,)."""
     largest = np.abs(grad_mu).max(-1, initial=0.0)
     return np.where((largest > GRADIENT_ROUNDING * size)[:, None], grad_mu, 0.0)
 
 
 def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
-    """natural_best, relative, loss and distance (4, k) of joints that move neither tip nor wrist: the worst of them."""
+    """Return the worst natural_best, relative, loss and distance (4, k) of joints that move neither tip nor wrist."""
     _, _, c2, rho = problem.weights.T
     worst = np.zeros((4, len(x)))
     for j in range(x.shape[1]):
@@ -189,7 +189,7 @@ def _idle_joints(problem: Problem, x: Array, size: Array) -> Array:
 
 
 def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Array) -> Array:
-    """natural_best, relative, loss and distance (4, k) of the joints that move tip or wrist, along Z (k, n, r)."""
+    """Return natural_best, relative, loss and distance (4, k) of joints that move tip or wrist, along Z (k, n, r)."""
     _, _, c2, rho = problem.weights.T
     n, r = Z.shape[1:]
     # Onto A x = b: what is missing there is judged by `primal`.
@@ -215,7 +215,7 @@ def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Arr
 
 
 def _or_one(scale: Array) -> Array:
-    """Scales, and 1 where there is nothing to scale."""
+    """Return the scales, and 1 where there is nothing to scale."""
     return np.where(scale > 0.0, scale, 1.0)
 
 
@@ -230,7 +230,7 @@ def _on_an_interval(slope: Array, rho: Array, low: Array, high: Array) -> tuple[
 
 
 def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Way to the optimum (k, n) along the unit vector z (k, n) within low <= s z <= high, and the loss (k,)."""
+    """Find the way (k, n) to the optimum along unit vectors z (k, n) within low <= s z <= high, and its loss (k,)."""
     moving = np.abs(z) > STILL
     per_step = np.where(moving, z, 1.0)
 
@@ -249,7 +249,7 @@ def _along_a_line(z: Array, slope: Array, rho: Array, low: Array, high: Array) -
 
 
 def _in_a_polytope(Z: Array, slope: Array, rho: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
-    """Way to the optimum (k, n) along Z (k, n, r) within low <= Z w <= high, the loss (k,), and the pull (k, n) there.
+    """Find the way (k, n) to the optimum along Z (k, n, r) within low <= Z w <= high, its loss (k,) and pull (k, n).
 
     The pull is the gradient of the cost with the optimum's y.
     """
@@ -268,7 +268,7 @@ def _in_a_polytope(Z: Array, slope: Array, rho: Array, low: Array, high: Array) 
 
 
 def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array:
-    """Smallest natural residual over all y, in closed form, for several costs ``reduced`` (c, k, r): (c, k).
+    """Return the smallest natural residual over all y, in closed form, for several costs ``reduced`` (c, k, r): (c, k).
 
     y moves w = P x + p + A^T y freely but for Z^T w = reduced. A residual of t allows
     w_i in [-t, t], without the upper end where x_i is within t of its lower bound and without
@@ -289,7 +289,7 @@ def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array
 
 @lru_cache(maxsize=8)
 def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
-    """Directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
+    """Return the directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
 
     Remembered, as every solver of a comparison is judged on the same problems.
     """

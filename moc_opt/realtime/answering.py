@@ -194,5 +194,5 @@ class Answering:
 
 
 def _measurement(packet: Packet) -> Measurement:
-    """The measurement of a packet, as arrays of its own."""
+    """Return the measurement of a packet, as arrays of its own."""
     return Measurement(np.array(packet["q"]), np.array(packet["v"]), np.array(packet["wrench"]), int(packet["stamp"]))

@@ -49,7 +49,7 @@ class Elbow:
         return self._reference
 
     def swivel(self, q: Array) -> Array:
-        """(k,) [rad] in (-pi, pi], of poses (k, n)."""
+        """Return the swivels (k,) [rad] in (-pi, pi], of poses (k, n)."""
         origins, rotations = link_frames(self._chain, q)
         shoulder, elbow = origins[:, self._shoulder], origins[:, self.joint]
         wrist = origins[:, -1] + rotations[:, -1] @ self._chain.offsets[1]
@@ -60,7 +60,7 @@ class Elbow:
         return angles
 
     def direction(self, q: Array) -> Array:
-        """(3,) unit vector in which the elbow of the pose q (n,) goes as its swivel grows, tip and wrist at rest."""
+        """Return the unit vector (3,) along which the elbow at q (n,) moves as its swivel grows, all else at rest."""
         origins, rotations = link_frames(self._chain, q[None])
         shoulder, elbow = origins[0, self._shoulder], origins[0, self.joint]
         wrist = origins[0, -1] + rotations[0, -1] @ self._chain.offsets[1]
@@ -87,7 +87,7 @@ class SwivelCurve:
         self._along = (curve.s - curve.s[0]) / max(curve.s[-1] - curve.s[0], 1e-300)
 
     def poses(self, swivels: Array) -> Array:
-        """(m, n) at swivels (m,); NaN where the curve has none."""
+        """Return the poses (m, n) at swivels (m,); NaN where the curve has none."""
         start = self._angles[0]
         turned = start + self._sign * np.mod(self._sign * (swivels - start), 2.0 * np.pi)
         known = self._sign * (self._angles[-1] - turned) >= 0.0
@@ -104,7 +104,7 @@ class SwivelCurve:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """The pose with that tip and wrist nearest to q, by Newton's method; None where it finds none."""
+    """Return the pose with that tip and wrist nearest to q, by Newton's method; None where it finds none."""
     pose = np.array(q)
     for _ in range(30):
         state = robot.state(pose)
@@ -117,7 +117,7 @@ def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
-    """The same arm, its revolute joints free to turn."""
+    """Return the same arm, its revolute joints free to turn."""
     slides, data = robot.chain.prismatic, robot.data
     low, high = (
         np.where(slides, limit, turn)
@@ -127,11 +127,12 @@ def without_limits(robot: RobotModel) -> RobotModel:
 
 
 def nearest_turns(robot: RobotModel, q: Array) -> Array:
-    """The same poses, every revolute joint whole turns nearer to the middle of its range."""
+    """Return the same poses, every revolute joint whole turns nearer to the middle of its range."""
     turns = np.round((q - 0.5 * (robot.q_min + robot.q_max)) / (2.0 * np.pi))
     return q - 2.0 * np.pi * np.where(robot.chain.prismatic, 0.0, turns)
 
 
 def unit(vectors: Array) -> Array:
+    """Return vectors (..., 3) at length one."""
     lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / lengths

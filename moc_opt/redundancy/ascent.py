@@ -40,9 +40,10 @@ def look(arm: Constraint, q: Array, error: Array, a: Array, grad: Array) -> floa
 def allowed(
     arm: Constraint, q: Array, a: Array, error: Array, wish: Array, near: float, step: Array
 ) -> None:
-    """The step (n,) nearest to the wish that moves tip and wrist by the error; joints near a limit do not go there.
+    """Compute the step (n,) nearest to the wish that moves tip and wrist by the error and leads to no limit.
 
-    An active-set method: joints that would leave are held, and one that its multiplier draws inwards is let go.
+    No joint within ``near`` of a limit goes towards it. An active-set method: joints that would leave are held, and
+    one that its multiplier draws inwards is let go.
     """
     n = q.shape[0]
     part, still = a.copy(), wish.copy()
@@ -130,6 +131,6 @@ def ascend(arm: Constraint, q: Array) -> float:
 
 @njit(cache=True)
 def ascend_all(arm: Constraint, starts: Array, mus: Array) -> None:
-    """`ascend` from every row of starts (k,n), in place, with mu into mus (k,)."""
+    """Climb by `ascend` from every row of starts (k,n), in place, with mu into mus (k,)."""
     for k in range(starts.shape[0]):
         mus[k] = ascend(arm, starts[k])

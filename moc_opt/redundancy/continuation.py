@@ -38,7 +38,7 @@ class Constraint(NamedTuple):
 
 @njit(cache=True)
 def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
-    """Spatial axes (n,6), as in kinematics_kernels, and the points (2,3) tip and wrist of the chain at q."""
+    """Write the spatial axes (n,6), as in kinematics_kernels, and the points (2,3) tip and wrist of the chain at q."""
     n = q.shape[0]
     places = np.empty((n, 12))
     place_joints(arm.joints, q, places)
@@ -76,7 +76,7 @@ def evaluate(arm: Constraint, q: Array, error: Array, a: Array) -> float:
 
 @njit(cache=True)
 def bordered(a: Array, t: Array, b: Array, c: float, x: Array) -> None:
-    """Least-squares solution x (m,) of [A; t^T] x = [b; c], by Cholesky on its normal equations.
+    """Solve [A; t^T] x = [b; c] for x (m,) in the sense of least squares, by Cholesky on its normal equations.
 
     Near a singularity the added 1e-14 keeps the matrix positive; a poor step is found out by its residual.
     """
@@ -105,7 +105,7 @@ def bordered(a: Array, t: Array, b: Array, c: float, x: Array) -> None:
 
 @njit(cache=True)
 def outside(arm: Constraint, q: Array) -> bool:
-    """Whether any joint is beyond a limit."""
+    """Return whether any joint is beyond a limit."""
     beyond = False
     for i in range(q.shape[0]):
         beyond = beyond or q[i] < arm.q_min[i] or q[i] > arm.q_max[i]
@@ -114,7 +114,7 @@ def outside(arm: Constraint, q: Array) -> bool:
 
 @njit(cache=True)
 def distance(p: Array, q: Array) -> float:
-    """|p - q|."""
+    """Compute |p - q|."""
     total = 0.0
     for i in range(p.shape[0]):
         total += (p[i] - q[i]) ** 2

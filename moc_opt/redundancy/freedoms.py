@@ -68,7 +68,7 @@ def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
 
 
 def limit_shares(robot: RobotModel, q: Array) -> Array:
-    """Distance of each joint to its nearer limit over half of its range, (n,): 1 in the middle, 0 at a limit."""
+    """Return each joint's distance to its nearer limit over half of its range, (n,): 1 in the middle, 0 at a limit."""
     half = 0.5 * (robot.q_max - robot.q_min)
     nearest: Array = np.minimum(q - robot.q_min, robot.q_max - q) / half
     return nearest

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError, RobotError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.shaft_kernels import desired_wrists
 from moc_opt.numerics.arrays import Array, read_only
-from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, unit, without_limits
+from moc_opt.redundancy.arm_angle import Elbow, SwivelCurve, nearest_turns, reach, without_limits
 from moc_opt.redundancy.self_motion import parabola_peak, self_motion
 from moc_opt.redundancy.showable import check
 from moc_opt.trace.trace import Trace
@@ -130,7 +131,7 @@ def manipulability_map(
 def _targets(
     robot: RobotModel, traces: Mapping[str, Trace], guide: Trace, ticks: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Tip X_d and wrist N_d = X_d + L e that the path asks for, (k, 3) each."""
+    """Return tip X_d and wrist N_d = X_d + L e that the path asks for, (k, 3) each."""
     column = "trocar_registered_m" if "trocar_registered_m" in guide.columns else "trocar_m"
     for name, trace in traces.items():
         if column not in trace.columns:
@@ -146,11 +147,11 @@ def _targets(
         np.asarray(guide.columns[name][ticks], dtype=np.float64) for name in ("tip_ref_m", column)
     )
     span = robot.state(robot.data.q_home).tool_span
-    return tips, tips + span * unit(trocars - tips)
+    return tips, desired_wrists(tips, trocars, span)
 
 
 def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
-    """mu and `limit` of poses (..., n)."""
+    """Return mu and `limit` of poses (..., n)."""
     known = np.isfinite(q).all(axis=-1)
     mu, limit = np.full(known.shape, np.nan), np.full(known.shape, UNREACHABLE, dtype=np.int64)
     mu[known] = robot.mu_along(q[known])
@@ -160,7 +161,7 @@ def _judged(robot: RobotModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _best(robot: RobotModel, column: SwivelCurve, swivel: Array, q: Array) -> Array:
-    """Swivel and mu of the best feasible pose of a column, refined by a parabola; NaN where none is feasible."""
+    """Return swivel and mu of the best feasible pose of a column, refined by a parabola; NaN where none is feasible."""
     mu, limit = _judged(robot, q)
     feasible = np.where(limit == FEASIBLE, mu, -np.inf)
     j, count = int(np.argmax(feasible)), len(swivel)
@@ -179,7 +180,7 @@ def _best(robot: RobotModel, column: SwivelCurve, swivel: Array, q: Array) -> Ar
 
 
 def _cut(feasible: NDArray[np.bool_]) -> int:
-    """The row at which the circle is best cut open: in the middle of the widest run of forbidden rows."""
+    """Return the row at which the circle is best cut open: in the middle of the widest run of forbidden rows."""
     forbidden: NDArray[np.bool_] = np.logical_not(feasible.any(axis=0))
     count = len(forbidden)
     if not forbidden.any() or forbidden.all():
@@ -194,7 +195,7 @@ def _cut(feasible: NDArray[np.bool_]) -> int:
 
 
 def _onto(angles: Array, swivel: Array) -> Array:
-    """The same angles within the turn that begins half a row below the map's first."""
+    """Return the same angles within the turn that begins half a row below the map's first."""
     low = swivel[0] - 0.5 * (swivel[1] - swivel[0])
     return low + np.mod(angles - low, 2.0 * np.pi)
 

@@ -63,7 +63,7 @@ class Reading:
 
 
 def read_trajectory(found: SwivelMap, name: str) -> Reading:
-    """What the trajectory of one run amounts to.
+    """Return what the trajectory of one run amounts to.
 
     Args:
         name: of one of its trajectories.
@@ -91,7 +91,7 @@ def read_trajectory(found: SwivelMap, name: str) -> Reading:
 
 
 def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str]]:
-    """Trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
+    """Return the trajectories that cannot be told apart on the map: first of each kind -> the others, in their order.
 
     Args:
         within_rad: two trajectories are alike where their swivels never lie farther apart at the same time.
@@ -108,7 +108,7 @@ def alike(found: SwivelMap, within_rad: float = ALIKE_RAD) -> dict[str, list[str
 
 
 def _apart(one: Trajectory, two: Trajectory) -> float:
-    """Largest distance of two trajectories at one time [rad]; infinite where one lasts longer or folds otherwise."""
+    """Return the largest distance of two trajectories at one time [rad]; inf where their lengths or folds differ."""
     longer = abs(one.t_s[-1] - two.t_s[-1]) > 0.02 * (one.t_s[-1] - one.t_s[0])
     folded = (one.gap_rad > OTHER_BRANCH_RAD) != (two.gap_rad > OTHER_BRANCH_RAD)
     if longer or folded:
@@ -127,7 +127,7 @@ def _at_edge(found: SwivelMap, trajectory: Trajectory) -> tuple[float, tuple[int
 
 
 def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_]) -> tuple[End, int]:
-    """Why a trajectory that ends off the optimum is not on it, and the joint of the limit it stands before, or 0."""
+    """Return why a trajectory ends off the optimum, and the joint of the limit it stands before, or 0."""
     column = _last_known(found, trajectory.t_s[-1])
     mu, limit, best = found.mu[column], found.limit[column], found.best_mu[column]
     count, step = len(mu), float(found.swivel_rad[1] - found.swivel_rad[0])
@@ -154,14 +154,14 @@ def _what_holds(found: SwivelMap, trajectory: Trajectory, late: NDArray[np.bool_
 
 
 def _last_known(found: SwivelMap, t: float) -> int:
-    """The map's last column until t in which any pose is allowed; its first such column where none is."""
+    """Return the map's last column until t in which any pose is allowed; its first such column where none is."""
     known = np.flatnonzero(np.isfinite(found.best_mu))
     before = known[found.t_s[known] <= t + 1e-9]
     return int(before[-1] if len(before) else known[0])
 
 
 def _uphill(mu: Array, row: int) -> int:
-    """+1 or -1: to which side mu rises, poses beyond a limit included; 0 at a maximum."""
+    """Return +1 or -1: to which side mu rises, poses beyond a limit included; 0 at a maximum."""
     beside = np.array([mu[row - 1], mu[(row + 1) % len(mu)]])
     rise = np.where(np.isfinite(beside), beside - mu[row], -np.inf)
     if not (rise > 0.0).any():
@@ -170,6 +170,6 @@ def _uphill(mu: Array, row: int) -> int:
 
 
 def _turned(angles: Array) -> Array:
-    """The same angles in [-pi, pi)."""
+    """Return the same angles in [-pi, pi)."""
     within: Array = np.mod(angles + np.pi, 2.0 * np.pi) - np.pi
     return within

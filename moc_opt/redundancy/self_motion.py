@@ -64,7 +64,7 @@ class SelfMotion:
         return "closed" in self.ends
 
     def at(self, fraction: float) -> Array:
-        """The pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
+        """Return the pose (n,) at a fraction in [0, 1] of the arc length, corrected to 1e-10 m.
 
         Raises:
             RobotError: the fraction is outside [0, 1].
@@ -154,19 +154,19 @@ class _Curve:
         self._most = int(np.ceil(4 * np.sum(robot.q_max - robot.q_min) / step)) + 2
 
     def follow(self, q: Array, tangent: Array) -> tuple[Array, Array, Array, str]:
-        """Samples s, q, mu from q on along the tangent, q itself first, and why they end."""
+        """Return samples s, q, mu from q on along the tangent, q itself first, and why they end."""
         s, poses, mu = np.empty(self._most), np.empty((self._most, len(q))), np.empty(self._most)
         count, reason = kernels.follow(self._arm, q, tangent, self._step, s, poses, mu)
         return s[:count].copy(), poses[:count].copy(), mu[:count].copy(), _REASONS[reason]
 
     def correct(self, q: Array, along: Array) -> Array | None:
-        """The pose on the curve across the direction `along` from q; None if none is inside the limits."""
+        """Return the pose on the curve across the direction `along` from q; None if none is inside the limits."""
         pose, a = np.empty(len(q)), np.empty((6, len(self._arm.active)))
         ok, _ = kernels.correct(self._arm, q, 0.0, along / np.linalg.norm(along), pose, a)
         return pose if ok and not kernels.outside(self._arm, pose) else None
 
     def mu(self, q: Array) -> float:
-        """Manipulability at q."""
+        """Return the manipulability at q."""
         m = len(self._arm.active)
         return float(kernels.evaluate(self._arm, q, np.empty(6), np.empty((6, m))))
 
@@ -184,7 +184,7 @@ def _rank(matrix: Array) -> int:
 
 
 def _active_joints(robot: RobotModel, a: Array) -> list[int]:
-    """Joints that take part: those that move tip or wrist; of several freedoms less a rail, then the last ones."""
+    """Return the joints that take part, which move tip or wrist; of several freedoms less a rail, then the last."""
     active = np.flatnonzero(robot.moves.any(axis=0)).tolist()
     rng = np.random.default_rng(0)
     draws = [robot.state(rng.uniform(robot.q_min, robot.q_max)).A for _ in range(3)]

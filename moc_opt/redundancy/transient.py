@@ -26,7 +26,7 @@ STILL_RAD_PER_S = 0.05
 
 
 def uphill(curve: SelfMotion) -> tuple[float, float]:
-    """Arc length [rad] from the pose the scan began with (s = 0) to the local maximum of mu uphill of it, and mu there.
+    """Return the arc length [rad] from the scan's pose (s = 0) to the local maximum of mu uphill of it, and mu there.
 
     The maximum is refined by a parabola between the samples; at a joint limit it is the last sample.
     """
@@ -43,7 +43,7 @@ def uphill(curve: SelfMotion) -> tuple[float, float]:
 
 
 def distance_to_go(robot: RobotModel, q: ArrayLike, step: float = 0.1) -> tuple[Array, Array]:
-    """Distance to go (k,) [rad] and the mu that waits there (k,) [m^3], for poses q (k, n) [rad].
+    """Return the distance to go (k,) [rad] and the mu that waits there (k,) [m^3], for poses q (k, n) [rad].
 
     NaN where a pose is singular: no single curve leads through it. Poses beyond a joint limit by the
     encoder's or the plant's softness are taken at the limit.
@@ -68,7 +68,7 @@ def in_transient(
     near_rad: float = NEAR_RAD,
     still_rad_per_s: float = STILL_RAD_PER_S,
 ) -> Flags:
-    """(N,) flags: the elbow is away from its moving optimum, and moves relative to it.
+    """Return (N,) flags: the elbow is away from its moving optimum, and moves relative to it.
 
     Args:
         t_s: (N,) time of each tick [s].

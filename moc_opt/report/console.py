@@ -22,8 +22,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from moc_opt.figures.notation import printable
 from moc_opt.inputs.files import to_json
-from moc_opt.report.notation import printable
 
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0
@@ -81,7 +81,7 @@ class Bar:
         self._progress.console.print(self._line(), markup=False, soft_wrap=True)
 
     def _line(self) -> str:
-        """How far it is, and how long it will take at the pace since its first step, which may have had to compile."""
+        """Return how far it is, and how long it will take at the pace since its first step, which may have compiled."""
         (task,) = self._progress.tasks
         said, spent = task.description, self._told - self._begun
         if task.total and task.completed:

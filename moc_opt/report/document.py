@@ -14,8 +14,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from moc_opt.errors import ReportError
+from moc_opt.figures.notation import DASH, printable
 from moc_opt.inputs.files import check_replaceable
-from moc_opt.report.notation import DASH, printable
 
 MAX_BYTES = 8_000_000
 # A piece of a path: no scheme's colon, no backslash that browsers read as a slash, nothing that leads upwards.
@@ -60,7 +60,7 @@ def anchor(title: str) -> str:
 
 
 def _shown(value: Any) -> Any:
-    """A text without control and direction characters; escaping follows."""
+    """Return a text without control and direction characters; escaping follows."""
     return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 

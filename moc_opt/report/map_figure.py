@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from moc_opt.errors import ReportError
+from moc_opt.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
 from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.manipulability_map import (
     FEASIBLE,
@@ -18,7 +19,6 @@ from moc_opt.redundancy.manipulability_map import (
     Trajectory,
 )
 from moc_opt.redundancy.map_analysis import alike
-from moc_opt.report.figures.style import BAD, INK, MUTED, Style, Styles, figure, label, legend_height
 
 # Light to dark, so that lines of any of the house's colours with a white edge stand out; the same on dark pages.
 SCALE = ((0.0, "#f4f1e6"), (0.25, "#cfe0cf"), (0.5, "#8fc4bd"), (0.75, "#3f8f9c"), (1.0, "#143f5c"))
@@ -92,7 +92,7 @@ HOVER = "%{x:.2f} s, %{y:.0f}°: µ = %{customdata:.3f} m³<extra>%{fullData.nam
 
 
 def _colors(drawn: go.Figure, found: SwivelMap, degrees: Array, allowed: NDArray[np.bool_]) -> None:
-    """mu as colour, of forbidden poses too, so that it can be smoothed up to their edge; and grey that covers them."""
+    """Draw mu as colour, of forbidden poses too, so that it can be smoothed up to their edge, and grey over them."""
     mu = np.where(found.limit == UNREACHABLE, np.nan, found.mu)
     words = [f"joint {j} beyond its limit" for j in range(1, found.q_rad.shape[2] + 1)]
     reasons = np.where(found.limit == UNREACHABLE, "out of reach", np.array(["", *words])[found.limit])
@@ -113,7 +113,7 @@ def _colors(drawn: go.Figure, found: SwivelMap, degrees: Array, allowed: NDArray
 
 
 def _edge(drawn: go.Figure, t: Array, y: Array, group: str) -> None:
-    """What makes a line visible on any colour."""
+    """Draw what makes a line visible on any colour."""
     drawn.add_scatter(
         x=t, y=y, mode="lines", line={"color": EDGE, "width": 4.6}, legendgroup=group, showlegend=False,
         hoverinfo="skip", connectgaps=False,
@@ -131,7 +131,7 @@ def _best(drawn: go.Figure, t: Array, y: Array, mu: Array) -> None:
 
 
 def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:
-    """One marker where several begin: runs of one trial begin at one pose."""
+    """Draw one marker where several begin: runs of one trial begin at one pose."""
     starts: list[tuple[float, float]] = []
     for trajectory in trajectories:
         t, y = float(trajectory.t_s[0]), float(np.degrees(trajectory.swivel_rad[0]))
@@ -144,13 +144,13 @@ def _starts(drawn: go.Figure, trajectories: Iterable[Trajectory]) -> None:
 
 
 def _broken(t: Array, degrees: Array) -> tuple[Array, Array]:
-    """The line with a gap wherever it leaps."""
+    """Return the line with a gap wherever it leaps."""
     leaps = np.flatnonzero(np.abs(np.diff(degrees)) > LEAP_DEG) + 1
     return np.insert(t, leaps, np.nan), np.insert(degrees, leaps, np.nan)
 
 
 def _shown(degrees: Array, allowed: NDArray[np.bool_], step: float) -> list[float]:
-    """The range of swivels to draw: the allowed rows with 15 degrees of grey on either side."""
+    """Return the range of swivels to draw: the allowed rows with 15 degrees of grey on either side."""
     rows = np.flatnonzero(allowed.any(axis=0))
     low, high = degrees[rows[0]] - 15.0, degrees[rows[-1]] + 15.0
     return [max(low, degrees[0] - 0.5 * step), min(high, degrees[-1] + 0.5 * step)]

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from moc_opt.figures.notation import Missing
+from moc_opt.figures.style import Styles
 from moc_opt.redundancy.manipulability_map import SwivelMap, manipulability_map
 from moc_opt.redundancy.map_analysis import (
     ALIKE_RAD,
@@ -18,9 +20,7 @@ from moc_opt.redundancy.map_analysis import (
     alike,
     read_trajectory,
 )
-from moc_opt.report.figures.style import Styles
 from moc_opt.report.map_figure import map_figure
-from moc_opt.report.notation import Missing
 from moc_opt.report.page import Page
 from moc_opt.report.run_table import below_best
 from moc_opt.report.runs import load_runs
@@ -143,12 +143,12 @@ def in_words(readings: Sequence[Reading], titles: Mapping[str, str] | None = Non
 
 
 def _never(reading: Reading) -> bool:
-    """It would read as 0 %."""
+    """Return whether it would read as 0 %."""
     return reading.near < 0.005
 
 
 def _plural(words: str) -> str:
-    """The same said of several: the verb that begins it, and one that follows a colon."""
+    """Return the same said of several: the verb that begins it, and one that follows a colon."""
     begin, colon, rest = words.partition("never gets there: it ")
     if colon:
         return f"never get there: they {_plural(rest)}"
@@ -229,7 +229,7 @@ def best_courses(traces: Mapping[str, Trace]) -> dict[str, Trace]:
 
 
 def _listed(names: Sequence[str]) -> str:
-    """Names as a text; semicolons between those that have commas of their own."""
+    """Return the names as a text; semicolons between those that have commas of their own."""
     if len(names) == 1:
         return names[0]
     comma = "; " if any("," in name for name in names) else ", "

@@ -16,9 +16,9 @@ import plotly.graph_objects as go
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from moc_opt.figures.style import DARK
 from moc_opt.inputs.files import to_json
 from moc_opt.report.document import anchor, beside, macros, render, save_document
-from moc_opt.report.figures.style import DARK
 from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Table
 
@@ -92,7 +92,7 @@ class Page:
         """Append a numbered figure.
 
         Args:
-            figure: of `report.figures`, or any plotly figure.
+            figure: of `moc_opt.figures`, or any plotly figure.
             caption: what it shows and what to see in it.
             name: of its file, where the figures are saved too; from the caption's first words if empty.
         """
@@ -137,14 +137,14 @@ class Page:
         return save_document(path, self.html(), "page", self._thinner)
 
     def _thinner(self) -> str:
-        """What to do about a page that is too large."""
+        """Return what to do about a page that is too large."""
         sizes = {name: len(_plain_json(figure)) for name, figure in self._figures.items()}
         largest = sorted(sizes, key=lambda name: -sizes[name])[:3]
         return f"thin out its largest figures: {', '.join(f'{name} ({sizes[name] / 1e6:.1f} MB)' for name in largest)}"
 
     @staticmethod
     def _name(text: str, taken: Iterable[str]) -> str:
-        """A name for addresses and files, unlike those that are taken."""
+        """Return a name for addresses and files, unlike those that are taken."""
         words = anchor(text)
         name, count = words, 1
         while name in taken:
@@ -160,5 +160,5 @@ def _plain_json(figure: go.Figure) -> str:
 
 @cache
 def _packed_plotly() -> str:
-    """plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
+    """Return plotly.js, compressed: a third of its size even in base64; `figures.js` unpacks it."""
     return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()

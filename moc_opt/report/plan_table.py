@@ -25,6 +25,14 @@ COURSES = [
     Column("certified", "optimum", help="'local' to the tolerance of the solver, or 'grid'"),
     Column("violation", "violation", unit="m, rad", format=".0e"),
 ]
+VERDICT_TERMS = (
+    "Swivel: angle of the elbow about the line from shoulder to wrist. Course: the poses along the path. "
+    "Bound: what no course can exceed."
+)
+COURSES_TERMS = (
+    "Local climb: mu climbed from the start, as the control law does. Optimum: 'local' where no course nearby is "
+    "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
+)
 PLACES = [
     Column("shift", "moved by", unit="mm"), Column("depth_mm", "tip below trocar", unit="mm", format=".0f"),
     Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
@@ -80,8 +88,8 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     took = f"map {plan.map_s:.2f} s, search {plan.search_s:.2f} s, refinement {plan.refine_s:.2f} s"
     rows.append({"what": "computed in", "value": took})
     return [
-        Table(f"Plan of {name}", VERDICT, rows),
-        Table(f"Courses, best in {_unit(plan)}", COURSES, _courses(plan)),
+        Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS),
+        Table(f"Courses, best in {_unit(plan)}", COURSES, _courses(plan), COURSES_TERMS),
     ]
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from moc_opt.errors import MocOptError, ReportError
+from moc_opt.figures import Styles, time_series
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.manipulability_map import manipulability_map
-from moc_opt.report.figures import Styles, time_series
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
 from moc_opt.report.run_table import part, refusals, run_table, warnings

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from moc_opt.report.notation import Missing, Notation, missing
+from moc_opt.figures.notation import Missing, Notation, missing
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS
@@ -53,7 +53,7 @@ def answers_another_problem(trace: Trace, solver: str = "") -> bool:
 
 
 def part(trace: Trace) -> str:
-    """ " (first 0.6 s of 8.0 s)" where the run was broken off, " (a part)" of a cut trace; empty where it is whole."""
+    """Return " (first 0.6 s of 8.0 s)" of a run broken off, " (a part)" of a cut trace; empty where it is whole."""
     if Ending.of(str(trace.meta.get("ended"))) is Ending.PART:
         return " (a part)"
     ticks, planned = (trace.meta.get(name) for name in ("ticks", "ticks_planned"))
@@ -112,7 +112,7 @@ def refusals(trace: Trace) -> list[str]:
 
 
 def replaced(trace: Trace) -> str:
-    """ "412 of 4034 ticks: raised 400, late 12" where answers of the solver were replaced; empty where none was."""
+    """Return "412 of 4034 ticks: raised 400, late 12" where answers were replaced; empty where none was."""
     counts = {fault: of["count"] for fault, of in trace.meta.get("faults", {}).items()}
     if not counts:
         return ""
@@ -158,12 +158,12 @@ def run_table(
 
 
 def _written(value: float) -> str | Missing:
-    """One figure in its own notation: from millimetres to rounding errors, no single one reads well for all."""
+    """Return one figure in its own notation: from millimetres to rounding errors, no single one reads well for all."""
     return missing(value) or Notation.of([value], digits=4)(value)
 
 
 def run_json(trace: Trace, metrics: Mapping[str, float]) -> dict[str, Any]:
-    """``ended`` first, ``part`` of a run broken off, ``solver_replaced``, the metrics, and how they came about."""
+    """Return ``ended``, ``part`` of a run broken off, ``solver_replaced``, the metrics, and how they came about."""
     of = part(trace).strip(" ()")
     return {
         "ended": trace.meta.get("ended", "unknown"), **({"part": of} if of else {}),

@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
+from moc_opt.figures.notation import Missing, fraction_length, pretty_unit, printable
 from moc_opt.report.document import macros
-from moc_opt.report.notation import Missing, fraction_length, pretty_unit, printable
 from moc_opt.report.tables import Cell, Column, Table, alignment
 
 # As wide as a digit and as a point, where figures are tabular: they align numbers on their points.
@@ -47,7 +47,7 @@ def _heading(column: Column, cells: list[Cell]) -> dict[str, Any]:
 
 
 def _column(column: Column, cells: list[Cell], notes: dict[str, str]) -> list[dict[str, Any]]:
-    """The cells of one column as the template takes them."""
+    """Return the cells of one column as the template takes them."""
     align = column.align or alignment(cells)
     numbers = [cell.text for cell in cells if cell.numeric]
     fraction = max(map(fraction_length, numbers), default=0)

@@ -16,9 +16,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from moc_opt.errors import ReportError
+from moc_opt.figures import notation
+from moc_opt.figures.notation import Mark, Missing, Notation, is_number, printable
 from moc_opt.inputs.notebook import grid_html
-from moc_opt.report import notation
-from moc_opt.report.notation import Mark, Missing, Notation, is_number, printable
 
 EDGE, GAP, TEXT, SHORT_TEXT = 2, 3, 24, 14
 """Characters beside a table and beside each column as drawn in a terminal; from where on a text may be broken, and
@@ -201,7 +201,7 @@ class Table:
         return grid_html(self.title, zip(*cells, strict=True), headings, self.caption)
 
     def _split(self, width: int, gap: int, text: int = TEXT) -> list[list[Column]]:
-        """The columns of each part, the first one in all of them, `gap` characters between two."""
+        """Return the columns of each part, the first one in all of them, `gap` characters between two."""
         first, *others = self.columns
         parts: list[list[Column]] = [[first]]
         used = start = EDGE + gap + self._width(first, text)
@@ -215,7 +215,7 @@ class Table:
         return parts
 
     def _width(self, column: Column, text: int = TEXT) -> int:
-        """What a column needs [characters]: its numbers whole, its heading stacked, long texts broken."""
+        """Return what a column needs [characters]: its numbers whole, its heading stacked, long texts broken."""
         cells = self.cells(column)
         words = [*map(cell_len, printable(column.title).split())]
         texts = [min(cell_len(cell.text), text) for cell in cells if not cell.numeric]

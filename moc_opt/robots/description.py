@@ -115,7 +115,7 @@ def _explain(item: dict[str, Any]) -> str:
 
 
 def _keys_of_table(loc: tuple[Any, ...]) -> list[str]:
-    """The valid keys of the table at this place in the schema."""
+    """Return the valid keys of the table at this place in the schema."""
     table: type[BaseModel] = RobotDescription
     for key in loc:
         annotation = table.model_fields[str(key)].annotation

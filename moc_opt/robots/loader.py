@@ -140,7 +140,7 @@ def load_data(
 
 
 def _find(name_or_path: str | os.PathLike[str]) -> Path:
-    """The TOML file meant."""
+    """Return the TOML file meant."""
     known = available_robots()
     if isinstance(name_or_path, str) and name_or_path in known:
         return _FOLDER / f"{name_or_path}.toml"
@@ -165,17 +165,17 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 
 def _tool(default: Tool, length: float | None, mass: float | None) -> Tool:
     changes: dict[str, float] = {}
-    for field, name, value in (("length_m", "tool_length", length), ("mass_kg", "tool_mass", mass)):
+    for field, name, value, most in (("length_m", "tool_length", length, 10.0), ("mass_kg", "tool_mass", mass, 1e3)):
         if value is None:
             continue
-        if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
-            raise RobotError(f"{name} = {value!r}: give a positive, finite number")
+        if not (isinstance(value, Real) and 0 < value <= most):  # as in the file
+            raise RobotError(f"{name} = {value!r}: give a positive, finite number of at most {most:g}")
         changes[field] = float(value)
     return default.model_copy(update=changes)
 
 
 def _limits(description: RobotDescription, chain: list[Element]) -> dict[str, Array]:
-    """Limits of the TOML where given, else of the URDF; complete, finite and in order."""
+    """Return limits of the TOML where given, else of the URDF; complete, finite and in order."""
     n, given = len(chain), description.limits
     sources = {
         "q_min": ("lower", "q_min_deg", given.q_min_deg),

@@ -67,7 +67,7 @@ def inertia_fault(moments: Iterable[float]) -> str | None:
 
 
 def _principal(moments: Iterable[float]) -> tuple[float, float, float]:
-    """The principal moments in rising order."""
+    """Return the principal moments in rising order."""
     xx, yy, zz, xy, xz, yz = moments
     least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).tolist()
     return least, middle, most
@@ -138,7 +138,7 @@ def _joint(joint: ET.Element) -> ET.Element:
 
 
 def _direction(axis: ET.Element | None, where: str) -> tuple[float, ...]:
-    """The axis at length one; a joint without one turns about x, as URDF has it."""
+    """Return the axis at length one; a joint without one turns about x, as URDF has it."""
     if axis is None:
         return (1.0, 0.0, 0.0)
     vector = triple(axis, "xyz", f"<axis> of {where}, xyz", "1")
@@ -155,7 +155,7 @@ def _place(parent: ET.Element, origin: ET.Element | None, where: str) -> None:
 
 
 def _one(parent: ET.Element, tag: str, where: str) -> ET.Element | None:
-    """The element, with no attribute that would be left out unheard; None where it is not there."""
+    """Return the element, with no attribute that would be left out unheard; None where it is not there."""
     found = [element for element in parent if str(element.tag).lower() == tag]
     if len(found) > 1:
         raise RobotError(f"urdf {where} has {len(found)} <{tag}>: leave one, readers differ in which they take")
@@ -179,7 +179,7 @@ def _checked(element: ET.Element, what: str) -> str:
 
 
 def _check_tree(root: ET.Element) -> None:
-    """One base, every other link on one joint, and every end of a joint a link."""
+    """Check that there is one base, every other link on one joint, and every end of a joint a link."""
     if root.find("link") is None or root.find("joint") is None:
         raise RobotError("urdf has no <link> or no <joint>: a serial arm is needed")
     for tag in ("link", "joint"):

@@ -197,6 +197,6 @@ def _fix(root: ET.Element, name: str, parent: str, child: str, xyz: Point, rpy: 
 
 
 def _mount_axis(rpy: Point) -> Point:
-    """Third column of Rz(yaw) Ry(pitch) Rx(roll)."""
+    """Return third column of Rz(yaw) Ry(pitch) Rx(roll)."""
     (sr, sp, sy), (cr, cp, cy) = map(math.sin, rpy), map(math.cos, rpy)
     return (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr)

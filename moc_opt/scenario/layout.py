@@ -42,7 +42,7 @@ class Layout:
 
 
 def seeds_of(scenario: Scenario) -> tuple[int, int, int]:
-    """Seeds of the start, the plant and the faults of a run."""
+    """Return the seeds of the start, the plant and the faults of a run."""
     start, plant, faults = np.random.SeedSequence(scenario.seed).generate_state(3).tolist()
     return start, plant, faults
 
@@ -75,7 +75,7 @@ def lay_out(scenario: Scenario, robot: RobotModel, swivel_rng: np.random.Generat
 
 
 def _checked(scenario: Scenario, robot: RobotModel, q: Array, until_s: float) -> tuple[Layout, Reach]:
-    """The task from q, and how it is followed; a random start is asked for all of it, however short the run."""
+    """Return the task from q, and how it is followed; a random start is asked for all of it, however short the run."""
     found = _task(scenario, robot, q)
     return found, preflight.check_path(robot, q, found.reference, found.registered, until_s)
 

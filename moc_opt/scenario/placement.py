@@ -98,6 +98,6 @@ def _trocar(layout: Layout, what: Movable, shift: Array) -> Trocar:
 
 
 def _targets(robot: RobotModel, layout: Layout, what: Movable, shift: Array, times: int | None) -> Targets:
-    """What the path asks for with the trocar, or the base, moved."""
+    """Return what the path asks for with the trocar, or the base, moved."""
     found = targets_of(robot, replace(layout, registered=_trocar(layout, what, shift)), times)
     return found if what == "trocar" else replace(found, tip=found.tip - shift, wrist=found.wrist - shift)

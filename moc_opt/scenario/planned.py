@@ -81,7 +81,7 @@ def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """What the laid-out path asks of the arm from the first tick to the last.
+    """Return what the laid-out path asks of the arm from the first tick to the last.
 
     Args:
         times: so many evenly spaced ones; None: one each ``period_s`` at most, as long as there are no more than

@@ -34,7 +34,7 @@ def changes(scenario: Scenario) -> dict[str, Any]:
 
 
 def _tables(value: Settings) -> Iterator[dict[str, Any]]:
-    """Ways to write a table: with no preset, then with each that it has."""
+    """Yield the ways to write a table: with no preset, then with each that it has."""
     yield _differences(value, type(value)())
     presets: dict[str, Settings] = {}
     if isinstance(value, ControlSettings):
@@ -80,7 +80,7 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
 
 
 def _given_settings(scenario: Scenario) -> dict[str, Any]:
-    """The solver's settings without those that are None where the solver has None by itself; a file has no None.
+    """Return the solver's settings without those that are None where the solver has None by itself; a file has no None.
 
     Raises:
         ScenarioError: a setting is None where the solver's own default is another.

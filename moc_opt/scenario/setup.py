@@ -87,7 +87,7 @@ class Setup:
             self._build_plant(plant_seed)
 
     def _build_plant(self, seed: int) -> None:
-        """The plant at the start, where it truly holds the tool, and the true trocar."""
+        """Put the plant at the start, where it truly holds the tool, and lay the true trocar."""
         scenario, entry = self.scenario, self.layout.trocar
         self.plant = Plant(self.robot.data, scenario.plant, seed=seed)
         if scenario.faults.bump_N > 0.0:  # an unknown link is found now, not in the middle of the run
@@ -242,7 +242,7 @@ class Setup:
         return found.with_meta(replans=told) if told else found
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
-        """A run whose rows go to the disk as they come; judged block by block."""
+        """Return a run whose rows go to the disk as they come; judged block by block."""
         period, broken = self.scenario.plant.period_s, None
         with TraceWriter(to, {**meta, "period_s": period, "ticks_planned": self.ticks}) as writer:
 
@@ -274,7 +274,7 @@ class Setup:
         return trace
 
     def _row_by_row(self, columns: Mapping[str, NDArray[Any]], first: int = 0) -> dict[str, NDArray[Any]]:
-        """Columns that follow from those of the same rows: faults injected, the robot's own errors, mu, residuals."""
+        """Return the columns that follow from the same rows: faults injected, the robot's errors, mu, residuals."""
         found: dict[str, NDArray[Any]] = {}
         rows = len(columns["t_s"])
         if self.scenario.faults.solver != "none":
@@ -284,7 +284,7 @@ class Setup:
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
     def _yardsticks(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """What mu is held against: the largest at single ticks, and the best courses; columns, and entries of meta."""
+        """Return what mu is held against: the largest at single ticks, and best courses; columns, and meta."""
         bound, method = largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
         best, told = against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
         return {"mu_bound": bound, **best}, {**method, **told}

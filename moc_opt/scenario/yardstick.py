@@ -78,7 +78,7 @@ def _planned(table: str) -> Yardstick:
 
 
 def against_best(scenario: Scenario, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Columns of the best courses, and the entry ``best_courses`` of meta, whose ``absent`` says why there are none.
+    """Return the columns of the best courses, and meta's entry ``best_courses``; ``absent`` in it says why none.
 
     Its ``end`` has the top of mu [m^3] above the run's last pose, the course's last mu, and the swivels of both [deg].
     """

@@ -112,7 +112,7 @@ class FilteredController(Filtered):
         return tau
 
     def _seen(self, tip_ref: Array) -> tuple[Array | None, Any, Array | None]:
-        """Where the tip has to be, and what the controller shows of its tick: its state, and the tip without one."""
+        """Return where the tip has to be, and what the controller shows of its tick: a state, or the tip alone."""
         controller: Any = self._controller
         if self._shows_state:
             return tip_ref if self._shows_tip else None, controller.state, None

@@ -71,6 +71,6 @@ class Hand:
 
 
 def _cut(vector: Array, most: float) -> Array:
-    """The vector itself, or shortened to `most` where it is longer."""
+    """Return the vector itself, or shortened to `most` where it is longer."""
     length = math.sqrt(float(vector @ vector))
     return vector if length <= most else vector * (most / length)

@@ -67,7 +67,7 @@ class Mismatch:
 
 
 def _directions(rng: np.random.Generator, count: int) -> Array:
-    """(count, 3) unit vectors, uniform over the sphere."""
+    """Return (count, 3) unit vectors, uniform over the sphere."""
     rows = rng.standard_normal((count, 3))
     found: Array = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     return found

@@ -107,7 +107,7 @@ def heavy_links(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _bare(urdf: str) -> str:
-    """The URDF without shapes, and with MuJoCo told to leave links and inertias as they are."""
+    """Return the URDF without shapes, and with MuJoCo told to leave links and inertias as they are."""
     root = ET.fromstring(urdf)
     for link in root.iter("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):

@@ -99,7 +99,7 @@ class Packets:
         return arrived
 
     def _after(self, at_s: float | None, tick: int) -> int:
-        """Ticks since a fault began, the first one counted; 0 before."""
+        """Return ticks since a fault began, the first one counted; 0 before."""
         return 0 if at_s is None else max(0, tick - round(at_s / self._period) + 1)
 
     def _forged(self, arrived: Measurement, taken: Measurement) -> Measurement:

@@ -104,7 +104,7 @@ class Encoders:
 
     @classmethod
     def of(cls, settings: PlantSettings, bias: Array, rng: np.random.Generator) -> Encoders:
-        """The encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
+        """Return the encoders that the plant's settings describe, with the bias (n,) that was drawn for them."""
         return cls(
             bias.size, settings.period_s, rng, noise_rad=settings.encoder_noise_rad,
             resolution_rad=settings.encoder_resolution_rad, cutoff_Hz=settings.velocity_cutoff_Hz, bias=bias,
@@ -116,7 +116,7 @@ class Encoders:
         return self._sample(q, v, self.conversion * [1.0, 1.0, 0.0, 1.0])
 
     def read(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
+        """Return the reading one period after the last: position [rad] and velocity [rad/s], (n,) read-only."""
         return self._sample(q, v, self.conversion)
 
     def _sample(self, q: Array, v: Array, conversion: Array) -> tuple[Array, Array]:
@@ -136,11 +136,11 @@ class WrenchSensor:
 
     @classmethod
     def of(cls, settings: PlantSettings, rng: np.random.Generator) -> WrenchSensor:
-        """The sensor that the plant's settings describe."""
+        """Return the sensor that the plant's settings describe."""
         return cls(rng, force_noise_N=settings.force_noise_N, torque_noise_Nm=settings.torque_noise_Nm)
 
     def read(self, held: Array) -> Array:
-        """(6,) force [N] and torque [Nm] as measured, read-only, where the mount truly holds the tool with ``held``.
+        """Return force [N] and torque [Nm] as measured, (6,) read-only, where the mount truly holds with ``held``.
 
         The sensor shows the reaction to that: its negative.
         """
@@ -167,3 +167,17 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     if same >= _CHANCE ** (1.0 / _MOST_TICKS):
         return None
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
+
+
+_DEAD = 600.0
+"""Time constants of a filter after which its output is so small that it may stay the same."""
+
+
+def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
+    """Say whether an encoder never repeats position and velocity together, to the last bit.
+
+    While the position repeats itself the filtered velocity dies out, and each value differs from the last one; noise
+    ends that long before it is too small a number to change.
+    """
+    longest = longest_repetition(noise_rad, resolution_rad)
+    return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

@@ -89,11 +89,11 @@ class Solver(Protocol):
         ...
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """None when the problem can be taken, else the reason why not."""
+        """Return None when the problem can be taken, else the reason why not."""
         ...
 
     def start(self, qp: NullSpaceQP) -> Session:
-        """A new session with its memory sized and set up for problems like ``qp``."""
+        """Return a new session with its memory sized and set up for problems like ``qp``."""
         ...
 
 
@@ -111,12 +111,12 @@ class TruncatingSession(Protocol):
     """A session that can be stopped in the middle of a solve, as by a deadline; its iterations are counted."""
 
     def truncated(self, qp: NullSpaceQP, iterations: int) -> Solution:
-        """The iterate after ``iterations`` (at least 1), from where the last solve began."""
+        """Return the iterate after ``iterations`` (at least 1), from where the last solve began."""
         ...
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """A solution without an x: NaN, so that using it by mistake shows."""
+    """Return a solution without an x: NaN, so that using it by mistake shows."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 

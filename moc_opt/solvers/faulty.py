@@ -51,7 +51,7 @@ class Faulty:
             raise SolverError(f"faulty: rate = {self.rate} is a share of the ticks: give 0 to 1")
 
     def fault_mask(self, ticks: int) -> NDArray[np.bool_]:
-        """Fault mask: which of the first answers of a session are replaced, (ticks,)."""
+        """Return the fault mask: which of the first answers of a session are replaced, (ticks,)."""
         return draw(self.seed, self.rate, ticks)
 
     @property
@@ -60,16 +60,16 @@ class Faulty:
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """What the solver inside supports."""
+        """Return what the solver inside supports."""
         return self.inner.supports(qp)
 
     def start(self, qp: NullSpaceQP) -> FaultySession:
-        """A session with a draw of its own."""
+        """Return a session with a draw of its own."""
         return FaultySession(self, self.inner.start(qp), qp)
 
 
 def draw(seed: int, rate: float, ticks: int) -> NDArray[np.bool_]:
-    """A seeded share of the ticks, (ticks,); a longer draw begins like a shorter one."""
+    """Return a seeded share of the ticks, (ticks,); a longer draw begins like a shorter one."""
     return np.random.default_rng(seed).uniform(size=ticks) < rate
 
 

@@ -37,7 +37,7 @@ FAMILIES: dict[str, tuple[str, str]] = {
 
 
 def names() -> list[str]:
-    """Every registered name, installed or not; ``qpsolvers:NAME`` and ``casadi:NAME`` for what those find here."""
+    """Return every registered name, installed or not; ``qpsolvers:NAME``, ``casadi:NAME`` for what those find here."""
     return [name for name, reason in available().items() if reason is None or name in BUILT_IN]
 
 
@@ -96,13 +96,23 @@ def _factory(name: str) -> Callable[..., Solver]:
     raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
+def check_name(name: str) -> None:
+    """Check that there is a solver of that name, without importing it; whether it can run here, `create` finds.
+
+    Raises:
+        UnknownNameError: with the nearest names.
+    """
+    if not (_ours(name) or name in plugins.plugins()):
+        raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
+
+
 def accepts(name: str, setting: str) -> bool:
-    """Whether the solver's factory takes a setting of that name."""
+    """Return whether the solver's factory takes a setting of that name."""
     return setting in {parameter.name for parameter in plugins.parameters(_factory(name))}
 
 
 def defaults(name: str) -> dict[str, Any]:
-    """Setting -> default of the named solver; those without one are left out.
+    """Return setting -> default of the named solver; those without one are left out.
 
     Raises:
         UnknownNameError, SolverError: as ``create``.

@@ -37,13 +37,13 @@ class ArcLength:
             breaks: (b,) from 0 to ``end``, between which the speed is smooth; each stretch gets so many panels.
 
         Raises:
-            TaskError: the accuracy is not reached with 2^18 panels.
+            TaskError: the accuracy is not reached with 2^18 panels in all.
         """
-        while panels <= _MOST_PANELS:
+        stretches = 1 if breaks is None else len(breaks) - 1
+        while panels * stretches <= _MOST_PANELS:
             if breaks is None:
                 w = np.linspace(0.0, end, panels + 1)
             else:
-                stretches = len(breaks) - 1
                 place = np.linspace(0.0, stretches, panels * stretches + 1)
                 w = np.interp(place, np.arange(stretches + 1), breaks)
             lengths = _quadrature(speed, w[:-1], w[1:])
@@ -73,7 +73,7 @@ class ArcLength:
 
 
 def _quadrature(speed: Speed, lower: Floats, upper: Floats) -> Floats:
-    """Arc length between two parameters, panel by panel, (k,) [m]."""
+    """Return the arc length between two parameters, panel by panel, (k,) [m]."""
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     places = middle[:, None] + half[:, None] * _GAUSS_NODES
     values = speed(places.ravel())[0].reshape(places.shape)
@@ -81,7 +81,7 @@ def _quadrature(speed: Speed, lower: Floats, upper: Floats) -> Floats:
 
 
 def _hermite(w: Floats, lengths: Floats, speed: Floats, slope: Floats) -> Floats:
-    """Coefficients (k, 6) of w over each panel, in powers of t = (s - s_i) / (s_(i+1) - s_i)."""
+    """Return the coefficients (k, 6) of w over each panel, in powers of t = (s - s_i) / (s_(i+1) - s_i)."""
     first, second = 1.0 / speed, -slope / speed**3
     rise = np.diff(w)
     m0, m1 = first[:-1] * lengths, first[1:] * lengths
@@ -97,7 +97,7 @@ def _hermite(w: Floats, lengths: Floats, speed: Floats, slope: Floats) -> Floats
 
 
 def _worst(speed: Speed, w: Floats, lengths: Floats, coefficients: Floats) -> float:
-    """Largest |s(w(s)) - s| over the probes of all panels [m]."""
+    """Return the largest |s(w(s)) - s| over the probes of all panels [m]."""
     worst = 0.0
     for t in _PROBES:
         found = coefficients @ (t ** np.arange(6))

@@ -149,7 +149,7 @@ CURVES: dict[str, type[Any]] = {"line": Line, "circle": Circle, "sinusoid": Sinu
 
 
 def _evenly(length: float, panels: int) -> Vector:
-    """Read-only evenly spaced arc lengths (panels + 1,) [m]."""
+    """Return read-only evenly spaced arc lengths (panels + 1,) [m]."""
     return read_only(np.linspace(0.0, length, panels + 1))
 
 

@@ -47,7 +47,7 @@ def duration(path: Path, v_max: float, a_max: float) -> float:
 
 
 def _largest_acceleration(path: Path) -> float:
-    """The largest g(u) of `duration`, to about 1e-10 of itself."""
+    """Return the largest g(u) of `duration`, to about 1e-10 of itself."""
     length = path.length
 
     def g(u: float) -> float:
@@ -68,7 +68,7 @@ def _largest_acceleration(path: Path) -> float:
 
 
 def _climb(g: Callable[[float], float], lower: float, upper: float) -> float:
-    """Largest g between two points that have one peak between them."""
+    """Return the largest g between two points that have one peak between them."""
     best = 0.0
     for _ in range(6):
         u = np.linspace(lower, upper, 17)

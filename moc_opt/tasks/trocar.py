@@ -82,7 +82,7 @@ class Trocar:
 
 
 def shaft_distance(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]:
-    """RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
+    """Compute the RCM error d = |(P - X) x u|: how far the shaft's line passes from the trocar [m].
 
     u = (X - N)/|X - N| is the tool's direction.
 
@@ -113,7 +113,7 @@ def depth(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> NDArray[np.float64]
 
 
 def _shaft(tip: ArrayLike, wrist: ArrayLike, p: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """P - X and u, broadcast against each other, (..., 3)."""
+    """Return P - X and u, broadcast against each other, (..., 3)."""
     rows = []
     for name, value in (("tip", tip), ("wrist", wrist), ("p", p)):
         try:

@@ -15,6 +15,8 @@ from moc_opt.tasks.paths import Path
 
 MOST = 1000
 """Waypoints of one path."""
+FARTHEST_M = 1000.0
+"""Of a waypoint from the start, along each axis: as for the sizes of other paths."""
 _SLOWEST = 0.05
 """Of the spline's speed over its chords: below it, the path all but turns back on the spot."""
 
@@ -79,7 +81,7 @@ class Waypoints(Path):
         return (*p, *tangent, *bend)
 
     def _speed(self, w: Vector) -> tuple[Vector, Vector]:
-        """|dp/dw| and its derivative at parameters (k,)."""
+        """Return |dp/dw| and its derivative at parameters (k,)."""
         piece = np.clip(np.searchsorted(self.knots_m, w, side="right") - 1, 0, len(self._pieces) - 1)
         h = (w - self.knots_m[piece])[:, None]
         _, b, c, e = (self._pieces[piece, :, i] for i in range(4))
@@ -110,13 +112,15 @@ def _checked(points: ArrayLike) -> Vector:
         raise TaskError(f"waypoints = {points!r:.200}: give a list of points of three numbers [m]") from error
     if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
         raise TaskError(f"waypoints of shape {found.shape}: give finite numbers (k, 3) [m], k points of three numbers")
+    for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
+        raise TaskError(f"waypoint {point}: {FARTHEST_M:g} m from the start is the most, and the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
         raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, one of them off the start")
     return found
 
 
 def _spline(t: Vector, points: Vector) -> Vector:
-    """Coefficients (k, 3, 4) of the natural cubic spline, in powers of t - t_i, from the second derivatives M.
+    """Return the coefficients (k, 3, 4) of the natural cubic spline, in powers of t - t_i, from second derivatives M.
 
     h_(i-1) M_(i-1) + 2 (h_(i-1) + h_i) M_i + h_i M_(i+1) = 6 (d_i - d_(i-1)), d_i = (p_(i+1) - p_i)/h_i; M = 0 at
     both ends.

@@ -31,7 +31,7 @@ _SHRINKS, _SMALL = 2000, 2**26
 
 @contextmanager
 def _opened(path: str | os.PathLike[str], **options: Any) -> Iterator[Any]:
-    """A Parquet file that was looked at before; what its reader says is turned into TraceError."""
+    """Yield a Parquet file that was looked at before; what its reader says is turned into TraceError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

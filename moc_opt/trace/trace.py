@@ -115,13 +115,13 @@ class Trace:
         """
         return Trace({**self.columns, **arrays}, self.meta)
 
-    def select(self, ticks: ArrayLike) -> Trace:
+    def select(self, ticks: ArrayLike, *, as_part: bool = True) -> Trace:
         """Return the trace of some of the ticks; its column `tick` keeps their numbers.
-
-        Its ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended.
 
         Args:
             ticks: (N,) flags.
+            as_part: ``meta["ended"]`` says that it is a part, and ``meta["run_ended"]`` how the run ended; False
+                leaves the meta of the whole run.
 
         Raises:
             TraceError: `ticks` is not one flag per tick.
@@ -129,7 +129,9 @@ class Trace:
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
             raise TraceError(f"ticks is {mask.dtype} of shape {mask.shape}: give {len(self)} flags")
-        return self._at(mask)._as_part_of(self)
+        columns = {"tick": np.arange(len(self)), **self.columns}
+        found = self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
+        return found._as_part_of(self) if as_part else found
 
     def between(self, start_s: float, stop_s: float) -> Trace:
         """Return the trace of the ticks with start_s <= t_s < stop_s; see `select`.
@@ -202,11 +204,6 @@ class Trace:
             columns = MappingProxyType({name: array[:ticks] for name, array in self.columns.items()})
         return self._of(columns, self.meta)._as_part_of(self)
 
-    def _at(self, mask: NDArray[np.bool_]) -> Trace:
-        """Return the ticks of a mask (N,), with their numbers, under the meta of the whole run."""
-        columns = {"tick": np.arange(len(self)), **self.columns}
-        return self._of(MappingProxyType({name: read_only(array[mask]) for name, array in columns.items()}), self.meta)
-
     def _as_part_of(self, run: Trace) -> Trace:
         """Say in ``meta`` that these are some of the run's ticks, where they are not all."""
         if len(self) == len(run):
@@ -237,7 +234,7 @@ class Trace:
 
     @classmethod
     def _of(cls, columns: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Trace:
-        """Of columns and meta that were checked before."""
+        """Make a trace of columns and meta that were checked before."""
         made = object.__new__(cls)
         object.__setattr__(made, "columns", columns)
         object.__setattr__(made, "meta", meta)
@@ -279,7 +276,7 @@ class Trace:
 
 
 def _name(name: str) -> str:
-    """The name of a column, if it can be one."""
+    """Return the name of a column, if it can be one."""
     if not isinstance(name, str) or not name.isidentifier() or name[0] == "_" or hasattr(Trace, name):
         raise TraceError(f"column {name!r}: give a name that can follow 'trace.' and is not taken there")
     return name

@@ -95,13 +95,13 @@ def dataset(trace: Trace) -> Any:
 
 def figure(runs: Mapping[str, Trace], columns: Sequence[str] | None) -> Any:
     """See `Trace.plot`; the figure is the one of the reports."""
-    from moc_opt.report.figures import time_series
+    from moc_opt.figures import time_series
 
     return time_series(runs, columns)
 
 
 def _parts(name: str, width: int) -> Sequence[Any]:
-    """Names of the entries of a vector: axes where the column's are, else numbers from 0, as the array's own."""
+    """Return the names of a vector's entries: axes where the column's are, else numbers from 0, as the array's own."""
     known = COLUMNS.get(name)
     return AXES if known is not None and known.shape == "(N, 3)" else np.arange(width).tolist()
 

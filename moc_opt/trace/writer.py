@@ -126,7 +126,7 @@ class TraceWriter:
 
 
 def _with(columns: Stored, more: Columns) -> Iterator[Columns]:
-    """The blocks of `columns`, each with its rows of the columns `more`."""
+    """Yield the blocks of `columns`, each with its rows of the columns `more`."""
     first = 0
     for block in columns.blocks():
         rows = slice(first, first + block.rows)

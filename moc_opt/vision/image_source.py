@@ -77,7 +77,7 @@ def pose_accuracy(
 
 
 def _random_pose(rng: np.random.Generator) -> Pose:
-    """A board in the camera's frame, its printed side to the camera."""
+    """Return a board in the camera's frame, its printed side to the camera."""
     facing = np.diag([1.0, -1.0, -1.0])
     spin = rotation_from((0.0, 0.0, rng.uniform(-0.25, 0.25) * np.pi))
     angle, tilt = rng.uniform(0.0, 2.0 * np.pi), np.radians(rng.uniform(0.0, 35.0))

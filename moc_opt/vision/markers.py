@@ -107,7 +107,7 @@ class BoardFinder:
         return Sighting(pose, markers, math.sqrt(float((misses * misses).mean())))
 
     def _refine(self, turn: Array, place: Array, points: Array, pixels: Array) -> Pose | None:
-        """The nearest pose of least squares; None where it is not in front of the camera."""
+        """Return the nearest pose of least squares; None where it is not in front of the camera."""
         found = cv2.solvePnPRefineLM(points, pixels, self._matrix, None, turn, place)
         turn, place = (np.asarray(part, dtype=np.float64).ravel() for part in found)
         if not (np.isfinite(turn).all() and np.isfinite(place).all() and place[2] > 0.0):
@@ -115,13 +115,13 @@ class BoardFinder:
         return Pose(rotation_from(turn), place)
 
     def _misses(self, pose: Pose, points: Array, pixels: Array) -> Array:
-        """Distances (k,) of the corners seen from where the pose puts them [px]."""
+        """Return the distances (k,) of the corners seen from where the pose puts them [px]."""
         rays = pose.apply(points) @ self._matrix.T
         return np.asarray(np.linalg.norm(rays[:, :2] / rays[:, 2:] - pixels, axis=1))
 
 
 def _column(vector: ArrayLike) -> Array:
-    """(3, 1), a copy: OpenCV's refinement writes into what it is given."""
+    """Return (3, 1), a copy: OpenCV's refinement writes into what it is given."""
     return np.array(vector, dtype=np.float64).reshape(3, 1)
 
 

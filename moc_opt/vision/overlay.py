@@ -72,7 +72,7 @@ class Overlay:
             cv2.drawMarker(page, place, TIP, cv2.MARKER_CROSS, 16, 2, cv2.LINE_AA)
 
     def _towards(self, page: Picture, tip: Array, trocar: Array) -> None:
-        """A line from the tip to the trocar, as far as it is before the camera, with its name where it ends."""
+        """Draw a line from the tip to the trocar, as far as it is before the camera, with its name where it ends."""
         to_camera = self._camera.camera_in_base.inverse()
         near, far = float(to_camera.apply(tip)[2]), float(to_camera.apply(trocar)[2])
         if near <= _NEAR_M:
@@ -166,7 +166,7 @@ def _checked(file: File) -> None:
 
 
 def _write(page: Picture, text: str, corner: tuple[int, int]) -> None:
-    """White on a dark ground, its lower left corner given [px]."""
+    """Write white on a dark ground, its lower left corner given [px]."""
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
     x, y = corner
     cv2.rectangle(page, (x - 4, y - height - 4), (x + width + 4, y + below + 2), (40, 40, 40), cv2.FILLED)
@@ -174,5 +174,5 @@ def _write(page: Picture, text: str, corner: tuple[int, int]) -> None:
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:
-    """Pixels in sixteenths, as OpenCV's drawing functions take them."""
+    """Return the pixels in sixteenths, as OpenCV's drawing functions take them."""
     return np.rint(16.0 * np.clip(pixels, -1e5, 1e5)).astype(np.int32)

@@ -63,7 +63,7 @@ class DrawnView:
         return self._sensor.expose(small)
 
     def _draw_shaft(self, page: Picture, tip: Array, other: Array) -> None:
-        """The shaft as its silhouette: the tip and the farthest point that is still before the lens."""
+        """Draw the shaft as its silhouette: the tip and the farthest point that is still before the lens."""
         to_camera = self._camera.camera_in_base.inverse()
         near, far = to_camera.apply(tip), to_camera.apply(other)
         least = 0.005
@@ -85,7 +85,7 @@ class DrawnView:
 
 
 def _cover(board: Board, marker: int) -> Array:
-    """A round patch (k, 3) over a marker, in the board's frame [m]: it hides all four corners."""
+    """Return a round patch (k, 3) over a marker, in the board's frame [m]: it hides all four corners."""
     angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     middle = board.corners(marker).mean(axis=0)
     return np.asarray(middle + cover_radius(board) * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1))

@@ -113,6 +113,6 @@ def rotation_vector(rotation: ArrayLike) -> Vector:
 
 
 def _orthonormal(rotation: Array) -> Array:
-    """The nearest rotation: a tracker multiplies poses for hours, and rounding adds up."""
+    """Return the nearest rotation: a tracker multiplies poses for hours, and rounding adds up."""
     left, _, right = np.linalg.svd(rotation)
     return np.asarray(left @ right)

@@ -125,7 +125,7 @@ class RenderedView:
 
 
 def _spec(data: RobotData, camera: Camera, board: Board) -> mujoco.MjSpec:
-    """The arm's model with camera, light, board, covers and shaft."""
+    """Return the arm's model with camera, light, board, covers and shaft."""
     spec = build_spec(data, substep_s=1e-3)
     spec.compiler.discardvisual = False  # a model that comes from a URDF drops every shape that cannot collide
     spec.visual.global_.offwidth, spec.visual.global_.offheight = camera.size_px
@@ -160,7 +160,7 @@ def _add_background(spec: mujoco.MjSpec) -> None:
 
 
 def _add_board(spec: mujoco.MjSpec, board: Board) -> None:
-    """The printed board on a body that can be put anywhere, and a patch over each marker."""
+    """Add the printed board on a body that can be put anywhere, and a patch over each marker."""
     page = board_picture(board)
     page = np.repeat(page[:, :, None], 3, axis=2)
     texture = spec.add_texture(
@@ -191,12 +191,12 @@ def _cover_name(marker: int) -> str:
 
 
 def _rgb(colour: tuple[int, int, int]) -> list[float]:
-    """Red, green, blue from 0 to 1, of blue, green, red to 255."""
+    """Return red, green, blue from 0 to 1, of blue, green, red to 255."""
     return [part / 255.0 for part in colour[::-1]]
 
 
 def _current_context(width: int, height: int) -> Any:
-    """An off-screen GL context, made current; MuJoCo's own chooser needs MUJOCO_GL before the first import."""
+    """Return an off-screen GL context, made current; MuJoCo's own chooser needs MUJOCO_GL before the first import."""
     platform = gl_platform()
     try:
         context = importlib.import_module(f"mujoco.{platform}").GLContext(width, height)

@@ -93,7 +93,7 @@ class BoardTracker:
         return Tracked(self.state, self.pose, refused)
 
     def _judge(self, sighting: Sighting | None) -> str | None:
-        """Why the sighting by itself is not good enough."""
+        """Return why the sighting by itself is not good enough."""
         if sighting is None:
             return "no marker seen"
         if sighting.markers < self.limits.min_markers:
@@ -126,7 +126,7 @@ class BoardTracker:
         return way <= self.limits.jump_m and turn <= self.limits.jump_rad
 
     def _blend(self, mean: Pose, pose: Pose, elapsed: float) -> Pose:
-        """A plain mean at first, then an exponential one."""
+        """Return a plain mean at first, then an exponential one."""
         self._count += 1
         total = self.limits.smoothing_s + elapsed
         steady = elapsed / total if total > 0.0 else 1.0

@@ -19,7 +19,7 @@ from benchmarks.answer import (
     marked_answer,
     reached,
 )
-from moc_opt.report import figures
+from moc_opt import figures
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

@@ -7,8 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import cli
+from moc_opt import figures
 from moc_opt.errors import ScenarioError
-from moc_opt.report import export, figures
+from moc_opt.report import export
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

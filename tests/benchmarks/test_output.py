@@ -95,7 +95,8 @@ def test_default_configurations_ship(name):
 
 
 def test_figures_are_saved_only_when_asked_for(tmp_path, monkeypatch):
-    from moc_opt.report import export, figures
+    from moc_opt import figures
+    from moc_opt.report import export
     from moc_opt.report.page import Page
 
     asked = []

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from moc_opt.control.feedforward import desired_wrist_acceleration, independent_rows, motion_feedforward
-from moc_opt.control.rcm import desired_wrist
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.dense import cholesky
 
 SPAN = 0.378

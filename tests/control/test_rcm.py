@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from moc_opt.control import law, rcm
 from moc_opt.control.tip_impedance import task_inertia
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.dense import cholesky
-from moc_opt.tasks import Trocar, shaft_distance
+from moc_opt.tasks import shaft_distance
 from tests.control.torques import of, tracking
 
 NO_TIP = np.array([0.0, 0.0, 800.0, 60.0])  # K_X, D_X, K_N, D_N
@@ -125,37 +126,6 @@ def test_level_two_against_numpy(form, name, robot, regular_poses):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
-@BOTH
-@settings(max_examples=60)
-@given(seed=SEEDS)
-def test_desired_wrist_velocity_is_the_derivative(form, seed):
-    """Along a motion of tip and trocar, dN_d is the difference quotient of N_d."""
-    rng = np.random.default_rng(seed)
-    start, rate, distance = rng.normal(size=3), rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.3)
-    trocar = Trocar(start + distance * unit(rng), 0.02, 3.0, unit(rng))
-    sway = 0.3 * distance * unit(rng)  # never as far as the trocar
-    span, t, step = 0.378, rng.uniform(0.0, 3.0), 1e-5
-
-    def wish(time):
-        tip, velocity = start + sway * np.sin(rate * time), sway * rate * np.cos(rate * time)
-        p, dp = trocar.at(time)
-        return of(rcm.desired_wrist, form)(tip, velocity, p, dp, span)
-
-    slope = (wish(t + step)[0] - wish(t - step)[0]) / (2.0 * step)
-    np.testing.assert_allclose(wish(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
-
-
-@settings(max_examples=60)
-@given(seed=SEEDS)
-def test_desired_wrist_puts_the_shaft_through_the_trocar(seed):
-    rng = np.random.default_rng(seed)
-    tip, trocar = rng.normal(size=3), rng.normal(size=3)
-    wrist, _ = rcm.desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), 0.378)
-    assert np.linalg.norm(wrist - tip) == pytest.approx(0.378, rel=1e-12)
-    assert float(shaft_distance(tip, wrist, trocar)) < 1e-12
-    assert (wrist - tip) @ (trocar - tip) > 0.0  # the trocar lies on the wrist's side
-
-
 @settings(max_examples=100)
 @given(seed=SEEDS, angle=st.floats(1e-4, 3.0), depth=st.floats(0.02, 0.3))
 def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
@@ -166,7 +136,7 @@ def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
     across = np.cross(u, unit(rng))
     across /= np.linalg.norm(across)
     trocar = tip + depth * (-np.cos(angle) * u + np.sin(angle) * across)
-    wish, _ = rcm.desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), span)
+    wish, _ = desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), span)
     factor = depth / span * np.cos(angle / 2.0)
     d = float(shaft_distance(tip, wrist, trocar))
     assert d == pytest.approx(factor * np.linalg.norm(wrist - wish), rel=1e-9, abs=1e-12)
@@ -182,7 +152,7 @@ def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         trocar = shifted_trocar(s, rng)
         found = tracking(s, tip_ref, trocar, form, gains=gains, rcm_lambda=rcm_lambda) - s.h
-        wish, speed = rcm.desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
+        wish, speed = desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
         d = np.linalg.norm(np.cross(trocar[0] - s.tip, s.tool_direction))
         force = 800.0 * d / rcm_lambda * (wish - s.wrist) / np.linalg.norm(wish - s.wrist)
         force += 10.0 * (speed - s.J_wrist @ s.v)
@@ -193,7 +163,7 @@ def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
 def test_published_error_is_ours_where_lambda_is_the_true_one(robot):
     s = robot.state(robot.data.q_home, np.full(7, 0.1))
     trocar = shifted_trocar(s, np.random.default_rng(2))
-    wish, _ = rcm.desired_wrist(s.tip, s.tip * 0.0, trocar[0], trocar[1], s.tool_span)
+    wish, _ = desired_wrist(s.tip, s.tip * 0.0, trocar[0], trocar[1], s.tool_span)
     true = float(shaft_distance(s.tip, s.wrist, trocar[0])) / np.linalg.norm(s.wrist - wish)
     for number in range(3):
         ours, theirs = (
@@ -209,7 +179,7 @@ def test_wrist_is_accelerated_towards_where_it_belongs(robot, regular_poses):
         s = robot.state(q)
         trocar = shifted_trocar(s, rng)
         trocar[1] = 0.0
-        wish, _ = rcm.desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
+        wish, _ = desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
         tau = level_two(s, trocar, law.DYNAMIC)
         acceleration = s.J_wrist @ np.linalg.solve(s.M, tau)
         assert acceleration @ (wish - s.wrist) > 0.0

@@ -5,23 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.rcm import desired_wrist
 from moc_opt.errors import TaskError
-from moc_opt.model.inverse_kinematics import pose_through, pose_with_tip, solve_pose, wrist_through
+from moc_opt.model.inverse_kinematics import pose_through, pose_with_tip, solve_pose
 from moc_opt.tasks import shaft_distance
 
 
 def inside(robot, q):
     return bool(((q >= robot.q_min) & (q <= robot.q_max)).all())
-
-
-@given(st.integers(0, 10_000))
-@settings(max_examples=30)
-def test_the_wish_for_the_wrist_is_the_controllers(seed):
-    tip, tip_velocity, trocar, trocar_velocity = np.random.default_rng(seed).normal(size=(4, 3))
-    mine = wrist_through(tip, tip_velocity, trocar, trocar_velocity, 0.378)
-    theirs = desired_wrist(tip, tip_velocity, trocar, trocar_velocity, 0.378)
-    np.testing.assert_allclose(mine, theirs, atol=1e-12)
 
 
 def test_a_pose_nearby_is_found_again(robot, regular_poses):

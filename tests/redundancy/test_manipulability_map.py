@@ -7,12 +7,12 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.errors import ReportError, RobotError
+from moc_opt.figures.style import BAD
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.largest import largest_mu
 from moc_opt.redundancy.arm_angle import Elbow
 from moc_opt.redundancy.manipulability_map import FEASIBLE, UNREACHABLE, SwivelMap, manipulability_map
 from moc_opt.redundancy.self_motion import self_motion
-from moc_opt.report.figures.style import BAD
 from moc_opt.report.map_figure import map_figure
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page

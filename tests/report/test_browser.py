@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from moc_opt.report import export, figures
+from moc_opt import figures
+from moc_opt.figures.style import DARK, INK
+from moc_opt.report import export
 from moc_opt.report.export import save_figures
-from moc_opt.report.figures.style import DARK, INK
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Missing, Table
 from moc_opt.trace.trace import Trace

@@ -10,9 +10,9 @@ import pytest
 from jinja2 import UndefinedError
 from markupsafe import Markup
 
+from moc_opt.figures.notation import Missing
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.report import document
-from moc_opt.report.notation import Missing
 from moc_opt.report.page import Page
 from moc_opt.report.replay import Replay
 from moc_opt.report.tables import Column, Table

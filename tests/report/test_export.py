@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from moc_opt import figures
 from moc_opt.errors import BrowserError, BrowserMissingError, MocOptError, ReportError, UnknownNameError
-from moc_opt.report import figures
 from moc_opt.report.export import browser_path, save_figures
 
 FIGURES = {"one": figures.box_plots({"a": {"t": [1.0]}}, "y")}

@@ -14,8 +14,9 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
+from moc_opt import figures
 from moc_opt.errors import ReportError
-from moc_opt.report import document, figures
+from moc_opt.report import document
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 

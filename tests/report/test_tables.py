@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from moc_opt.errors import MocOptError, ReportError
+from moc_opt.figures.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit
 from moc_opt.report.document import macros
-from moc_opt.report.notation import Missing, Notation, fraction_length, pretty_power, pretty_unit
 from moc_opt.report.table_html import draw
 from moc_opt.report.tables import Column, Table
 

@@ -168,7 +168,7 @@ def _made(place: Place, text: str, code: str | None) -> Mutant | None:
 
 
 def _idle_lines(text: str) -> set[int]:
-    """Lines of decorators, whose arguments are options of the compiler, and of what introduces a signature's `*`."""
+    """Return the lines of decorators, which hold options of the compiler, and of what introduces a signature's `*`."""
     idle: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

@@ -52,7 +52,7 @@ class Outcome:
 
 @cache
 def _imports(root: Path) -> dict[str, Collection[str]]:
-    """Every module of the project -> those that it imports; read once."""
+    """Return every module of the project -> those that it imports; read once."""
     trees: dict[str, ast.Module] = {}
     for top in OURS:
         for path in (root / top).rglob("*.py"):
@@ -206,7 +206,7 @@ class _Mutated(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def _interpret(modules: Iterable[str]) -> None:
-    """From now on ``njit`` leaves the kernels of these modules as they are, with what our code asks of a kernel."""
+    """Let ``njit`` leave the kernels of these modules as they are, with what our code asks of a kernel."""
     import numba
 
     compiled, plain = numba.njit, set(modules)

@@ -41,7 +41,7 @@ class Part:
     """"shell", "joint" or "tool": what colour it gets."""
 
     def plain(self) -> dict[str, Any]:
-        """As JSON, in micrometres' resolution."""
+        """Return it as JSON, in micrometres' resolution."""
         numbers = {"origin": self.origin, "axis": self.axis, "radii": self.radii, "heights": self.heights}
         rounded = {key: [round(float(x), 6) for x in values] for key, values in numbers.items()}
         return {"link": self.link, "role": self.role, **rounded}
@@ -98,7 +98,7 @@ def _turned(link: int, origin: Array, axis: Array, profile: Profile, role: str) 
 
 
 def _capsule(below: float, above: float, length: float, closed: bool) -> Profile:
-    """A cone from one ball to the next; flat at the flange, where the tool begins."""
+    """Return a cone from one ball to the next; flat at the flange, where the tool begins."""
     bend = np.linspace(-0.5 * np.pi, 0.0, 8)
     start = [(below * np.cos(a), below * np.sin(a)) for a in bend]
     if closed:
@@ -107,12 +107,12 @@ def _capsule(below: float, above: float, length: float, closed: bool) -> Profile
 
 
 def _drum(radius: float, half: float) -> Profile:
-    """A cylinder about its middle, its edges broken."""
+    """Return a cylinder about its middle, its edges broken."""
     edge = 0.15 * min(radius, half)
     side = [(radius - edge, half), (radius, half - edge)]
     return [(0.0, -half), *((r, -h) for r, h in side), *reversed(side), (0.0, half)]
 
 
 def _cap(radius: float, height: float) -> Profile:
-    """A lid."""
+    """Return a lid."""
     return [(radius, 0.0), (radius, 0.6 * height), (0.85 * radius, height), (0.0, height)]

@@ -12,11 +12,11 @@ from typing import Any, Self
 import numpy as np
 
 from moc_opt.errors import ReportError
+from moc_opt.figures.series import PANELS
+from moc_opt.figures.style import DARK, Styles
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.showable import check
 from moc_opt.report.document import render, save_document
-from moc_opt.report.figures.series import PANELS
-from moc_opt.report.figures.style import DARK, Styles
 from moc_opt.report.replay.arm import arm_parts
 from moc_opt.report.replay.tracks import Block, frame_times, run_track
 from moc_opt.report.runs import load_runs

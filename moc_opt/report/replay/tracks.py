@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.figures.series import PANELS, envelope
 from moc_opt.model.frames import link_frames
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.report.figures.series import PANELS, envelope
 from moc_opt.trace.trace import Trace
 
 FRAMES_PER_S = 30.0
@@ -39,7 +39,7 @@ class Block:
         return place
 
     def packed(self) -> str:
-        """Little-endian, compressed, base64."""
+        """Return little-endian, compressed, base64."""
         raw = np.concatenate(self._parts).astype("<f4").tobytes() if self._parts else b""
         return base64.b64encode(gzip.compress(raw, mtime=0)).decode()
 
@@ -79,7 +79,7 @@ def run_track(name: str, trace: Trace, robot: RobotModel, times: Array, block: B
 
 
 def velocity_ellipsoids(jacobians: Array) -> Array:
-    """(k, 3, 3) the symmetric S = (J J^T)^(1/2) that takes the unit sphere to the ellipsoid of tip velocities.
+    """Return (k, 3, 3) the symmetric S = (J J^T)^(1/2) that takes the unit sphere to the ellipsoid of tip velocities.
 
     Its half axes are the singular values of J, its determinant is mu (Yoshikawa 1985), and between two frames
     it changes evenly, as eigenvectors do not.
@@ -95,7 +95,7 @@ def velocity_ellipsoids(jacobians: Array) -> Array:
 
 
 def _panel(trace: Trace, column: str, ticks: NDArray[np.intp], block: Block) -> dict[str, Any] | None:
-    """One quantity of one run: its curve, its value at every frame, and mu's bound; None where it has none."""
+    """Return one quantity of one run: its curve, its value at every frame, and mu's bound; None where it has none."""
     if column not in trace.columns:
         return None
     values = trace.columns[column].astype(np.float64)

@@ -56,7 +56,7 @@ def load_record(
 
 @njit(cache=True, nogil=True)
 def lift_duals(lift: Array, y: Array, factor: float, six: Array) -> None:
-    """six = factor lift^T y: the multipliers of the six rows (6,) from those of a library's (m,)."""
+    """Compute six = factor lift^T y: the multipliers of the six rows (6,) from those of a library's (m,)."""
     for j in range(6):
         total = 0.0
         for i in range(lift.shape[0]):
@@ -133,7 +133,7 @@ class Loader:
         return True
 
     def lifted(self, y: Array, factor: float) -> Array:
-        """Multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
+        """Return the multipliers of the six rows (6,) from the library's (m,), times ``factor``."""
         six = np.empty(6)  # made here: an array that compiled code makes costs more to hand over
         if y.strides == (8,):
             self._lift_duals(self._lift, y, factor, six)

@@ -32,7 +32,7 @@ NEEDS_DEFINITE = {"qrqp"}  # cycles on a singular cost
 
 
 def reasons() -> dict[str, str | None]:
-    """Every plug-in in ``PLUGINS`` -> None when this CasADi has it, else the reason why not."""
+    """Return every plug-in in ``PLUGINS`` -> None when this CasADi has it, else the reason why not."""
     return {
         name: None if ca.has_conic(name) else f"this CasADi was built without the plug-in {name!r}"
         for name in PLUGINS
@@ -40,7 +40,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def factory(name: str) -> Callable[..., CasadiConic]:
-    """The settings of one plug-in, still to be called with them.
+    """Return the settings of one plug-in, still to be called with them.
 
     Raises:
         UnknownNameError: there is no such plug-in here.
@@ -85,7 +85,7 @@ class CasadiSession(LibrarySession):
             self._buffer.set_res(self._function.index_out(name), array.data)  # type: ignore[call-arg]
 
     def _hand_over(self) -> None:
-        """Nothing: the function reads the buffers when it runs."""
+        """Do nothing: the function reads the buffers when it runs."""
 
     def _run(self) -> Outcome:
         status = Status.SOLVED
@@ -141,7 +141,7 @@ class CasadiConic(Adapter):
 
 
 def _verdict(stats: Mapping[str, Any]) -> Status:
-    """Infeasible only where the plug-in says so."""
+    """Return the status: infeasible only where the plug-in says so."""
     text = f"{stats.get('unified_return_status', '')} {stats.get('return_status', '')}".lower()
     if "infeasible" in text and "dual_infeasible" not in text.replace(" ", "_"):
         return Status.INFEASIBLE

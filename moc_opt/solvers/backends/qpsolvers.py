@@ -60,7 +60,7 @@ _UNSOLVED_IS_INFEASIBLE = {"quadprog"}
 
 
 def reasons() -> dict[str, str | None]:
-    """Every library that qpsolvers knows -> None when it is here, else the reason why not."""
+    """Return every library that qpsolvers knows -> None when it is here, else the reason why not."""
     known = {module.name.strip("_") for module in pkgutil.iter_modules(qpsolvers.solvers.__path__)}
     here = set(qpsolvers.available_solvers)
     return {
@@ -70,7 +70,7 @@ def reasons() -> dict[str, str | None]:
 
 
 def factory(name: str) -> Callable[..., QPSolver]:
-    """The settings of one library, still to be called with them: ``factory("daqp")(rows=6)``.
+    """Return the settings of one library, still to be called with them: ``factory("daqp")(rows=6)``.
 
     Raises:
         UnknownNameError: qpsolvers does not know the name.
@@ -143,7 +143,7 @@ class QPSolver:
         return refuse_semidefinite(qp, "quadprog needs a positive definite cost")
 
     def start(self, qp: NullSpaceQP) -> QPSolverSession:
-        """A session; where there are options of the caller's, one solve shows whether they exist."""
+        """Return a session; where there are options of the caller's, one solve shows whether they exist."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")
@@ -205,7 +205,7 @@ class QPSolverSession(ShownBySettings):
         return Solution(x.copy() if self._takes_start else x, y, Status.SOLVED, iterations)
 
     def _verdict(self, found: qpsolvers.Solution) -> Status:
-        """Why there is no answer: infeasible only where the library's own status says so."""
+        """Return why there is no answer: infeasible only where the library's own status says so."""
         if self._settings.library in _UNSOLVED_IS_INFEASIBLE:
             return Status.INFEASIBLE
         limit = self._options.get("time_limit")
@@ -221,7 +221,7 @@ class QPSolverSession(ShownBySettings):
 
 
 def _iterations(extras: Mapping[str, Any]) -> int:
-    """The library's iteration count where it hands one out, else 0."""
+    """Return the library's iteration count where it hands one out, else 0."""
     info = extras.get("info")
     count = extras.get("iter", extras.get("iterations", getattr(info, "iter", 0)))
     return count if isinstance(count, int) else int(np.ravel(count)[0])  # quadprog counts two kinds

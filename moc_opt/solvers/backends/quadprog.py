@@ -28,10 +28,10 @@ class QuadprogSession(LibrarySession):
         }  # fmt: skip
 
     def _set_up(self, m: int, n: int) -> None:
-        """Nothing: the library keeps nothing between calls."""
+        """Do nothing: the library keeps nothing between calls."""
 
     def _hand_over(self) -> None:
-        """Nothing: it reads the buffers when it runs."""
+        """Do nothing: it reads the buffers when it runs."""
 
     def _run(self) -> Outcome:
         try:

@@ -54,7 +54,7 @@ class Plane(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def own_part(W: Array, n: int, m: int, row: Array) -> float:
-    """How much the last open row has of its own, in units of the tolerance on the sixth singular value.
+    """Compute how much the last open row has of its own, in units of the tolerance on the sixth singular value.
 
     A pivot alone overstates that value, up to a hundredfold: the open row is e^T A with a long e, which the
     row operations hold. |e^T A| / |e| is what a singular value is the smallest of.
@@ -75,7 +75,7 @@ def own_part(W: Array, n: int, m: int, row: Array) -> float:
 
 @inlined
 def eliminate(plane: Plane, row: Array) -> int:
-    """Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
+    """Run Gauss-Jordan with complete pivoting on [A | b] of a flat record (10 n + 10,); returns the rank.
 
     The rank is -1 where a row is neither repeated nor independent: around the tolerances, where singular values and
     pivots may disagree.
@@ -125,7 +125,7 @@ def eliminate(plane: Plane, row: Array) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) -> bool:
-    """Whether no x in the box brings the dropped row i of W to what it asks for."""
+    """Return whether no x in the box brings the dropped row i of W to what it asks for."""
     at = offsets(n)
     reach = tolerance
     for j in range(n):
@@ -135,7 +135,7 @@ def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) 
 
 @inlined
 def left_over(plane: Plane, x: Array) -> float:
-    """|A x - b|_inf of the answer x (n,): the dropped rows are what is left of it."""
+    """Compute |A x - b|_inf of the answer x (n,): the dropped rows are what is left of it."""
     W, most = plane.W, 0.0
     for i in range(6):
         if W[OPEN, i] > 0.0:
@@ -148,7 +148,7 @@ def left_over(plane: Plane, x: Array) -> float:
 
 @inlined
 def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
-    """Row z of M: how all joints move along A x = b when joint ``free`` moves by one."""
+    """Fill row z of M: how all joints move along A x = b when joint ``free`` moves by one."""
     for c in range(plane.m):
         M[z, c] = 0.0
     for k in range(rank):
@@ -158,7 +158,7 @@ def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
 
 @inlined
 def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
-    """One freedom: x + s z; the ratio test gives the interval of s, then its best point.
+    """Solve one freedom: x + s z; the ratio test gives the interval of s, then its best point.
 
     Args:
         V: rows X (a point of the plane, moved to the optimum), Z and FORCE (the active bound's is written).

@@ -65,7 +65,7 @@ def settle(M: Array, n: int, m: int, r: int) -> None:
 
 @inlined
 def furthest_out(M: Array, m: int, tolerance: float) -> int:
-    """The joint that is furthest beyond its bounds; -1 where none is by more than the tolerance."""
+    """Return the joint that is furthest beyond its bounds; -1 where none is by more than the tolerance."""
     joint, most = -1, tolerance
     for c in range(m):
         below, over = M[LOW, c] - M[S, c], M[S, c] - M[HIGH, c]
@@ -76,7 +76,7 @@ def furthest_out(M: Array, m: int, tolerance: float) -> int:
 
 @inlined
 def first_to_let_go(M: Array, m: int, p: int, side: float) -> tuple[int, float]:
-    """The active bound whose multiplier is the first to vanish when joint p is pushed, and after how much push."""
+    """Return the active bound whose multiplier vanishes first when joint p is pushed, and after how much push."""
     joint, step = -1, np.inf
     for c in range(m):
         fading = side * M[SIDE, c] * M[PI + p, c]
@@ -133,7 +133,7 @@ def project(M: Array, n: int, m: int, r: int, tolerance: float, far: bool) -> in
 
 @inlined
 def nearest(M: Array, n: int, m: int, r: int, slack: float, tolerance: float, far: bool) -> int:
-    """``project`` to within the slack; where rounding decides whether there is such a point, a tenth of the tolerance.
+    """Do as ``project``, to within the slack; where rounding decides if there is such a point, a tenth of it.
 
     The plane may touch the box in one point only.
     """
@@ -153,7 +153,7 @@ def nearest(M: Array, n: int, m: int, r: int, slack: float, tolerance: float, fa
 def approach(
     M: Array, n: int, m: int, r: int, rho: float, slack: float, tolerance: float, base: float
 ) -> tuple[int, float]:
-    """The proximal point iteration, from a point of the box: status, and the weight of the multipliers."""
+    """Run the proximal point iteration from a point of the box: status, and the weight of the multipliers."""
     # Long steps first: they also travel where the cost is almost flat. The short one at the end stays
     # at the vertex and takes the rounding of the long ones out.
     status, weight = OK, 0.0

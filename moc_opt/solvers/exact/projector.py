@@ -18,7 +18,7 @@ PI = 11
 
 @inlined
 def along(M: Array, m: int, a: int, b: int) -> float:
-    """Inner product of two rows."""
+    """Compute the inner product of two rows."""
     product = 0.0
     for c in range(m):
         product += M[a, c] * M[b, c]
@@ -27,14 +27,14 @@ def along(M: Array, m: int, a: int, b: int) -> float:
 
 @inlined
 def add(M: Array, m: int, to: int, scale: float, what: int) -> None:
-    """A multiple of one row onto another."""
+    """Add a multiple of one row onto another."""
     for c in range(m):
         M[to, c] += scale * M[what, c]
 
 
 @inlined
 def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
-    """Gram-Schmidt on the r rows of the basis, without making them unit vectors."""
+    """Orthogonalise the r rows of the basis by Gram-Schmidt, without making them unit vectors."""
     for a in range(PI + n, PI + n + r):
         inverse = 1.0 / along(M, m, a, a)
         M[INVERSE, a - PI - n] = inverse
@@ -44,7 +44,7 @@ def orthogonalise(M: Array, n: int, m: int, r: int) -> None:
 
 @inlined
 def onto_basis(M: Array, n: int, m: int, r: int, what: int, to: int, scale: float) -> None:
-    """Row ``to`` = scale * Pi of row ``what``, through the basis."""
+    """Write scale * Pi of row ``what`` into row ``to``, through the basis."""
     for c in range(m):
         M[to, c] = 0.0
     for k in range(r):
@@ -54,7 +54,7 @@ def onto_basis(M: Array, n: int, m: int, r: int, what: int, to: int, scale: floa
 
 @inlined
 def projector(M: Array, n: int, m: int, r: int) -> None:
-    """Pi = sum of z z^T / |z|^2 over the basis, not swept."""
+    """Fill Pi = sum of z z^T / |z|^2 over the basis, not swept."""
     Z = PI + n
     for i in range(n):
         for c in range(m):

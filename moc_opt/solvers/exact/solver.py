@@ -60,7 +60,7 @@ def workspace(n: int) -> tuple[Array, Indices]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def rest(V: Array, row: Array, n: int) -> None:
-    """Joints that move neither tip nor wrist go where the cost alone takes them."""
+    """Move the joints that move neither tip nor wrist to where the cost alone takes them."""
     at = offsets(n)
     c2, rho = row[at.weights + C2], row[at.weights + RHO]
     largest_grad = 0.0
@@ -76,7 +76,7 @@ def rest(V: Array, row: Array, n: int) -> None:
 
 @elimination.inlined
 def solve_within(row: Array, tolerance: float, x: Array, y: Array, work: Array, indices: Indices, m: int) -> int:
-    """``solve_row`` with m >= n numbers to a row, m a multiple of eight."""
+    """Do as ``solve_row``, with m >= n numbers to a row, m a multiple of eight."""
     n = x.shape[0]
     V, W = work[:4], work[4:]
     plane = Plane(W, indices[6:], indices[:6], n, m)
@@ -187,7 +187,7 @@ def solve_row(row: Array, tolerance: float, x: Array, y: Array, work: Array, ind
 
 @njit(cache=True, nogil=True)
 def solve_rows(rows: Array, tolerance: float, X: Array, Y: Array, status: NDArray[np.int64]) -> None:
-    """``solve_row`` over a batch."""
+    """Call ``solve_row`` for every row of a batch."""
     work, indices = workspace(X.shape[1])
     for i in range(rows.shape[0]):
         status[i] = solve_row(rows[i], tolerance, X[i], Y[i], work, indices)
@@ -217,11 +217,11 @@ class Exact:
             raise SolverError(f"exact: tolerance = {self.tolerance} is not in (0, 1); 1e-9 is usual")
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Every subproblem is supported."""
+        """Return None: every subproblem is supported."""
         return None
 
     def start(self, qp: NullSpaceQP) -> ExactSession:
-        """A session; there is nothing to warm up but the compiler."""
+        """Return a session; there is nothing to warm up but the compiler."""
         session = ExactSession(self.tolerance, qp.n)
         session.solve(qp)
         return session

@@ -89,7 +89,7 @@ def integrate(
 def unstable(
     qp: NullSpaceQP, h: float, k: float, scale: float, implicit: bool, h_x: float | None = None
 ) -> str | None:
-    """Why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
+    """Return why Euler steps of this size diverge on ``qp``, or None. x steps by h_x, by h where that is None.
 
     On a singular value s of A, away from the bounds, one step has the characteristic polynomial
     of an oscillator with damping k c s^2 and stiffness k^2 s^2, c = scale c0 = scale c1. Explicit
@@ -150,11 +150,11 @@ class RNN:
         checks.like_defaults(self, method=("explicit", "semi-implicit"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Stable steps only."""
+        """Return why the steps would not be stable, or None."""
         return unstable(qp, self.h, self.k, self.scale, self.method == "semi-implicit")
 
     def start(self, qp: NullSpaceQP) -> RNNSession:
-        """A network at rest: x = 0 (clipped), multipliers 0."""
+        """Return a network at rest: x = 0 (clipped), multipliers 0."""
         _refuse(self.name, self.supports(qp))
         RNNSession(self, qp.n).solve(qp)  # warms up the compiler
         return RNNSession(self, qp.n)
@@ -178,7 +178,7 @@ class RNNSession(ShownBySettings):
         return self._advance(qp, s.steps, s.h, s.h, s.scale, s.method == "semi-implicit")
 
     def _advance(self, qp: NullSpaceQP, most: int, h_x: float, h_y: float, scale: float, implicit: bool) -> Solution:
-        """At most so many steps from the state as it is; at rest again where that does not stay finite."""
+        """Take at most so many steps from the state as it is; at rest again where that does not stay finite."""
         if qp.n != len(self._x):
             self._rest(qp.n)
         s, x, y = self._settings, self._x, self._y
@@ -220,11 +220,11 @@ class RNNPrinted:
         checks.positive(self.name, "eps", self.eps, 1e-9)
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Stable steps only."""
+        """Return why the steps would not be stable, or None."""
         return unstable(qp, self.h, self.k, 1.0, False, h_x=1.0)
 
     def start(self, qp: NullSpaceQP) -> RNNPrintedSession:
-        """A network at rest."""
+        """Return a network at rest."""
         _refuse(self.name, self.supports(qp))
         RNNPrintedSession(self, qp.n).solve(qp)  # warms up the compiler
         return RNNPrintedSession(self, qp.n)
@@ -238,7 +238,7 @@ class RNNPrintedSession(RNNSession):
         self._x = np.array(v, dtype=float)
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
+        """Compute x = P(v - k dL/dqd) with the multipliers as they are, which then go on by one tick."""
         return self._advance(qp, 1, 1.0, self._settings.h, 1.0, False)
 
 

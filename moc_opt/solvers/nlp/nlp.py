@@ -34,18 +34,25 @@ class Kinematics(Protocol):
     """CasADi functions of q (n,): tip and wrist (3,) [m], mu. Hashable, so that programs can be kept."""
 
     @property
-    def n(self) -> int: ...
+    def n(self) -> int:
+        """Number of joints."""
+
     @property
-    def tip(self) -> Any: ...
+    def tip(self) -> Any:
+        """Function q -> (3,) [m]."""
+
     @property
-    def wrist(self) -> Any: ...
+    def wrist(self) -> Any:
+        """Function q -> (3,) [m]."""
+
     @property
-    def mu(self) -> Any: ...
+    def mu(self) -> Any:
+        """Function q -> mu [m^3]."""
 
 
 @lru_cache(maxsize=16)
 def program(settings: NLP) -> tuple[Any, Any]:
-    """The NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
+    """Return the NLP solver, and the function q -> (tip, wrist, mu, grad mu) that gives its parameters.
 
     The parameters of the solver are q (n,), tip, wrist and mu at q, d (n,), the columns of E, c2 and regularization.
     """
@@ -105,7 +112,7 @@ class NLP(ABC):
         checks.like_defaults(self, hessian=("limited-memory", "exact"))
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """It needs to know where the problem was linearized, and a rigid tool."""
+        """Say what is missing: it needs to know where the problem was linearized, and a rigid tool."""
         if qp.q is None:
             return "the subproblem has no q; an NLP needs the position where it was linearized"
         if qp.n != self.kinematics.n:
@@ -115,7 +122,7 @@ class NLP(ABC):
         return None
 
     def start(self, qp: NullSpaceQP) -> NLPSession:
-        """A session with buffers of its own; the compiled program is shared and holds no state."""
+        """Return a session with buffers of its own; the compiled program is shared and holds no state."""
         reason = self.supports(qp)
         if reason is not None:
             raise SolverError(f"{self.name}: {reason}")
@@ -123,7 +130,7 @@ class NLP(ABC):
 
     @abstractmethod
     def options(self) -> dict[str, Any]:
-        """Options of the CasADi plug-in."""
+        """Return the options of the CasADi plug-in."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +148,7 @@ class SQP(NLP):
     plugin: ClassVar[str] = "sqpmethod"
 
     def options(self) -> dict[str, Any]:
-        """Silent, with both KKT tolerances at eps."""
+        """Return options: silent, with both KKT tolerances at eps."""
         quiet = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
         return {
             "qpsol": "qrqp",
@@ -170,7 +177,7 @@ class Ipopt(NLP):
     plugin: ClassVar[str] = "ipopt"
 
     def options(self) -> dict[str, Any]:
-        """Silent, inside the box to the last digit, without IPOPT's own scaling of a cost this small."""
+        """Return options: silent, inside the box to the last digit, without IPOPT's scaling of a cost this small."""
         return {
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
@@ -204,7 +211,7 @@ class Fatrop(NLP):
             raise SolverError(f"{self.name}: hessian = {self.hessian!r} is not to be had; 'exact' is")
 
     def options(self) -> dict[str, Any]:
-        """Silent, and without a search for stages."""
+        """Return options: silent, and without a search for stages."""
         return {
             "print_time": False,
             "error_on_fail": False,

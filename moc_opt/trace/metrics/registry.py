@@ -151,7 +151,8 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         if not ticks.any():
             return {}
         # Whether the run was completed, and how much of it was driven, is asked of the run, not of its phase.
-        trace, baseline = trace._at(ticks), None if baseline is None else baseline._at(ticks)
+        trace = trace.select(ticks, as_part=False)
+        baseline = None if baseline is None else baseline.select(ticks, as_part=False)
     summary = {}
     for name, function in METRICS.items():
         try:
@@ -168,14 +169,14 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
 
 
 def _same_ticks(trace: Trace, baseline: Trace) -> bool:
-    """Whether the runs have equally many ticks, at the same times where both say when."""
+    """Return whether the runs have equally many ticks, at the same times where both say when."""
     if len(trace) != len(baseline) or "t_s" not in trace.columns or "t_s" not in baseline.columns:
         return len(trace) == len(baseline)
     return bool(np.allclose(trace.t_s, baseline.t_s, rtol=0.0, atol=1e-6))
 
 
 def _extent(trace: Trace) -> str:
-    """How many ticks, and from when to when where the trace has times."""
+    """Return how many ticks, and from when to when where the trace has times."""
     times = trace.columns.get("t_s")
     return f"{len(trace)} ticks" + ("" if times is None else f" from {times[0]:.3f} to {times[-1]:.3f} s")
 

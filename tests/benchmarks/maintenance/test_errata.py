@@ -17,6 +17,7 @@ from moc_opt.control.null_space import (
 )
 from moc_opt.control.settings import ControlSettings
 from moc_opt.control.tip_impedance import task_inertia
+from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.dense import cholesky
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, run
@@ -218,7 +219,7 @@ def test_the_true_lambda_is_not_constant(robot, states):
         across = np.linalg.svd(s.tool_direction[None])[2][1]
         for depth in (task.depth_m for task in BOARD_TASKS.values()):
             trocar = s.tip - depth * s.tool_direction + 2e-3 * across
-            wish, _ = rcm.desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            wish, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
             d = np.linalg.norm(np.cross(trocar - s.tip, s.tool_direction))
             found.append(d / np.linalg.norm(wish - s.wrist))
             share = rcm.published_share(s.tip, s.wrist, trocar, s.tool_span, PAPER.rcm_lambda)

@@ -8,9 +8,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from moc_opt.errors import ReportError
-from moc_opt.report.figures.distributions import Floats, Samples, known_samples
-from moc_opt.report.figures.style import Styles, figure, label, log_axis
-from moc_opt.report.notation import pretty_units
+from moc_opt.figures.distributions import Floats, Samples, known_samples
+from moc_opt.figures.notation import pretty_units
+from moc_opt.figures.style import Styles, figure, label, log_axis
 
 
 def box_plots(

@@ -84,7 +84,7 @@ class Notation:
 
 
 def _tidy(written: str) -> str:
-    """Python's 5.4e-07 as 5.4e-7, and a plain 0."""
+    """Return Python's 5.4e-07 as 5.4e-7, and a plain 0."""
     mantissa, exponent = written.split("e")
     return f"{mantissa}e{int(exponent)}" if float(mantissa) else "0"
 

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from moc_opt import figures
 from moc_opt.errors import ReportError
-from moc_opt.report import figures
-from moc_opt.report.figures import labels
-from moc_opt.report.figures.style import DARK, INK
+from moc_opt.figures import labels
+from moc_opt.figures.style import DARK, INK
 from moc_opt.trace.trace import Trace
 
 Rng = np.random.Generator
@@ -245,10 +245,10 @@ def test_panels_share_one_legend(rng: Rng) -> None:
 def test_the_largest_mu_stands_beside_mu(rng: Rng) -> None:
     bound = np.full(50, np.nan)
     bound[[0, 25, 49]] = 0.34
-    made = figures.time_series({"MOC": run(50, rng, mu_bound=bound)}, ["mu"])
-    dotted = made.data[1]
-    assert dotted.line.dash == "dot"
-    assert list(dotted.y) == [0.34] * 3
+    made = figures.time_series({"MOC": run(50, rng, mu_bound=bound), "DCAC": run(50, rng, mu_bound=bound)}, ["mu"])
+    dotted = [line for line in made.data if line.line.dash == "dot"]
+    assert [list(line.y) for line in dotted] == [[0.34] * 3] * 2
+    assert [line.name for line in made.data if line.showlegend] == ["MOC", "largest µ of all poses", "DCAC"]
 
 
 @settings(max_examples=50)

@@ -43,7 +43,7 @@ def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str
 
 
 def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
-    """Side -> the rectangle that the name would take there, the sides we like best first."""
+    """Return side -> the rectangle that the name would take there, the sides we like best first."""
     wide, near, far = CHARACTER_PX * len(name), MARKER_PX + 1.0, MARKER_PX + 1.0 + LINE_PX
     left, right = (x - near - wide, x - near), (x + near, x + near + wide)
     centre, middle = (x - wide / 2, x + wide / 2), (y - LINE_PX / 2, y + LINE_PX / 2)
@@ -57,6 +57,6 @@ def _boxes(name: str, x: float, y: float) -> dict[str, Box]:
 
 
 def _shared(one: Box, two: Box) -> float:
-    """Area that two rectangles have in common [px^2]."""
+    """Return the area that two rectangles have in common [px^2]."""
     wide, tall = min(one[2], two[2]) - max(one[0], two[0]), min(one[3], two[3]) - max(one[1], two[1])
     return max(wide, 0.0) * max(tall, 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from plotly.subplots import make_subplots
 
 from moc_opt.errors import ReportError, shown
-from moc_opt.report.figures.style import TEMPLATE, Styles, label, legend_height
-from moc_opt.trace.trace import Trace
+from moc_opt.figures.style import TEMPLATE, Styles, label, legend_height
 
 Floats = NDArray[np.float64]
 PANELS = {
@@ -27,13 +27,29 @@ LABELS = {**PANELS, MODEL_TIP: ("tip error, own kinematics [mm]", 1e3)}
 """The same, of every column that has a label of its own: two errors of the tip must not look like one."""
 
 
+class Run(Protocol):
+    """What is drawn of a run: a `Trace` has it."""
+
+    @property
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Name -> (N,) or (N, k), one row a tick."""
+
+    @property
+    def meta(self) -> Mapping[str, Any]:
+        """How the run came about."""
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """Return a column, or raise an error that says which there are."""
+
+
 def time_series(
-    runs: Mapping[str, Trace], panels: Sequence[str] | None = None, *,
+    runs: Mapping[str, Run], panels: Sequence[str] | None = None, *,
     styles: Styles | None = None, points: int = 1200,
 ) -> go.Figure:  # fmt: skip
     """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
-    Beside mu the largest mu of all feasible poses is dotted in, with how it was found in its name.
+    Beside mu the largest mu of all feasible poses is dotted in, one legend entry for all runs; a curve's own name
+    says how it was found.
     Long runs are thinned to the smallest and largest value of each stretch of time: peaks stay as high as they
     are.
 
@@ -71,12 +87,12 @@ def time_series(
             if scanned.any():
                 how = trace.meta.get("mu_bound_method", "scanned")
                 drawn.add_scatter(
-                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines",
-                    name=f"{label(name)}, largest: {how}",
-                    legendgroup=name, showlegend=False, row=row, col=1, opacity=0.8,
+                    x=trace.t_s[scanned], y=trace.mu_bound[scanned], mode="lines", name="largest µ of all poses",
+                    legendgroup="largest", showlegend="largest" not in named, row=row, col=1, opacity=0.8,
                     line={"color": styles[name].color, "dash": "dot", "width": 1.3},
-                    hovertemplate="%{y:.4g}<extra>%{fullData.name}</extra>",
+                    hovertemplate=f"%{{y:.4g}}<extra>{label(name)}, largest: {label(how)}</extra>",
                 )  # fmt: skip
+                named.add("largest")
         drawn.update_yaxes(row=row, col=1, rangemode="normal" if column == "mu" else "tozero", nticks=5)
         # Horizontal, above its panel: it can be read on a narrow screen.
         drawn.add_annotation(
@@ -126,12 +142,12 @@ def envelope(t: ArrayLike, y: ArrayLike, points: int = 1200) -> tuple[Floats, Fl
 
 
 def _lengths(values: NDArray[np.float64]) -> Floats:
-    """Of a column of vectors, their lengths."""
+    """Return the lengths of a column of vectors, and numbers as they are."""
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values.astype(np.float64)
 
 
-def _checked(panels: object, runs: Mapping[str, Trace]) -> list[str]:
-    """The columns that were asked for, each one of numbers in a run at least."""
+def _checked(panels: object, runs: Mapping[str, Run]) -> list[str]:
+    """Return the columns that were asked for, each one of numbers in a run at least."""
     if isinstance(panels, str) or not isinstance(panels, Sequence) or not panels:
         raise ReportError(f"columns = {shown(panels)}: give a list of names, such as ['mu', 'tip_error_m']")
     drawable = sorted({
@@ -145,6 +161,6 @@ def _checked(panels: object, runs: Mapping[str, Trace]) -> list[str]:
     return list(panels)
 
 
-def _panels(runs: Mapping[str, Trace]) -> list[str]:
+def _panels(runs: Mapping[str, Run]) -> list[str]:
     known = all(MODEL_TIP in trace.columns for trace in runs.values())
     return [MODEL_TIP if known and column == "tip_error_m" else column for column in PANELS]

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike, NDArray
 
 from moc_opt.errors import ReportError
-from moc_opt.report.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
+from moc_opt.figures.style import PAPER, Style, Styles, figure, label, legend_height, log_axis, rule
 
 Floats = NDArray[np.float64]
 Samples = Mapping[str, ArrayLike]
@@ -137,7 +137,7 @@ def residual_strip(
 
 
 def _rows(drawn: go.Figure, names: list[str], samples: Samples) -> None:
-    """Names at the left instead of numbers, and a height that gives each its room."""
+    """Put names at the left instead of numbers, and a height that gives each its room."""
     words = []
     for name in names:
         known = known_samples(name, samples[name])
@@ -151,14 +151,14 @@ def _rows(drawn: go.Figure, names: list[str], samples: Samples) -> None:
 
 
 def _bar(drawn: go.Figure, row: int, ends: tuple[float, float], style: Style) -> None:
-    """The middle half of the samples, as a thick line."""
+    """Draw the middle half of the samples as a thick line."""
     drawn.add_scatter(
         x=list(ends), y=[row, row], mode="lines", line={"color": style.color, "width": 6}, hoverinfo="skip"
     )
 
 
 def _marks(drawn: go.Figure, row: int, name: str, style: Style, values: Mapping[str, float]) -> None:
-    """The median as a disc, the last value as a cross, anything between as a stroke."""
+    """Draw the median as a disc, the last value as a cross, anything between as a stroke."""
     last = len(values) - 1
     symbols = ["circle", *["line-ns-open"] * (last - 1), "x-thin-open"]
     rims = [PAPER, *[style.color] * last]
@@ -180,20 +180,20 @@ def known_samples(name: str, values: ArrayLike, *, signed: bool = False) -> Floa
 
 
 def _span(ends: list[float], limit: float | None) -> list[float]:
-    """What the axis must show; there must be a sample, not a limit alone."""
+    """Return what the axis must show; there must be a sample, not a limit alone."""
     if not ends:
         raise ReportError("no name has a finite sample: leave the figure out and say why")
     return ends if limit is None else [*ends, limit]
 
 
 def _ranks(count: int) -> NDArray[np.int64]:
-    """Which of `count` sorted samples to draw: evenly, and every one of the largest."""
+    """Return which of `count` sorted samples to draw: evenly, and every one of the largest."""
     even = np.linspace(0, count - 1, _ECDF_POINTS)
     return np.unique(np.concatenate([even, count - np.geomspace(1, count, _ECDF_POINTS).astype(int)]).astype(np.int64))
 
 
 def _log_density(times: Floats) -> tuple[Floats, Floats]:
-    """Kernel density of log10(times), its highest point 1; over the samples' own range and no further."""
+    """Return kernel density of log10(times), its highest point 1; over the samples' own range and no further."""
     logs = np.log10(times)
     middle = np.subtract(*np.percentile(logs, (75, 25))) / 1.34
     spread = min(float(logs.std()), middle) if middle > 0.0 else float(logs.std())

@@ -8,8 +8,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from moc_opt.errors import ReportError
-from moc_opt.report.figures.labels import label_sides
-from moc_opt.report.figures.style import (
+from moc_opt.figures.labels import label_sides
+from moc_opt.figures.style import (
     BAD,
     FAIR,
     GOOD,
@@ -78,7 +78,7 @@ def accuracy_against_time(
 
 
 def _staircase(drawn: go.Figure, front: list[tuple[float, float]]) -> None:
-    """The border of what the front beats, from the top of the plot to its right."""
+    """Draw the border of what the front beats, from the top of the plot to its right."""
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     steps = [(front[0][0], top), *front, (right, front[-1][1])]
     drawn.add_scatter(
@@ -88,7 +88,7 @@ def _staircase(drawn: go.Figure, front: list[tuple[float, float]]) -> None:
 
 
 def _pixels(points: Mapping[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
-    """Where the points lie in a plot of usual size, from its middle, y downwards [px]."""
+    """Return where the points lie in a plot of usual size, from its middle, y downwards [px]."""
     logs = np.log10(np.array(list(points.values())))
     extent = np.maximum(np.ptp(logs, axis=0), 0.5) * (1.0 + 2.0 * MARGIN)
     centres = (logs - logs.mean(axis=0)) / extent * [680.0, -310.0]

@@ -17,7 +17,7 @@ import plotly.graph_objects as go
 from numpy.typing import ArrayLike
 
 from moc_opt.errors import ReportError
-from moc_opt.report.notation import pretty_power, pretty_units, printable
+from moc_opt.figures.notation import pretty_power, pretty_units, printable
 
 INK, MUTED, GRID, PAPER = "#1f2328", "#5f6871", "#e3e6e9", "#ffffff"
 GOOD, FAIR, BAD, WORST = "#3b7fb8", "#a9c6de", "#c9ccd1", "#c4421a"
