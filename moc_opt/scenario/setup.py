@@ -161,7 +161,7 @@ class Setup:
         if self.scenario.control.backend == "c":
             if self.scenario.faults.solver != "none":
                 raise ScenarioError(
-                    f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to spoil; "
+                    f"[faults] solver = {self.scenario.faults.solver!r}: a compiled tick has no solver to corrupt; "
                     "take [control] backend = 'python'"
                 )
             from moc_opt.embedded import NativeController  # late: only C needs CasADi and a compiler
