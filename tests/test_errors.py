@@ -21,6 +21,13 @@ def test_a_list_of_valid_names_is_whole():
     assert str(UnknownNameError("metric", "nome_7", names)).endswith("name_99")
 
 
+def test_a_key_without_its_table_is_found_by_its_last_part():
+    valid = ["replay_us", "name", "settings.eps", "settings.eps_rel", "settings.name"]
+    assert "did you mean 'settings.eps' or 'settings.eps_rel'" in str(UnknownNameError("key", "eps", valid))
+    assert "did you mean 'name' or 'settings.name'?" in str(UnknownNameError("key", "nam", valid))
+    assert "did you mean 'settings.eps'" in str(UnknownNameError("key", "setings.eps", valid))
+
+
 def test_of_a_long_list_that_a_command_prints_the_nearest_three_stand():
     names = [f"name_{i}" for i in range(500)]
     text = str(UnknownNameError("metric", "name_7x", names, "moc-opt metrics"))

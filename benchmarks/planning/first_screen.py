@@ -16,7 +16,7 @@ from moc_opt.report.tables import Column, Table
 Rows = Sequence[Mapping[str, Any]]
 
 TRAPPED_PERCENT = 5.0
-"""A run that ends further below the best course from its start is trapped: as a rule on a lower hump of mu."""
+"""A run that ends further below the best course from its start is trapped: as a rule at a lower local maximum of mu."""
 MORE = f"more than {TRAPPED_PERCENT:g} % below"
 LOCAL = "local"
 IN_THE_LOOP, COURSES = "In the loop", "Courses and checks"

@@ -2,8 +2,8 @@
 Follow a plan instead of climbing
 =================================
 
-A local law climbs mu from where the arm stands, and may stay on a lower hump. `third_level = "planned"` follows the
-best course over the whole path, behind the same solver, supervisor and guard.
+A local law climbs mu from where the arm stands, and may stay at a lower local maximum. With `third_level = "planned"`
+it follows the best course over the whole path, behind the same solver, supervisor and guard.
 """
 
 import moc_opt as mo

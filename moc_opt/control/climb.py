@@ -3,9 +3,9 @@
     d = (I - A^+ A) (grad mu + p grad mu_shaft),  t = d / |d|,  h = dd/ds along t
     x_d = k t |d| / max(-h, |d| / r)
 
-Newton's step to the top of the hump, at most r, in 1/k seconds. As the paper has it the speed is c2/rho |d|: where mu
-is small or flat the climb is slow, and on a sharp hump it is stiff. p is `tick.shaft_push`, not zero close to where the
-shaft is lost.
+Newton's step to the local maximum, at most r, in 1/k seconds. As the paper has it the speed is c2/rho |d|: where mu
+is small or flat the climb is slow, and at a sharp maximum it is stiff. p is `tick.shaft_push`, not zero close to where
+the shaft is lost.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from moc_opt.control import tick
 from moc_opt.control.climb import ScaledClimb
 from moc_opt.control.guide import Guide
 from moc_opt.control.isolated import IsolatedSession
-from moc_opt.control.law import law_of
+from moc_opt.control.law import law_of, shaft_margin_m2
 from moc_opt.control.null_space import follow_null_space, null_space
 from moc_opt.control.observer import MomentumObserver
 from moc_opt.control.session import check_references, start_session
@@ -69,7 +69,7 @@ class Controller:
         self.robot, self.settings, self.solver, self._period = robot, settings, solver, period
         self._law = law_of(settings, robot)
         if guide is None and settings.climb == "scaled" and (settings.law, settings.third_level) == ("moc", "local"):
-            guide = ScaledClimb(robot, settings.shaft_margin_m2)
+            guide = ScaledClimb(robot, shaft_margin_m2(settings, robot))
         self._guide, self._gradient = guide, slice(offsets(robot.n).grad_mu, offsets(robot.n).lower)
         if guide is not None:
             settings.check_guided()

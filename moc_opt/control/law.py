@@ -20,7 +20,7 @@ _SCALARS, _ROWS = 13, 6
 
 
 class Law(NamedTuple):
-    """Named views of a packed law (13 + 6 n,); the order here is the layout."""
+    """Named views of a packed law (14 + 6 n,); the order here is the layout."""
 
     K_X: float
     D_X: float
@@ -38,6 +38,8 @@ class Law(NamedTuple):
     """(4,) c0, c1, c2, rho"""
     shaft_margin: float
     """below this mu_shaft [m^2] the climb leads away from losing the shaft; 0: nowhere"""
+    spare_speed: float
+    """by how much more than its v_max the box opens where mu_shaft goes to zero, a share of v_max"""
     limits: Array
     """(3, n) q_min, q_max [rad], v_max [rad/s] of the box"""
     K_N2: Array
@@ -51,26 +53,32 @@ class Law(NamedTuple):
 @njit(cache=True, nogil=True)
 def law_views(law: Array, n: int) -> Law:
     """Name the parts of a packed law; for use inside other kernels, and in Python through `.py_func`."""
-    rows = law[13:].reshape((6, n))
+    rows = law[14:].reshape((6, n))
     return Law(
         law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7],
-        law[8:12], law[12], rows[:3], rows[3], rows[4], rows[5],
+        law[8:12], law[12], law[13], rows[:3], rows[3], rows[4], rows[5],
     )  # fmt: skip
 
 
 def packed(
     n: int, *, gains: Sequence[float] = (0.0, 0.0, 0.0, 0.0), rcm_lambda: float = 0.0, projector: int = DYNAMIC,
     feedforward: bool = False, k0: float = 0.0, weights: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
-    shaft_margin: float = 0.0, limits: ArrayLike = 0.0, K_N2: ArrayLike = 0.0, D_N2: ArrayLike = 0.0,
-    tau_max: ArrayLike = np.inf,
+    shaft_margin: float = 0.0, spare_speed: float = 0.0, limits: ArrayLike = 0.0, K_N2: ArrayLike = 0.0,
+    D_N2: ArrayLike = 0.0, tau_max: ArrayLike = np.inf,
 ) -> Array:  # fmt: skip
-    """Pack the parts of a law for n joints, (13 + 6 n,).
+    """Pack the parts of a law for n joints, (14 + 6 n,).
 
     ``gains`` are K_X, D_X, K_N, D_N, the rest as in ``Law``.
     """
     rows = np.empty((_ROWS, n))
     rows[:3], rows[3], rows[4], rows[5] = limits, K_N2, D_N2, tau_max
-    return np.concatenate([gains, [rcm_lambda, projector, feedforward, k0], weights, [shaft_margin], rows.ravel()])
+    single = [shaft_margin, spare_speed]
+    return np.concatenate([gains, [rcm_lambda, projector, feedforward, k0], weights, single, rows.ravel()])
+
+
+def shaft_margin_m2(settings: ControlSettings, robot: RobotModel) -> float:
+    """Return the margin of mu_shaft [m^2]: with the tip held the wrist moves by its distance times the shaft's turn."""
+    return float(settings.shaft_margin * robot.state(robot.data.q_home).tool_span ** 2)
 
 
 def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
@@ -93,7 +101,8 @@ def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
         feedforward=settings.feedforward,
         k0=settings.box_k0_per_s,
         weights=(settings.c0, settings.c1, settings.c2, settings.regularization),
-        shaft_margin=settings.shaft_margin_m2,
+        shaft_margin=shaft_margin_m2(settings, robot),
+        spare_speed=1.0 / settings.box_speed_fraction - 1.0,
         limits=box_limits(
             robot.q_min, robot.q_max, robot.v_max,
             margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.box_speed_fraction,

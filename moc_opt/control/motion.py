@@ -44,7 +44,7 @@ class MotionMonitor:
         self.settling = round(SETTLED / (settings.residual_rate_per_s * period))
         self.most_replayed = np.array([settings.replayed_ticks(n), settings.repeat_whole_ticks])
         self.clock, self.memory = np.zeros(3, dtype=np.int64), np.zeros((kernels.ROWS, n))
-        self.still, self.tip = np.zeros(12), np.zeros(3)
+        self.still, self.tip = np.zeros(13), np.zeros(3)
         self.seen, self.count = np.zeros((2, replays.SLOTS)), np.zeros(3)
 
     def start(self, q: Array, v: Array, stamp: int) -> None:

@@ -5,7 +5,7 @@ Four signs, each of which a sound arm stays well below:
 - the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
 - all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
   enough where the wrench sensor repeats its reading too;
-- one encoder repeats its reading for longer than its noise lets it, or while the momentum residual says that its joint
+- one encoder repeats its reading for longer than its noise lets it, or its filtered velocity with it, or while the
   must have gathered speed;
 - the momentum residual (De Luca & Mattone 2003) leaves its own mean, or is larger than any load explains, as where its
   mean follows it because the torque grows slowly: the torque went into motion that no encoder shows.
@@ -21,11 +21,12 @@ from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
-GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED = range(11)
+GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED, SPEED, WHOLE = range(13)
 """Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
 torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
-joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean."""
-ROWS = 11
+joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean; the
+last v; ticks in a row with the same q and v."""
+ROWS = 13
 FIRST_TICKS = 100.0
 
 NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED, RECORDED = range(7)
@@ -80,9 +81,10 @@ def compare_readings(
         tau_max: (n,) [Nm].
         levels: as in ``MotionSettings.levels``.
         memory: (ROWS, n) changed in place.
-        still: (12,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
+        still: (13,) changed in place: ``tip`` where all encoders had repeated themselves for the patience, the last
             wrench, the ticks in a row in which it was the same, the first ticks counted, and whether the wrench ever
-            repeated itself in them: where it never did its sensor has noise.
+            repeated itself in them: where it never did its sensor has noise; readings so far in which all
+            encoders repeated position and velocity: each is an old one under a new number.
         q, v: (n,) as the sensors show them [rad], [rad/s].
         tau: (n,) the torque that went out last [Nm].
         wrench: (6,) as the sensor at the tool's mount shows it; NaN where there is none.
@@ -103,7 +105,7 @@ def compare_readings(
         if still[9] > 0.0:
             still[11] = 1.0
     keep = 1.0 - min(1.0, elapsed / levels[0])
-    ran_away, fewest, most = False, 1e18, 0.0
+    ran_away, fewest, most, least_whole, most_whole = False, 1e18, 0.0, 1e18, 0.0
     for i in range(n):
         if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
             memory[SHOWN, i] = q[i] - elapsed * v[i]
@@ -111,6 +113,11 @@ def compare_readings(
         memory[PEAK, i] = max(keep * memory[PEAK, i], abs(v[i]))
         if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
             ran_away = True
+        # A velocity that was never other than zero is no sign: the joint has rested since the start.
+        whole = memory[REPEATS, i] >= 0.0 and q[i] == memory[SHOWN, i] and v[i] == memory[SPEED, i]
+        memory[WHOLE, i] = memory[WHOLE, i] + 1.0 if whole and memory[PEAK, i] > 0.0 else 0.0
+        memory[SPEED, i] = v[i]
+        least_whole, most_whole = min(least_whole, memory[WHOLE, i]), max(most_whole, memory[WHOLE, i])
         if memory[REPEATS, i] < 0.0 or q[i] == memory[SHOWN, i]:
             memory[REPEATS, i] += 1.0
         else:
@@ -118,6 +125,9 @@ def compare_readings(
             memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
         fewest, most = min(fewest, memory[REPEATS, i]), max(most, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
+    still[12] += 1.0 if least_whole > 0.0 else 0.0
+    if still[12] > levels[14]:
+        return REPEATED
     if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
         for i in range(n):
             memory[TORQUE, i] = tau[i]
@@ -126,8 +136,8 @@ def compare_readings(
     else:
         if has_noise(still) and still[9] > levels[12]:
             return REPEATED
-        whole = still[9] > patience
-        least, way = levels[5] if whole else levels[4], levels[11] if whole else levels[3]
+        wrench_too = still[9] > patience
+        least, way = levels[5] if wrench_too else levels[4], levels[11] if wrench_too else levels[3]
         for i in range(3):
             if abs(tip[i] - still[i]) > way:
                 return REPEATED
@@ -136,7 +146,7 @@ def compare_readings(
                 return REPEATED
     if ran_away:
         return RAN_AWAY
-    return ONE_REPEATED if most > levels[6] else NOTHING
+    return ONE_REPEATED if most > levels[6] or most_whole > levels[14] else NOTHING
 
 
 @njit(cache=True, nogil=True)

@@ -11,7 +11,7 @@ from typing import Any
 PAPER: dict[str, Any] = {
     "gains": None, "feedforward": False, "rcm_lambda": 0.5, "k0_per_s": 0.1, "regularization": 0.0,
     "observer_gain_per_s": 0.0, "speed_fraction": 1.0, "limit_margin_rad": 0.0, "limit_margin_m": 0.0,
-    "shaft_margin_m2": 0.0, "fallback": "damping", "ramp_s": 0.0,
+    "shaft_margin": 0.0, "fallback": "damping", "ramp_s": 0.0,
 }  # fmt: skip
 
 # Found by: python -m benchmarks.tune --seed 0, for the LWR4+ in the realistic plant. Its gains stand in the arm's file;

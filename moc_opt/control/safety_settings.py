@@ -54,6 +54,12 @@ class MotionSettings(Settings):
         description="ticks in a row in which one encoder may repeat its reading to the last bit; where it is left out, "
         "a scenario works it out from its encoders' noise and step, and without noise there is no limit",
     )  # fmt: skip
+    repeat_reading_ticks: int | None = Field(
+        None, ge=0,
+        description="ticks in a row in which one encoder may repeat position and velocity to the last bit, and "
+        "readings in all in which all of them may; where it is left out, a scenario whose encoders have noise and "
+        "filtered velocities allows patience_ticks, and otherwise there is no limit",
+    )  # fmt: skip
     stuck_rad_per_s: float = Field(
         0.2, gt=0.0, description="speed that a joint must have gathered by what goes beyond that"
     )
@@ -82,12 +88,13 @@ class MotionSettings(Settings):
 
     @property
     def levels(self) -> Array:
-        """(14,) as the kernels take them."""
+        """(15,) as the kernels take them."""
         return np.array([
             self.motion_s, self.motion_rad, self.motion_lag_s, self.repeat_m, self.repeat_torque,
             self.repeat_whole_torque, _or_never(self.repeat_joint_ticks), self.stuck_rad_per_s, self.residual_torque,
             self.residual_rate_per_s, self.residual_s,
             self.repeat_whole_m, self.repeat_whole_ticks, self.residual_whole_torque,
+            _or_never(self.repeat_reading_ticks),
         ])  # fmt: skip
 
 
@@ -143,7 +150,9 @@ class SafetyFilterSettings(MotionSettings):
     stop_yield_s: float = Field(
         0.4, ge=0.0, le=60.0, description="and for no longer: a force that rises by as much more opens them again"
     )
-    stop_s: float = Field(0.5, gt=0.0, description="how long the stop is watched before the run ends")
+    stop_s: float = Field(
+        0.5, gt=0.0, description="how long a stop is watched, and on until the arm rests, 4 times as long at most"
+    )
 
     def position_margins(self, slides: NDArray[np.bool_]) -> Array:
         """Return how far inside the limit of each joint the wall begins, (n,) [rad], [m] where ``slides``."""

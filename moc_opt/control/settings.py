@@ -117,13 +117,14 @@ class ControlSettings(Settings):
     limit_margin_m: NotNegative = Field(
         default=0.05, description="the same for a joint that slides"
     )
-    shaft_margin_m2: float = Field(
-        default=0.025,
+    shaft_margin: float = Field(
+        default=0.175,
         ge=0.0,
-        le=0.1,
+        le=1.0,
         allow_inf_nan=False,
-        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip "
-        "where it is does to the shaft, is below this, the climb leads away from losing the shaft; 0 as in the paper",
+        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip where it is does to "
+        "the shaft, over the square of the distance from wrist point to tip is below this, the climb leads away from "
+        "losing the shaft, and the box opens up to the joints' whole speed; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"

@@ -29,6 +29,8 @@ SHAFT_PULL = 0.1
 """Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
 SHAFT_LOST = 0.1
 """Share of ``shaft_margin`` below which the push fades out again: where the shaft is lost it has no direction."""
+BOX_OPENS = 3.0
+"""The box has opened to the joints' whole speed a third of ``shaft_margin`` below it."""
 
 
 @njit(cache=True, nogil=True)
@@ -93,7 +95,8 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
 
     J_T x = v_T = dX_d and J_W x = v_W, where v_W is dN_d for a tip that moves at v_T, with u^T (v_T - v_W) = 0;
     lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost. Close to where tip and shaft lose a
-    direction, and the joints would have to turn fast, grad mu has ``shaft_push`` added.
+    direction, and the joints have to turn fast, grad mu has ``shaft_push`` added, and the box opens towards their
+    whole speed: its share of it is there for the elbow's sake, and where nothing answers nothing pushes.
     """
     n = (row.shape[0] - 10) // 10
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
@@ -106,12 +109,16 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     v_W = consistent_wrist_velocity(v_T, dN_d, s.u)
     for i in range(3):
         row[at.b + i], row[at.b + 3 + i] = v_T[i], v_W[i]
-    push = shaft_push(s.scalars[2], c.shaft_margin)
+    push, limits = shaft_push(s.scalars[2], c.shaft_margin), c.limits
+    if s.scalars[2] < c.shaft_margin:
+        limits, opened = c.limits.copy(), min(1.0, BOX_OPENS * (1.0 - s.scalars[2] / c.shaft_margin))
+        for i in range(n):
+            limits[2, i] *= 1.0 + c.spare_speed * opened
     for i in range(n):
         row[at.grad_mu + i], row[at.q + i] = s.grad_mu[i] + push * s.grad_mu_shaft[i], s.q[i]
     for i in range(4):
         row[at.weights + i] = c.weights[i]
-    velocity_damper(s.q, c.limits, c.k0, row[at.lower : at.upper], row[at.upper : at.weights])
+    velocity_damper(s.q, limits, c.k0, row[at.lower : at.upper], row[at.upper : at.weights])
 
 
 @njit(cache=True, nogil=True)

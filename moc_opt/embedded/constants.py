@@ -114,6 +114,7 @@ def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str
         "MOC_REPEAT_WHOLE_TICKS": str(guard.repeat_whole_ticks),
         "MOC_REPLAYED_TICKS": number(guard.replayed_ticks(n)),
         "MOC_REPEAT_JOINT_TICKS": number(guard.repeat_joint_ticks),
+        "MOC_REPEAT_READING_TICKS": number(guard.repeat_reading_ticks),
         "MOC_STUCK_SPEED": number(guard.stuck_rad_per_s),
         "MOC_RESIDUAL_TORQUE": number(guard.residual_torque),
         "MOC_RESIDUAL_WHOLE": number(guard.residual_whole_torque),

@@ -120,8 +120,8 @@ class GuardedController:
 
     @property
     def remembered(self) -> Array:
-        """(13 + 12 n,) what is remembered from tick to tick, as access.c lists it."""
-        out = np.empty(13 + 12 * self._n)
+        """(14 + 14 n,) what is remembered from tick to tick, as access.c lists it."""
+        out = np.empty(14 + 14 * self._n)
         self.library.moc_remembered(self._state, ctypes.c_void_p(out.ctypes.data))
         return out
 

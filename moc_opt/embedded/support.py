@@ -27,7 +27,7 @@ class TickSpec(NamedTuple):
 OBEYED = frozenset((
     "law", "gains", "K_X", "D_X", "K_N", "D_N", "K_N2", "D_N2", "dcac_damping", "rcm_lambda", "projector",
     "feedforward", "observer_gain_per_s", "limit_torque", "k0_per_s", "c0", "c1", "c2", "regularization", "fallback",
-    "speed_fraction", "limit_margin_rad", "limit_margin_m", "shaft_margin_m2", "ramp_s", "backend", "supervisor",
+    "speed_fraction", "limit_margin_rad", "limit_margin_m", "shaft_margin", "ramp_s", "backend", "supervisor",
 ))  # fmt: skip
 
 # What is read where a course is followed alone.
@@ -45,7 +45,7 @@ GUARDED = frozenset((
     "stop_damping_Nm_s_per_rad", "stop_s", "stop_holding", "stop_yield_N", "stop_yield_s",
     "motion", "motion_s", "motion_rad", "motion_lag_s",
     "repeat_m", "repeat_torque", "repeat_whole_torque", "repeat_whole_m", "repeat_whole_ticks",
-    "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks",
+    "stuck_torque", "stuck_friction", "stuck_rad_per_s", "repeat_joint_ticks", "repeat_reading_ticks",
     "residual_torque", "residual_whole_torque", "residual_rate_per_s", "residual_s",
 ))  # fmt: skip
 SUPERVISED = frozenset((

@@ -14,7 +14,7 @@ import numpy as np
 
 from moc_opt.control.feedforward import STRAIGHT
 from moc_opt.control.null_space import box_limits
-from moc_opt.control.tick import SHAFT_LOST, SHAFT_PULL
+from moc_opt.control.tick import BOX_OPENS, SHAFT_LOST, SHAFT_PULL
 from moc_opt.embedded import dynamics, swivel
 from moc_opt.embedded.arm import Arm, without_dust
 from moc_opt.embedded.layout import OBSERVED, Layout, layout
@@ -196,15 +196,15 @@ class _Law:
             robot.q_min, robot.q_max, robot.v_max,
             margin=settings.limit_margins(robot.chain.prismatic), speed_fraction=settings.speed_fraction,
         )  # fmt: skip
+        gradient, margin = self.grad_mu, settings.shaft_margin * self.span**2
+        if margin > 0.0:
+            mu_shaft, slope = dynamics.shaft_manipulability(self.at)
+            left, lost = ca.fmax(1 - mu_shaft / margin, 0), SHAFT_LOST * margin
+            gradient = gradient + SHAFT_PULL * left * mu_shaft / (mu_shaft**2 + lost**2) * slope  # tick.shaft_push
+            v_max = v_max * (1 + (1 / settings.speed_fraction - 1) * ca.fmin(1, BOX_OPENS * left))
         box = swivel.Box(
             ca.fmin(ca.fmax(-v_max, -k0 * (q - q_min)), v_max), ca.fmax(ca.fmin(v_max, -k0 * (q - q_max)), -v_max)
         )
-        gradient = self.grad_mu
-        if settings.shaft_margin_m2 > 0.0:
-            mu_shaft, slope = dynamics.shaft_manipulability(self.at)
-            left, lost = 1 - mu_shaft / settings.shaft_margin_m2, SHAFT_LOST * settings.shaft_margin_m2
-            weight = SHAFT_PULL * ca.fmax(left, 0) * mu_shaft / (mu_shaft**2 + lost**2)  # tick.shaft_push
-            gradient = gradient + weight * slope
         answer = swivel.solve(
             triangle, z, ca.vertcat(v_wrist, rates), gradient, box, active,
             c2=settings.c2, rho=settings.regularization, tolerance=tolerance,

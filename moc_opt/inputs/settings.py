@@ -27,6 +27,8 @@ from moc_opt.inputs.toml import to_toml
 LONGEST_S = 1e6
 """Of any time that is run, waited for or averaged over [s]: a week and a half."""
 
+_QUOTED = "a number has no quotes: drop them"
+
 Name = Annotated[str, AfterValidator(names.checked)]
 """A name that comes from a file: `moc_opt.inputs.names.RULE`."""
 
@@ -73,7 +75,13 @@ class Settings(BaseModel):
     @field_validator("*", mode="wrap")
     @classmethod
     def _as_written(cls, given: Any, validate: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-        value = validate(given)
+        try:
+            value = validate(given)
+        except ValidationError:
+            meant = _without_quotes(given)
+            if meant is not None and _taken(validate, meant):
+                raise ValueError(_QUOTED) from None
+            raise
         if wrong := _converted(given, value):
             raise ValueError(wrong)
         most = LARGEST_INTEGER if info.field_name in ("seed", "seeds") else cls.MOST
@@ -89,7 +97,7 @@ class Settings(BaseModel):
         values = self.present_names(values)
         for name in values:
             if name not in type(self).model_fields:
-                raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, type(self).model_fields)
+                raise UnknownNameError(f"{self.KIND.rstrip(':')} key", name, self.keys(values))
         try:
             super().__init__(**values)
         except ValidationError as error:
@@ -99,6 +107,15 @@ class Settings(BaseModel):
         """Copy with some fields changed and everything checked again, which ``model_copy`` leaves out."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return type(self)(**{**values, **self.present_names(changes)})
+
+    @classmethod
+    def keys(cls, values: Mapping[str, Any]) -> list[str]:
+        """List the keys that a table may have; a subclass adds those of its free tables, with a dot.
+
+        Args:
+            values: of the table that has another one.
+        """
+        return list(cls.model_fields)
 
     @classmethod
     def present_names(cls, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,6 +133,29 @@ class Settings(BaseModel):
         return {cls.FORMER.get(name, name): value for name, value in values.items()}
 
 
+def _without_quotes(given: Any) -> Any:
+    """The number that a text holds, or a list with such texts as numbers; None where there is no such text."""
+    if isinstance(given, str):
+        try:
+            return float(given)
+        except ValueError:
+            return None
+    if not isinstance(given, list | tuple):
+        return None
+    meant = [_without_quotes(one) if isinstance(one, str) else None for one in given]
+    if all(one is None for one in meant):
+        return None
+    return [one if new is None else new for one, new in zip(given, meant, strict=True)]
+
+
+def _taken(validate: ValidatorFunctionWrapHandler, value: Any) -> bool:
+    try:
+        validate(value)
+    except ValidationError:
+        return False
+    return True
+
+
 def _converted(given: Any, value: Any, where: str = "") -> str:
     """Say which number or flag was written as something else; pydantic would read "2" as 2 and "yes" as true."""
     if isinstance(given, Mapping) and isinstance(value, Mapping):
@@ -128,7 +168,7 @@ def _converted(given: Any, value: Any, where: str = "") -> str:
             cure = "" if flag else "give true or false, without quotes"
         elif isinstance(value, int | float):
             quoted = isinstance(given, str | bytes)
-            cure = "a number has no quotes: drop them" if quoted else "give a number" if flag else ""
+            cure = _QUOTED if quoted else "give a number" if flag else ""
         return f"{where} = {shown(given)}: {cure}" if cure and where else cure
     return next((wrong for pair in inside if (wrong := _converted(*pair))), "")
 

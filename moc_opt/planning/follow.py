@@ -3,6 +3,10 @@
     x_d(t) = dq_c(t) + k (q_c(t) - q),   projected on ker A by the subproblem itself
 
 q_c is the course, k the gain on its error.
+
+An arm that is far from its course is not led back by that: the way there may turn away from it at first, and close to a
+singular pose, where one joint alone is free, the error's projection is zero at poses off the course. A horizon that
+plans anew from where the arm is (`receding`) takes over then.
 """
 
 from __future__ import annotations
@@ -13,18 +17,27 @@ from moc_opt.errors import TaskError
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course
+from moc_opt.planning.receding import Receding
+
+LOST_RAD = 0.3
+"""Farther from its course in one joint, an arm has left it: where it follows one the error is a tenth of that."""
+ASKED_EACH = 25
+"""Ticks from one look for another way to the next."""
 
 
 class Follower:
     """Wishes of one run, tick by tick; see `moc_opt.control.guide.Guide`."""
 
-    def __init__(self, course: Course, period_s: float, *, gain_per_s: float = 5.0) -> None:
+    def __init__(
+        self, course: Course, period_s: float, *, gain_per_s: float = 5.0, rescue: Receding | None = None
+    ) -> None:
         """Sample the course at the ticks.
 
         Args:
             course: from t = 0 on; after its end its last pose is held.
             period_s: of a tick [s].
             gain_per_s: k [1/s].
+            rescue: what leads the arm on from where it is, once it has left its course.
 
         Raises:
             TaskError: the period is not positive, or the gain negative.
@@ -36,15 +49,28 @@ class Follower:
         v = np.gradient(course.q_rad, course.t_s, axis=0)
         self._v = np.stack([np.interp(t, course.t_s, joint) for joint in v.T], axis=1)
         self._v[-1] = 0.0
-        self._gain, self._tick = gain_per_s, 0
+        self._gain, self._tick, self._period = gain_per_s, 0, period_s
+        self._rescue, self._lost_s = rescue, np.inf
 
     def start(self) -> None:
-        """Go back to t = 0."""
-        self._tick = 0
+        """Go back to t = 0, and to the course."""
+        self._tick, self._lost_s = 0, np.inf
+
+    @property
+    def told(self) -> dict[str, float]:
+        """When the course was left [s], and what `Receding.told` has since; empty where it was not."""
+        return {"left_course_s": self._lost_s, **self._rescue.told} if self._rescue and self._lost_s < np.inf else {}
 
     def wish(self, state: RobotState) -> Array:
         """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
-        k = min(self._tick, len(self._q) - 1)
+        if self._rescue is not None and self._lost_s < np.inf:
+            return self._rescue.wish(state)
+        k, tick = min(self._tick, len(self._q) - 1), self._tick
+        off = self._q[k] - state.q
+        lost = self._rescue is not None and tick % ASKED_EACH == 0 and np.abs(off).max() > LOST_RAD
+        if self._rescue is not None and lost and self._rescue.begin(state.q, tick):
+            self._lost_s = tick * self._period
+            return self._rescue.wish(state)
         self._tick += 1
-        found: Array = self._v[k] + self._gain * (self._q[k] - state.q)
+        found: Array = self._v[k] + self._gain * off
         return found

@@ -26,7 +26,7 @@ Flags = NDArray[np.bool_]
 ROUNDING_RAD = 1e-9
 """A pose this far beyond a limit still stands on it."""
 CANDIDATES = 4
-"""Humps of mu that are climbed to their top at each point of the path."""
+"""Local maxima of mu that are climbed to their top at each point of the path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +100,14 @@ class SphericalMap(PoseMap):
         return pose
 
     def highest(self, margin_rad: float = 0.0) -> Array:
-        """(k,) the largest feasible mu at each time, each hump climbed between the map's swivels to rounding."""
+        """(k,) the largest feasible mu at each time, local maxima climbed between the map's swivels to rounding."""
         return self.peaks(margin_rad)[0]
 
     def peaks(self, margin_rad: float = 0.0) -> tuple[Array, Array]:
         """The largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
         score = np.where(self.feasible(margin_rad).any(axis=1), self.mu[:, 0], -np.inf)
-        hump = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
-        order = np.argsort(np.where(hump, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
+        peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
+        order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
         rows, best = np.arange(len(score)), np.full((2, len(score)), -np.inf)
         for column in order.T:
             swivel, value = self.swivel_rad[column], score[rows, column]

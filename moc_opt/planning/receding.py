@@ -1,8 +1,9 @@
 """A course planned anew while the arm moves: a short horizon from the measured pose, and V for what comes after.
 
 Every 1/rate a way is searched for on the map from the measured pose over the horizon and on by V (`to_go`): it decides
-which hump of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows the last
-answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop would be.
+which local maximum of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows
+the last answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop
+would be.
 """
 
 from __future__ import annotations
@@ -85,10 +86,15 @@ class Receding:
 
     def start(self) -> None:
         """Go back to t = 0."""
+        self.begin(self._q_start, 0)
+
+    def begin(self, q: Array, tick: int) -> bool:
+        """Begin from rest in a pose (n,) [rad] at a tick; False: no course was found from there."""
         self._horizon.forget()
-        self._tick, self.solve_s, self.kept = 0, [], 0
+        self._tick, self.solve_s, self.kept = tick, [], 0
         self._answer: Answer | None = None
-        self._before = self._answer = self._next = self._solve(self._q_start, 0.0)
+        self._before = self._answer = self._next = self._solve(q, tick * self._period)
+        return self._answer is not None
 
     @property
     def told(self) -> dict[str, float]:

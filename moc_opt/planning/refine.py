@@ -21,10 +21,12 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
 from moc_opt.planning.targets import Targets
 
+# mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
+# at another local maximum of mu.
 OPTIONS: dict[str, Any] = {
     "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
-    "ipopt.mu_init": 1e-3, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
+    "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,
 }  # fmt: skip
 SETTLED_S = 0.3
@@ -33,7 +35,7 @@ SOFT_RAD = 0.003
 """Rounds the speed of a joint that brakes off at its end, where a square root has no slope."""
 SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
-another hump."""
+another local maximum."""
 INSIDE = 1e-9
 """Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
 off."""

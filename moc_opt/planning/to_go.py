@@ -4,10 +4,10 @@ Dynamic programming backwards over the map, once, before anything moves:
 
     V_k(p) = mu dt + max { V_{k+1}(p') - c |q - q'|^2 / dt : |q - q'| <= v_max dt for every joint }
 
-A horizon that ends in V chooses as if it went to the end of the path: it leaves a hump of mu for a better one where
-that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model. It
-does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for half
-of the half cell around it.
+A horizon that ends in V chooses as if it went to the end of the path: it leaves a local maximum of mu for a better one
+where that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model.
+It does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for
+half of the half cell around it.
 """
 
 from __future__ import annotations

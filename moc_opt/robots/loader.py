@@ -165,11 +165,11 @@ def _find(name_or_path: str | os.PathLike[str]) -> Path:
 
 def _tool(default: Tool, length: float | None, mass: float | None) -> Tool:
     changes: dict[str, float] = {}
-    for field, name, value in (("length_m", "tool_length", length), ("mass_kg", "tool_mass", mass)):
+    for field, name, value, most in (("length_m", "tool_length", length, 10.0), ("mass_kg", "tool_mass", mass, 1e3)):
         if value is None:
             continue
-        if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
-            raise RobotError(f"{name} = {value!r}: give a positive, finite number")
+        if not (isinstance(value, Real) and 0 < value <= most):  # as in the file
+            raise RobotError(f"{name} = {value!r}: give a positive, finite number of at most {most:g}")
         changes[field] = float(value)
     return default.model_copy(update=changes)
 

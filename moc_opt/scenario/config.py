@@ -19,7 +19,7 @@ from moc_opt.realtime.settings import WireSettings
 from moc_opt.scenario import saving
 from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable, TaskTable, TrocarTable
 from moc_opt.sim.faults import FaultSettings
-from moc_opt.sim.sensors import longest_repetition
+from moc_opt.sim.sensors import longest_repetition, repeats_no_reading
 from moc_opt.sim.settings import PlantSettings
 
 
@@ -168,10 +168,15 @@ class Scenario(Settings):
     @property
     def told_guard(self) -> SafetyFilterSettings:
         """``[guard]``, and what it is told of the encoders where it does not say it itself."""
-        if self.guard.repeat_joint_ticks is not None:
-            return self.guard
-        longest = longest_repetition(self.plant.encoder_noise_rad, self.plant.encoder_resolution_rad)
-        return self.guard.model_copy(update={"repeat_joint_ticks": longest})
+        guard, plant, told = self.guard, self.plant, dict[str, int | None]()
+        encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
+        if guard.repeat_joint_ticks is None:
+            told["repeat_joint_ticks"] = longest_repetition(*encoder)
+        if guard.repeat_reading_ticks is None and repeats_no_reading(
+            *encoder, plant.velocity_cutoff_Hz, plant.period_s
+        ):
+            told["repeat_reading_ticks"] = guard.patience_ticks
+        return guard.model_copy(update=told)
 
 
 def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:

@@ -26,8 +26,9 @@ V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
 FINER = 20
 """Times as close are the targets that the horizon is interpolated from."""
-SLOWER = 0.4
-"""Of a course's speed, where no fast one is smooth and brakes off in time."""
+SPEEDS = (1.0, 0.7, 0.4)
+"""Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one may go
+without braking."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
@@ -51,10 +52,24 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
     if settings.third_level == "local":
         return None
     settings.check_guided()
-    period = scenario.plant.period_s
-    if settings.third_level == "planned":
-        course = followed_course(scenario, robot, layout)
+    if settings.third_level == "receding":
+        return replanned(scenario, robot, layout)
+    course, period = followed_course(scenario, robot, layout), scenario.plant.period_s
+    try:
+        rescue = replanned(scenario, robot, layout)
+    except (ScenarioError, TaskError):  # its coarser map has no way where the course has one
         return lambda: Follower(course, period)
+    return lambda: Follower(course, period, rescue=rescue())
+
+
+def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Receding]:
+    """Compute the map and V of a receding horizon, and return what makes one of them.
+
+    Raises:
+        ScenarioError: the map has no way from the start to the end.
+        TaskError: no smooth course was found at the start.
+    """
+    settings, period = scenario.control, scenario.plant.period_s
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
@@ -75,12 +90,16 @@ def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[]
             rate_per_s=settings.replan_per_s,
         )  # fmt: skip
 
-    make = made(settings.course_speed_fraction, scenario.guard.wall_brake_rad_per_s2)
-    try:
-        make()
-    except TaskError:  # a start from which no fast course brakes off in time
-        make = made(SLOWER * settings.course_speed_fraction, np.inf)
-    return make
+    ladder = [(part, scenario.guard.wall_brake_rad_per_s2) for part in SPEEDS] + [(SPEEDS[-1], np.inf)]
+    for part, brake in ladder:
+        make = made(part * settings.course_speed_fraction, brake)
+        try:
+            ready = [make()]
+        except TaskError as error:
+            failed = error
+        else:
+            return lambda: ready.pop() if ready else make()
+    raise failed
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
@@ -88,8 +107,8 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
-        # Where no smooth course brakes off in time: a slower one, at last without the rule.
-        for share, rules in ((fastest, (brake,)), (SLOWER * fastest, (brake, np.inf))):
+        for part in SPEEDS:
+            share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
             found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
             if found.from_start is None:
                 break

@@ -18,6 +18,7 @@ from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ScenarioError, TraceError, describe, shown
 from moc_opt.inputs.files import as_path
 from moc_opt.numerics.arrays import Array
+from moc_opt.planning.follow import Follower
 from moc_opt.planning.receding import Receding
 from moc_opt.redundancy.freedoms import require_freedom
 from moc_opt.scenario.adapter import ControllerAdapter
@@ -237,7 +238,8 @@ class Setup:
                 faults=faults if wrong.around_the_arm else None,
                 stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
             )  # fmt: skip
-        return found.with_meta(replans=self.guide.told) if isinstance(self.guide, Receding) else found
+        told = self.guide.told if isinstance(self.guide, Receding | Follower) else {}
+        return found.with_meta(replans=told) if told else found
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
         """Return a run whose rows go to the disk as they come; judged block by block."""

@@ -10,6 +10,8 @@ from pydantic import Field, field_validator, model_validator
 from moc_opt.control.isolated import ProcessSettings
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.solvers.registry import check_name, defaults
+from moc_opt.tasks.kinds import check_sizes
 
 Vector = tuple[float, float, float]
 MOST_S = 100_000.0
@@ -130,6 +132,16 @@ class TaskTable(Settings):
             raise ValueError(f"path = {self.path!r}: {cure}")
         return self
 
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        check_sizes(self.path, self.sizes)
+        return self
+
+    @classmethod
+    def keys(cls, values: Mapping[str, Any]) -> list[str]:
+        """List its keys, and those of ``sizes``."""
+        return [*super().keys(values), *sorted({f"sizes.{name}" for of in cls.DEFAULT_SIZES.values() for name in of})]
+
     DEFAULT_SIZES: ClassVar[dict[str, dict[str, float]]] = {
         "line": {"length": 0.04},
         "circle": {"radius": 0.03},
@@ -154,3 +166,13 @@ class SolverTable(Settings):
         default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
     )
     process: ProcessSettings = ProcessSettings()
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        check_name(self.name)
+        return self
+
+    @classmethod
+    def keys(cls, values: Mapping[str, Any]) -> list[str]:
+        """List its keys, and the settings of the solver that ``values`` names."""
+        return [*super().keys(values), *(f"settings.{name}" for name in defaults(values.get("name", "exact")))]

@@ -17,13 +17,20 @@ from moc_opt.sim.protocols import SafetyFilter, TorqueController
 
 @dataclass(frozen=True)
 class Stop:
-    """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated [s]."""
+    """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated at least [s].
+
+    It goes on until the arm is at rest, as while brakes that are open let the tissue push it, ``LONGEST`` times as long
+    at most.
+    """
 
     damping: float = 15.0
     seconds: float = 0.5
 
 
 DEFAULT_STOP = Stop()
+AT_REST = 0.005
+"""Largest speed of a joint at rest [rad/s], [m/s] where it slides."""
+LONGEST = 4
 
 
 class ClosedLoop:
@@ -93,7 +100,10 @@ class ClosedLoop:
     @property
     def finished(self) -> bool:
         """Whether the arm has been stopped, and simulated for as long as ``Stop`` says."""
-        return 0 <= self._stopped_at < self.ticks - self._watched
+        if not 0 <= self._stopped_at < self.ticks - self._watched:
+            return False
+        over = self.ticks - self._stopped_at > LONGEST * self._watched
+        return over or bool(np.abs(self._plant.v).max() < AT_REST)
 
     @property
     def limited(self) -> int:

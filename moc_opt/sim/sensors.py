@@ -167,3 +167,17 @@ def longest_repetition(noise_rad: float, resolution_rad: float) -> int | None:
     if same >= _CHANCE ** (1.0 / _MOST_TICKS):
         return None
     return max(10, math.ceil(math.log(_CHANCE) / math.log(max(same, _CHANCE))))
+
+
+_DEAD = 600.0
+"""Time constants of a filter after which its output is so small that it may stay the same."""
+
+
+def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
+    """Say whether an encoder never repeats position and velocity together, to the last bit.
+
+    While the position repeats itself the filtered velocity dies out, and each value differs from the last one; noise
+    ends that long before it is too small a number to change.
+    """
+    longest = longest_repetition(noise_rad, resolution_rad)
+    return longest is not None and 0.0 < 2.0 * math.pi * cutoff_Hz * period_s * longest < _DEAD

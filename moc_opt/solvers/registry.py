@@ -96,6 +96,16 @@ def _factory(name: str) -> Callable[..., Solver]:
     raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
 
 
+def check_name(name: str) -> None:
+    """Check that there is a solver of that name, without importing it; whether it can run here, `create` finds.
+
+    Raises:
+        UnknownNameError: with the nearest names.
+    """
+    if not (_ours(name) or name in plugins.plugins()):
+        raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
+
+
 def accepts(name: str, setting: str) -> bool:
     """Return whether the solver's factory takes a setting of that name."""
     return setting in {parameter.name for parameter in plugins.parameters(_factory(name))}

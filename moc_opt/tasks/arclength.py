@@ -37,13 +37,13 @@ class ArcLength:
             breaks: (b,) from 0 to ``end``, between which the speed is smooth; each stretch gets so many panels.
 
         Raises:
-            TaskError: the accuracy is not reached with 2^18 panels.
+            TaskError: the accuracy is not reached with 2^18 panels in all.
         """
-        while panels <= _MOST_PANELS:
+        stretches = 1 if breaks is None else len(breaks) - 1
+        while panels * stretches <= _MOST_PANELS:
             if breaks is None:
                 w = np.linspace(0.0, end, panels + 1)
             else:
-                stretches = len(breaks) - 1
                 place = np.linspace(0.0, stretches, panels * stretches + 1)
                 w = np.interp(place, np.arange(stretches + 1), breaks)
             lengths = _quadrature(speed, w[:-1], w[1:])

@@ -7,7 +7,7 @@ waypoints (k, 3) [m] from the start: along the heading, to the left, along the n
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -47,6 +47,20 @@ def sizes(kind: str) -> dict[str, Any]:
     return {name: parameter.default for name, parameter in inspect.signature(_maker(kind)).parameters.items()}
 
 
+def check_sizes(kind: str, given: Iterable[str]) -> dict[str, Any]:
+    """Check that there is such a path, and that it has sizes of these names; return all its sizes, as `sizes`.
+
+    Raises:
+        UnknownNameError: no such path, or it has no such size; the message lists the valid names.
+        TaskError: as `sizes`.
+    """
+    known = sizes(kind)
+    for name in given:
+        if name not in known:
+            raise UnknownNameError(f"size of a {kind}", name, known)
+    return known
+
+
 def make_path(
     kind: str, start: ArrayLike, *, normal: ArrayLike, heading: ArrayLike, waypoints: ArrayLike | None = None,
     **given: float,
@@ -67,10 +81,7 @@ def make_path(
         UnknownNameError: no such kind, or the kind has no such size; the message lists the valid names.
         TaskError: a size is missing or not positive and finite, or a vector is not usable.
     """
-    known = sizes(kind)
-    for name in given:
-        if name not in known:
-            raise UnknownNameError(f"size of a {kind}", name, known)
+    known = check_sizes(kind, given)
     missing = [name for name, default in known.items() if default is inspect.Parameter.empty and name not in given]
     if missing:
         raise TaskError(f"a {kind} needs its {', '.join(missing)}: give positive numbers, lengths in m")

@@ -15,6 +15,8 @@ from moc_opt.tasks.paths import Path
 
 MOST = 1000
 """Waypoints of one path."""
+FARTHEST_M = 1000.0
+"""Of a waypoint from the start, along each axis: as for the sizes of other paths."""
 _SLOWEST = 0.05
 """Of the spline's speed over its chords: below it, the path all but turns back on the spot."""
 
@@ -110,6 +112,8 @@ def _checked(points: ArrayLike) -> Vector:
         raise TaskError(f"waypoints = {points!r:.200}: give a list of points of three numbers [m]") from error
     if found.ndim != 2 or found.shape[1] != 3 or not np.isfinite(found).all():
         raise TaskError(f"waypoints of shape {found.shape}: give finite numbers (k, 3) [m], k points of three numbers")
+    for point in found[np.abs(found).max(axis=1, initial=0.0) > FARTHEST_M].tolist():
+        raise TaskError(f"waypoint {point}: {FARTHEST_M:g} m from the start is the most, and the unit is m")
     if not 1 <= len(found) <= MOST or not found.any():
         raise TaskError(f"{len(found)} waypoints: give 1 to {MOST}, one of them off the start")
     return found

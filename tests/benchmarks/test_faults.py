@@ -207,7 +207,7 @@ def test_a_lost_camera_makes_the_path_wait():
 
 
 def test_a_case_that_cannot_start_is_a_row():
-    trace, ended = run_case(Scenario(solver={"name": "no such"}, duration_s=0.1), None)
+    trace, ended = run_case(Scenario(robot={"name": "no such"}, duration_s=0.1), None)
     assert trace is None
     assert ended.startswith("refused: UnknownNameError")
 

@@ -180,7 +180,7 @@ def test_one_reading_repeated_is_noticed_once_the_torque_changes(whole, needed):
 
 def test_kernels_take_no_more_than_they_are_given(robot):
     """The memory has the rows that the kernels name, and a watch begun anew has none of the past."""
-    assert kernels.EXCEEDED == kernels.ROWS - 1
+    assert kernels.WHOLE == kernels.ROWS - 1
     guard = SafetyFilter(robot.data, SafetyFilterSettings(), PERIOD, robot.gravity, None, robot.state)
     q = np.array(robot.data.q_home)
     for _ in range(2):

@@ -53,7 +53,11 @@ def expected(q, v, tau, wrench, tip, elapsed, patience, s):
             gap = keep[k] * gap + q[k] - q[k - 1] - elapsed[k] * v[k]
             peak = np.maximum(keep[k] * peak, np.abs(v[k]))
         found.append(kernels.NOTHING)
+        allowed = np.inf if s.repeat_reading_ticks is None else s.repeat_reading_ticks
+        again = wholly_repeated(q, v)
         if repeats[k].max() > (np.inf if s.repeat_joint_ticks is None else s.repeat_joint_ticks):
+            found[-1] = kernels.ONE_REPEATED
+        if in_a_row(again)[k].max() > allowed:
             found[-1] = kernels.ONE_REPEATED
         if (np.abs(gap) > s.motion_rad + s.motion_lag_s * peak).any():
             found[-1] = kernels.RAN_AWAY
@@ -65,12 +69,21 @@ def expected(q, v, tau, wrench, tip, elapsed, patience, s):
             noise = k >= 99 and not alike[:100].any()
             if moved or (noise and wrench_repeats[k] > s.repeat_whole_ticks):
                 found[-1] = kernels.REPEATED
+        if again[: k + 1].all(1).sum() > allowed:
+            found[-1] = kernels.REPEATED
     return found
+
+
+def wholly_repeated(q, v):
+    """Where a joint that has had a velocity repeats both position and velocity, (k, n)."""
+    same = np.vstack([np.zeros((1, N), bool), (np.diff(q, axis=0) == 0.0) & (np.diff(v, axis=0) == 0.0)])
+    return same & (np.maximum.accumulate(np.abs(v), axis=0) > 0.0)
 
 
 LEVELS = [
     {}, {"motion_rad": 0.001, "motion_lag_s": 0.0}, {"motion_s": 0.01, "motion_rad": 1e-4, "motion_lag_s": 0.02},
-    {"repeat_joint_ticks": 5}, {"repeat_whole_ticks": 4}, {"repeat_m": 2e-4}, {"repeat_whole_m": 1e-4},
+    {"repeat_joint_ticks": 5}, {"repeat_reading_ticks": 0}, {"repeat_reading_ticks": 6}, {"repeat_whole_ticks": 4},
+    {"repeat_m": 2e-4}, {"repeat_whole_m": 1e-4},
     {"repeat_torque": 2e-3}, {"repeat_whole_torque": 1e-3},
 ]  # fmt: skip
 
@@ -82,7 +95,7 @@ def test_readings_are_judged_as_their_definitions_say(levels, whole):
     for seed, (rest, patience) in enumerate([(230, 3), (120, 0), (60, 5)]):
         s = MotionSettings(**({"motion_rad": 0.5, "repeat_torque": 0.5, "repeat_m": 0.5} | levels))
         given = readings(np.random.default_rng(seed), rest, whole)
-        memory, still = np.zeros((kernels.ROWS, N)), np.zeros(12)
+        memory, still = np.zeros((kernels.ROWS, N)), np.zeros(13)
         memory[kernels.REPEATS] = -1.0
         wanted = expected(*given, patience, s)
         for k, now in enumerate(zip(*given, strict=True)):

@@ -113,13 +113,53 @@ def test_frozen_readings_with_forged_numbers_are_seen_through(seed, velocity):
     assert force(trace).max() < 5.0
 
 
+@pytest.mark.parametrize("velocity", ["repeated", "zero"])
+@pytest.mark.parametrize(("robot", "backend"), [("lwr4", "c"), ("panda", "python"), ("lwr4_rail", "python")])
+def test_one_stuck_encoder_is_found_by_its_velocity_after_the_patience(robot, backend, velocity):
+    """A filtered velocity dies out while the position stays: it never repeats itself too. 31 mm and 24 N without."""
+    rng = np.random.default_rng(2110)
+    for joint in range(7):
+        at = float(rng.uniform(0.3, 1.5))
+        faults = {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": velocity}
+        trace = run(Scenario(
+            seed=int(rng.integers(2000, 3000)), robot={"name": robot}, start={"pose": "random"}, faults=faults,
+            control={"backend": backend}, duration_s=at + 0.1, **QUICK,
+        ))  # fmt: skip
+        assert trace.meta["ended"].startswith("stopped: ")
+        assert trace.meta["stopped_at_s"] - at <= 0.012
+        assert force(trace).max() < 6.0
+        assert max(excursion(trace)) < 0.012
+
+
+@pytest.mark.parametrize("task", ["still", "circle"])
+@pytest.mark.parametrize("robot", ["lwr4", "iiwa14", "gen3", "xarm7"])
+def test_a_lag_under_forged_numbers_repeats_readings(robot, task):
+    """It grows by a reading that comes twice, at rest as in motion, from the first tick on: 57 mm without."""
+    rng = np.random.default_rng(2120)
+    still = {"path": "line", "sizes": {"length": 0.0005}, "wait_s": 0.2, "hold_s": 10.0}
+    for at in (0.0, 0.05, float(rng.uniform(0.3, 1.0))):
+        growth = float(rng.uniform(0.05, 1.0))
+        trace = run(Scenario(
+            seed=int(rng.integers(2000, 3000)), robot={"name": robot}, start={"pose": "random"},
+            control={"law": "dcac"}, task=still if task == "still" else {}, duration_s=1.5, **QUICK,
+            faults={"lag_at_s": at, "lag_growth": growth, "forged_stamps": True},
+        ))  # fmt: skip
+        # Before the arm moves no velocity is other than zero, and no lag does harm.
+        assert trace.meta["stopped_at_s"] - max(at, 0.1) < 5 / growth * 0.002 + 0.1
+        assert force(trace).max() < 5.0
+        assert max(excursion(trace)) < 4e-3
+
+
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("seed", [2100, 2101])
 def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):
     """After as many ticks as its noise lets it repeat itself: before that check 204 mm and 61 N."""
     at = float(np.random.default_rng([seed, joint]).uniform(0.5, 2.0))
     faults = {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero"}
-    scenario = Scenario(seed=seed, start={"swivel": "random"}, faults=faults, duration_s=3.0, **QUICK)
+    scenario = Scenario(
+        seed=seed, start={"swivel": "random"}, faults=faults, duration_s=3.0, guard={"repeat_reading_ticks": 10**6},
+        **QUICK,
+    )  # fmt: skip
     trace = run(scenario)
     assert stopped(trace, at) <= 0.002 * (scenario.told_guard.repeat_joint_ticks + 2)
     assert force(trace).max() < 25.0

@@ -198,6 +198,35 @@ def test_near_the_loss_of_the_shaft_the_climb_leads_away(form, robot):
     assert s.mu_shaft > margin
 
 
+@BOTH
+def test_near_the_loss_of_the_shaft_the_box_opens_towards_the_whole_speed(form, robot):
+    margin, share = 0.025, 0.5
+    for bend in (0.0, 0.05, 0.2, 0.3, 0.4, 0.8):
+        q = np.array([0.4, 0.9, 0.3, 1.2, 0.6, bend, 0.0])
+        s = robot.state(q)
+        tip_ref, trocar = np.zeros((3, 3)), np.array([s.tip - 0.15 * s.tool_direction, np.zeros(3)])
+        limits = np.array([robot.q_min, robot.q_max, share * robot.v_max])
+        about = {"shaft_margin": margin, "spare_speed": 1.0 / share - 1.0, "limits": limits, "k0": 2.0}
+        found = NullSpaceQP.from_row(subproblem(s, tip_ref, trocar, form, **about))
+        allowed = share + (1.0 - share) * min(1.0, max(0.0, 3.0 * (1.0 - s.mu_shaft / margin)))
+        lower, upper = damper(q, robot.q_min, robot.q_max, allowed * robot.v_max, 2.0)
+        np.testing.assert_allclose(found.lower, lower, rtol=1e-12)
+        np.testing.assert_allclose(found.upper, upper, rtol=1e-12)
+    assert s.mu_shaft > margin
+
+
+@pytest.mark.parametrize("length", [0.15, 0.3, 0.6])
+def test_the_shafts_margin_grows_with_the_square_of_the_lever(length):
+    """With the tip held the wrist moves by its distance from the tip times the shaft's turn, in two directions."""
+    robot = load_robot("gen3", tool_length=length)
+    lever = length + 0.061525 + 0.10593
+    law = law_views.py_func(law_of(ControlSettings(shaft_margin=0.2, speed_fraction=0.4), robot), 7)
+    assert law.shaft_margin == pytest.approx(0.2 * lever**2)
+    assert law.spare_speed == pytest.approx(1.5)
+    paper = law_views.py_func(law_of(ControlSettings.preset("paper"), robot), 7)
+    assert (paper.shaft_margin, paper.spare_speed) == (0.0, 0.0)
+
+
 def test_the_push_off_the_loss_of_the_shaft_begins_at_the_margin_and_fades_where_it_has_no_direction():
     pushes = [tick.shaft_push(0.02 * share, 0.02) for share in (1.5, 1.0, 1.0 - 1e-9, 0.5, 0.2, 0.1)]
     assert pushes[:2] == [0.0, 0.0]
@@ -211,7 +240,7 @@ def test_the_push_off_the_loss_of_the_shaft_begins_at_the_margin_and_fades_where
 def test_a_climb_towards_the_loss_of_the_shaft_jerks_the_arm_and_is_kept_from_it():
     """From this pose mu grows towards a straight wrist, where joint 5 has to turn ever faster."""
     trial = Scenario(seed=707, start={"pose": "random"}, judge=False, bound_samples=0)
-    lost, kept = run(trial.change(control={"shaft_margin_m2": 0.0})), run(trial)
+    lost, kept = run(trial.change(control={"shaft_margin": 0.0})), run(trial)
     assert lost.meta["ended"] == kept.meta["ended"] == "completed"
     jerk = shaking(lost, "v_rad_per_s")
     assert jerk.joint == 4

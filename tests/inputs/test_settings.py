@@ -5,7 +5,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
-from pydantic import Field
+from pydantic import Field, StrictFloat
 
 from moc_opt.errors import ControlError, MocOptError, ScenarioError, UnknownNameError
 from moc_opt.inputs.settings import Settings
@@ -28,6 +28,18 @@ class Kinds(Settings):
     point: tuple[float, float] = (0.0, 0.0)
     sizes: dict[str, float] = Field(default_factory=dict)
     free: dict[str, Any] = Field(default_factory=dict)
+
+
+class Strict(Settings):
+    """Fields that take no text for a number in the first place."""
+
+    gain: StrictFloat | tuple[StrictFloat, ...] = 1.0
+    mode: Literal["1", "a"] = "a"
+
+    @classmethod
+    def keys(cls, values):
+        """Its own, and those of a free table."""
+        return [*super().keys(values), "settings.radius"]
 
 
 class Outer(Settings):
@@ -70,6 +82,28 @@ def test_unknown_field_lists_the_nearest():
 def test_a_number_or_flag_that_is_written_as_something_else_is_refused(field, value, cure):
     with pytest.raises(ScenarioError, match=cure):
         Kinds(**{field: value})
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"gain": "80"}, r"gain = '80': a number has no quotes: drop them"),
+        ({"gain": ("80", 1.0)}, r"gain = \('80', 1.0\): a number has no quotes: drop them"),
+        ({"gain": ("0",)}, r"gain = \('0',\): a number has no quotes: drop them"),
+        ({"gain": "nan"}, r"'nan': input should be"),
+        ({"mode": "2"}, r"mode = '2': input should be '1' or 'a'"),
+    ],
+)
+def test_quotes_are_the_fault_only_where_the_number_alone_is_taken(values, said):
+    with pytest.raises(ScenarioError, match=said) as found:
+        Strict(**values)
+    assert ("no quotes" in str(found.value)) == ("no quotes" in said)
+    assert Strict(mode="1", gain=(2.0,)).gain == (2.0,)
+
+
+def test_a_key_of_a_free_table_is_found_too():
+    with pytest.raises(UnknownNameError, match=r"unknown setting key 'radius': did you mean 'settings.radius'\?"):
+        Strict(radius=1.0)
 
 
 def test_numbers_flags_and_texts_of_the_right_kind_are_taken_as_they_are():

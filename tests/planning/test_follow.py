@@ -11,8 +11,10 @@ from moc_opt.errors import ControlError, MocOptError, ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import Follower
+from moc_opt.redundancy.arm_angle import reach
 from moc_opt.scenario import Scenario, Setup, guided
 from moc_opt.scenario.guided import followed_course
+from moc_opt.scenario.planned import targets_of
 
 
 def straight(robot: RobotModel) -> Course:
@@ -42,6 +44,31 @@ def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: 
 def test_bad_settings_are_named(robot: RobotModel) -> None:
     with pytest.raises(TaskError, match="period_s = 0"):
         Follower(straight(robot), 0.0)
+
+
+def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_it_is() -> None:
+    """Its elbow is held for a second, in which the course leaves its first maximum; then it goes as asked."""
+    change = {"control": {"third_level": "planned"}, "start": {"pose": "random"}, "task": {"path": "circle"}}
+    setup = Setup(Scenario(seed=9, bound_samples=0).change(**change))
+    robot, guide = setup.robot, setup.controller()._guide
+    assert isinstance(guide, Follower)
+    targets = targets_of(robot, setup.layout, setup.ticks + 1)
+    q, held = np.array(setup.q_start), 500
+    assert robot.mu_along(guide._q[held][None])[0] > 1.3 * robot.mu_along(q[None])[0]
+    for tick in range(setup.ticks):
+        wish = guide.wish(robot.state(q))
+        if tick == 0:
+            assert not guide.told
+            np.testing.assert_allclose(wish, guide._v[0], atol=1e-9)
+        q = q if tick < held else q + 0.002 * wish
+        if tick % 25 == 0:
+            reached = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
+            assert reached is not None
+            q = reached
+    assert guide.told["left_course_s"] < 1.0
+    assert robot.mu_along(q[None])[0] > 0.99 * robot.mu_along(guide._q[-1:])[0]
+    guide.start()
+    assert not guide.told
 
 
 # --- in the loop ---

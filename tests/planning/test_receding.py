@@ -1,4 +1,4 @@
-"""A receding horizon with V leaves the hump that traps a climb, and what it follows is where its path asks it to be."""
+"""A receding horizon with V leaves the local maximum that traps a climb; what it follows is where its path asks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.conftest import Array
 TRAPPED = Scenario(seed=9, bound_samples=0, judge=False).change(
     control={"preset": "tuned", "third_level": "receding"}, start={"pose": "random"}, task={"path": "circle"}
 )
-"""A start in the lower of two humps of mu."""
+"""A start below the lower of two local maxima of mu."""
 
 
 @cache
@@ -63,7 +63,7 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
 
 
 def test_a_horizon_that_sees_no_further_stays_in_the_hump() -> None:
-    """V is what sees the other hump: without it the same program ends where the local law does.
+    """V is what sees the other maximum: without it the same program ends where the local law does.
 
     At the joints' whole speed a second is enough to see it: the horizon is the shortest.
     """

@@ -13,6 +13,8 @@ from moc_opt.planning.course import OBJECTIVES, Objective, make_course
 from moc_opt.planning.refine import refine, too_fast
 from moc_opt.planning.search import search
 from moc_opt.planning.traced import traced_map
+from moc_opt.scenario import Scenario
+from moc_opt.scenario.planned import plan
 from tests.planning.arms import PANDA, build
 from tests.planning.test_search import course_of, map_of
 from tests.planning.test_traced import line_from
@@ -53,6 +55,21 @@ def test_perturbed_starts_of_the_program_find_nothing_better(robot: RobotModel) 
         again = refine(robot, found.targets, make_course(robot, found.targets, other.q_rad))
         assert again.mu_mean <= best.mu_mean * (1.0 + 1e-6)
     assert tried > 2
+
+
+def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smooth(robot: RobotModel) -> None:
+    """From a start where the way to the better maximum is narrow: the program stays on it, and does not turn back."""
+    q = (0.2912492688528833, -0.9312126696305606, -0.2813874639891124, -0.9455987681077571, 0.08576585626315732,
+         -1.0843382517252966, 1.987021145390591)  # fmt: skip
+    begin = {"q_rad": q, "check_path": False}
+    circle = Scenario().change(start=begin, task={"sizes": {"radius": 0.02}})
+    found = plan(circle, margin_rad=0.05, speed_share=0.97, refined=False)
+    assert found.from_start is not None
+    course = found.from_start
+    smooth = refine(robot, found.targets, course, margin_rad=0.05, speed_share=0.97, smoothness=1e-4)
+    assert smooth is not course
+    assert smooth.mu_mean > 0.99 * course.mu_mean
+    assert found.climbed.mu_mean < 0.97 * course.mu_mean
 
 
 def test_an_arm_without_closed_form_is_refined(tmp_path: Path) -> None:

@@ -66,6 +66,9 @@ def test_every_column_of_a_run_is_documented():
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
+        ({"task": {"radius": 0.01}}, r"unknown \[task\] key 'radius': did you mean 'sizes.radius'"),
+        ({"solver": {"tolerance": 1e-9}}, r"unknown \[solver\] key 'tolerance': did you mean 'settings.tolerance'"),
+        ({"solver": {"name": "osqp", "eps": 1e-9}}, r"key 'eps': did you mean 'settings.eps'"),
         ({"sede": 1}, r"unknown scenario key 'sede': did you mean 'seed'"),
         ({"robot": {"tool_length": 0.3}}, r"\[robot\] key 'tool_length': did you mean 'tool_length_m'"),
         ({"start": {"swivl": 0.3}}, r"\[start\] key 'swivl': did you mean 'swivel'"),
@@ -84,17 +87,6 @@ def test_every_column_of_a_run_is_documented():
             {"plant": {"preset": "nominal", "mass_eror": 0.1}},
             r"\[plant\] key 'mass_eror': did you mean 'mass_error'",
         ),
-    ],
-)
-def test_unknown_keys_list_the_nearest(tables, message):
-    with pytest.raises(UnknownNameError, match=message):
-        Scenario(**tables)
-
-
-@pytest.mark.parametrize(
-    ("tables", "message"),
-    [
-        ({"robot": {"name": "lwr5"}}, r"robot 'lwr5': did you mean 'lwr4'"),
         ({"task": {"path": "cirle"}}, r"path 'cirle': did you mean 'circle'.*line.*sinusoid.*spiral"),
         (
             {"task": {"path": "circle", "sizes": {"radus": 0.01}}},
@@ -105,6 +97,18 @@ def test_unknown_keys_list_the_nearest(tables, message):
             r"size of a line 'radius': valid names: length",
         ),
         ({"solver": {"name": "exakt"}}, r"solver 'exakt': did you mean .*'exact'"),
+    ],
+)
+def test_unknown_keys_list_the_nearest(tables, message):
+    """Where the scenario is made, not where it runs."""
+    with pytest.raises(UnknownNameError, match=message):
+        Scenario(**tables)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"robot": {"name": "lwr5"}}, r"robot 'lwr5': did you mean 'lwr4'"),
         (
             {"solver": {"name": "exact", "settings": {"tolerence": 1e-9}}},
             r"setting of solver 'exact' 'tolerence': did you mean 'tolerance'",
@@ -274,6 +278,12 @@ def test_the_safety_filter_is_told_of_the_encoders():
     assert Scenario().told_guard.repeat_joint_ticks == 89
     assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_joint_ticks is None
     assert Scenario(guard={"repeat_joint_ticks": 40}).told_guard.repeat_joint_ticks == 40
+    assert Scenario().guard.repeat_reading_ticks is None
+    assert Scenario(guard={"patience_ticks": 5}).told_guard.repeat_reading_ticks == 5
+    assert Scenario(guard={"repeat_joint_ticks": 40, "repeat_reading_ticks": 2}).told_guard.repeat_reading_ticks == 2
+    # Without noise, or a filter, a reading may well be the same.
+    assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_reading_ticks is None
+    assert Scenario(plant={"velocity_cutoff_Hz": 0.0}).told_guard.repeat_reading_ticks is None
 
 
 def test_change_makes_a_copy():

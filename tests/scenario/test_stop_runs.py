@@ -52,10 +52,9 @@ def test_an_arm_with_weak_drives_is_held_from_any_swivel(weak, share, swivel):
             seed=seed, start=start, faults=faults, control={"preset": "tuned"}, duration_s=2.5, **QUICK
         ))  # fmt: skip
         assert trace.meta["ended"].startswith("stopped")
-        way, _, pressed = after(trace)
+        way, _, _ = after(trace)
         assert way < 0.025
-        # While the trocar presses with more than 10 N the brakes are open: it still pushes the arm back.
-        assert np.abs(trace.v_rad_per_s[-1]).max() < (0.01 if pressed < 10.0 else 0.03)
+        assert np.abs(trace.v_rad_per_s[-1]).max() < 0.01
 
 
 @pytest.mark.parametrize("load", [{"payload_kg": 0.3}, {"payload_kg": 0.7}, {}], ids=str)
@@ -160,6 +159,23 @@ def test_a_load_keeps_no_arm_moving_after_a_stop(seed):
     assert trace.meta["ended"].startswith("stopped: ")
     assert np.abs(trace.v_rad_per_s[-1]).max() < 0.02
     assert after(trace)[2] < 20.0
+
+
+@pytest.mark.parametrize("robot_name", ["gen3", "panda", "lwr4_rail"])
+@pytest.mark.parametrize("seed", range(70, 73))
+def test_a_trocar_that_slips_during_the_stop_leaves_the_arm_at_rest(weak, robot_name, seed):
+    """The stop is watched until then: 0.26 rad/s after half a second. Weak brakes may slip to the very end, slowly."""
+    weak[0] = 0.15
+    rng = np.random.default_rng(seed)
+    at = float(rng.uniform(0.2, 0.6))
+    faults = {"slip_m": float(rng.uniform(0.05, 0.1)), "slip_at_s": at, "nan_at_s": at - 0.15, "nan_ticks": 10**6}
+    trace = run(Scenario(
+        seed=seed, robot={"name": robot_name}, start={"swivel": 1.0, "check_path": False}, faults=faults,
+        duration_s=3.0, **QUICK,
+    ))  # fmt: skip
+    assert trace.meta["ended"].startswith("stopped: ")
+    assert trace.t_s[-1] - trace.meta["stopped_at_s"] <= 2.0 + 0.01
+    assert np.abs(trace.v_rad_per_s[-1]).max() < 0.05
 
 
 def test_brakes_hold_what_they_are_told_to(robot):

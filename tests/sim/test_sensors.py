@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.sim.sensors import Encoders, WrenchSensor, longest_repetition
+from moc_opt.sim.sensors import Encoders, WrenchSensor, longest_repetition, repeats_no_reading
 
 PERIOD = 0.002
 
@@ -97,6 +97,29 @@ def test_an_encoder_at_rest_never_repeats_itself_for_longer_than_its_noise_lets_
     read = np.array([sensor.read(q, 0.0 * q)[0] for _ in range(1500)])
     changes = np.flatnonzero(np.vstack([np.ones((1, N), bool), np.diff(read, axis=0) != 0.0]).T)
     assert np.diff(changes).max() <= longest
+
+
+@given(st.floats(0.3, 10.0), st.floats(5.0, 400.0), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_an_encoder_with_noise_and_a_filter_repeats_no_reading(steps, cutoff, seed):
+    """Once its velocity has been other than zero; where that is promised."""
+    noise, step = 1e-5, steps * 1e-5
+    sensor = Encoders(
+        N := 50, PERIOD, np.random.default_rng(seed), noise_rad=noise, resolution_rad=step, cutoff_Hz=cutoff
+    )  # fmt: skip
+    q = np.full(N, 1000.0 * step)
+    sensor.start(q, np.full(N, 1e-3))
+    positions, velocities = np.swapaxes([sensor.read(q, 0.0 * q) for _ in range(800)], 0, 1)
+    twice = (np.diff(positions, axis=0) == 0.0) & (np.diff(velocities, axis=0) == 0.0)
+    if repeats_no_reading(noise, step, cutoff, PERIOD):
+        assert not twice.any()
+
+
+def test_what_may_repeat_a_reading():
+    assert repeats_no_reading(1e-5, 2.4e-5, 50.0, PERIOD)
+    assert not repeats_no_reading(1e-5, 2.4e-5, 0.0, PERIOD)  # no filter: the same position twice is no velocity twice
+    assert not repeats_no_reading(1e-5, 2.4e-5, 1e4, PERIOD)  # next to none
+    assert not repeats_no_reading(0.0, 2.4e-5, 50.0, PERIOD)
 
 
 def test_an_encoder_with_next_to_no_noise_may_rest():

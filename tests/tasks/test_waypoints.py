@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
 from moc_opt.tasks import Reference, Waypoints
+from moc_opt.tasks.arclength import ArcLength
 
 AXES = {"normal": [0.0, 0.0, 1.0], "heading": [1.0, 0.0, 0.0]}
 START = [0.5, -0.1, 0.2]
@@ -77,9 +78,23 @@ def test_the_time_law_keeps_its_limits():
         ([[0.1, "a", 0.0]], "points of three numbers"),
         ([[0.01, 0, 0], [0.01, 0, 0], [0.02, 0, 0]], r"\[0.01, 0.0, 0.0\] stands twice"),
         ([[0.02, 0, 0], [0, 0, 0]], r"turns back on the spot near waypoint \[0.02, 0.0, 0.0\]"),
+        ([[0.01, 0, 0], [0.0, 1e30, 0]], r"waypoint \[0.0, 1e\+30, 0.0\]: 1000 m from the start is the most"),
+        ([[0.01, 0, 0], [-1001.0, 0, 0]], "1000 m from the start is the most"),
         (np.ones((1001, 3)), "1001 waypoints|stands twice"),
     ],
 )
 def test_what_is_no_path_is_named(points, message):
     with pytest.raises(TaskError, match=message):
         Waypoints(points, START, **AXES)
+
+
+def test_a_table_of_arc_length_does_not_grow_with_the_number_of_points():
+    asked = []
+
+    def speed(w):
+        asked.append(w.size)
+        return 1.0 + 0.5 * np.sign(np.sin(1e9 * w)), np.zeros_like(w)  # no table holds it
+
+    with pytest.raises(TaskError, match="cannot be tabulated"):
+        ArcLength(speed, 1.0, 2**12, np.linspace(0.0, 1.0, 33))
+    assert 2**17 < max(asked) <= 10 * 2**18  # ten places a panel

@@ -45,13 +45,14 @@ void moc_incision_seen(const moc_safe_state *state, double largest[2], int first
 
 /* What is remembered: mean squares of tip error, RCM error and force, the press in a stop, the supervisor's good
  * answer (n,), and of the motion, one row of n after the other: gap, peak, shown, repeats, torque, integral, residual,
- * mean, at_repeat, unseen, exceeded; then where the tip was told to be (3,), still (3,), and of the wrench how often it
- * was the same, how many first readings were counted, and whether it was ever the same in them. */
+ * mean, at_repeat, unseen, exceeded, speed, whole; then where the tip was told to be (3,), still (3,), and of the wrench how often it
+ * was the same, how many first readings were counted, whether it was ever the same in them,
+ * and readings that came twice. */
 void moc_remembered(const moc_safe_state *state, double *out)
 {
     const moc_motion_state *m = &state->guard.motion;
     const double *rows[] = {m->gap,  m->peak,      m->shown,  m->repeats, m->torque, m->integral, m->residual,
-                            m->mean, m->at_repeat, m->unseen, m->exceeded};
+                            m->mean, m->at_repeat, m->unseen, m->exceeded, m->speed,  m->whole};
     out[0] = state->guard.tip_square;
     out[1] = state->incision.mean_square[0];
     out[2] = state->incision.mean_square[1];
@@ -62,10 +63,10 @@ void moc_remembered(const moc_safe_state *state, double *out)
 #else
         out[4 + j] = 0.0;
 #endif
-        for (int k = 0; k < 11; k++)
+        for (int k = 0; k < 13; k++)
             out[4 + MOC_N * (1 + k) + j] = rows[k][j];
     }
-    out += 4 + 12 * MOC_N;
+    out += 4 + 14 * MOC_N;
     for (int i = 0; i < 3; i++) {
         out[i] = m->told[i];
         out[3 + i] = m->still[i];
@@ -73,4 +74,5 @@ void moc_remembered(const moc_safe_state *state, double *out)
     out[6] = m->wrench_repeats;
     out[7] = m->looked;
     out[8] = m->wrench_is_still;
+    out[9] = m->readings_twice;
 }

@@ -84,7 +84,12 @@ static int compare_joint(int i, double q, double v, double elapsed, moc_motion_s
         state->shown[i] = q - elapsed * v;
     state->gap[i] = keep * state->gap[i] + (q - state->shown[i]) - elapsed * v;
     state->peak[i] = fmax(keep * state->peak[i], fabs(v));
-    if (first || (q <= state->shown[i] && q >= state->shown[i])) {
+    int same = q <= state->shown[i] && q >= state->shown[i];
+    /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
+    int whole = !first && same && v <= state->speed[i] && v >= state->speed[i] && state->peak[i] > 0.0;
+    state->whole[i] = whole ? state->whole[i] + 1.0 : 0.0;
+    state->speed[i] = v;
+    if (first || same) {
         state->repeats[i] += 1.0;
     } else {
         state->repeats[i] = 0.0;
@@ -106,6 +111,7 @@ static int compare_readings(const double *q, const double *v, const double *tau,
                             moc_motion_state *state)
 {
     double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18, most = 0.0;
+    double least_whole = 1e18, most_whole = 0.0;
     int ran_away = 0;
 
     state->ticks = 0;
@@ -114,8 +120,14 @@ static int compare_readings(const double *q, const double *v, const double *tau,
         ran_away |= compare_joint(i, q[i], v[i], elapsed, state);
         fewest = fmin(fewest, state->repeats[i]);
         most = fmax(most, state->repeats[i]);
+        least_whole = fmin(least_whole, state->whole[i]);
+        most_whole = fmax(most_whole, state->whole[i]);
     }
-    int single = ran_away ? MOC_STOP_RAN_AWAY : most > MOC_REPEAT_JOINT_TICKS ? MOC_STOP_ONE_REPEATED : 0;
+    state->readings_twice += least_whole > 0.0 ? 1.0 : 0.0;
+    if (state->readings_twice > MOC_REPEAT_READING_TICKS)
+        return MOC_STOP_REPEATED;
+    int one = most > MOC_REPEAT_JOINT_TICKS || most_whole > MOC_REPEAT_READING_TICKS;
+    int single = ran_away ? MOC_STOP_RAN_AWAY : one ? MOC_STOP_ONE_REPEATED : 0;
     if (fewest <= MOC_PATIENCE_TICKS) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < MOC_N; i++)
             state->torque[i] = tau[i];

@@ -25,6 +25,9 @@ typedef struct {
     double at_repeat[MOC_N]; /* the residual where the joint began to repeat [Nm] */
     double unseen[MOC_N];    /* speed that it must have gathered since [rad/s] */
     double exceeded[MOC_N];  /* ticks in a row with the residual far from its mean */
+    double speed[MOC_N];     /* the last v [rad/s] */
+    double whole[MOC_N];     /* ticks in a row with the same q and v */
+    double readings_twice;   /* readings so far in which all joints had that: old ones under new numbers */
     double told[3];          /* where the tip is told to be [m] */
     double still[3];         /* where that was when all encoders had repeated themselves for the patience [m] */
     double wrench[6];        /* the last one */
