@@ -67,9 +67,9 @@ def _command(arguments: Sequence[str] | None) -> int:
     ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
     ahead.add_argument(
         "--margin", type=float,
-        help="that every joint keeps from its limits [rad, m]; default 0, or what a third level that follows a course "
-        "keeps",
-    )  # fmt: skip
+        help="that joints keep from their limits [rad]; default 0, or what a third level that follows a course keeps",
+    )
+    ahead.add_argument("--margin-m", type=float, help="the same of a joint that slides [m]")
     ahead.add_argument(
         "--speed-share", type=float,
         help="of the joints' speed limits that may be used, above 0 to 1; default 1, or what that level follows",

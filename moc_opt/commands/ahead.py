@@ -10,7 +10,8 @@ from moc_opt.commands.running import read_scenario
 from moc_opt.errors import MocOptError, ScenarioError
 
 OPTIONS = {
-    "margin_rad = ": "--margin ", "speed_share = ": "--speed-share ", "acceleration = ": "--acceleration ",
+    "margin_rad = ": "--margin ", "margin_rad and margin_m": "--margin and --margin-m",
+    "speed_share = ": "--speed-share ", "acceleration = ": "--acceleration ",
     "box_m = ": "--box ", "candidates = ": "--candidates ",
 }  # fmt: skip
 """An argument as errors begin with it -> the option that gave it."""
@@ -48,7 +49,8 @@ def _plan_scenario(given: argparse.Namespace) -> int:
     if given.out is not None:
         check_out(given.out, "course")
     found, within = followable_plan(
-        scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration
+        scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,
+        margin_m=given.margin_m,
     )
     began, places = time.perf_counter(), []
     if given.place is not None:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.numerics.arrays import Array
-from moc_opt.planning.pose_map import PoseMap
+from moc_opt.planning.pose_map import Margin, PoseMap
 
 
-def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0) -> Array:
+def climb(found: PoseMap, step_rad: Array, start: Array, margin: Margin = 0.0) -> Array:
     """Follow the gradient of mu from the start, on the samples of the map.
 
     In each period the poses within the joints' steps are looked at; from the one that asks the least of the joints it
@@ -20,12 +20,12 @@ def climb(found: PoseMap, step_rad: Array, start: Array, margin_rad: float = 0.0
     Args:
         step_rad: (n,) most that a joint turns in one period [rad].
         start: (n,) the pose to begin with [rad].
-        margin_rad: from the joint limits.
+        margin: from the joint limits.
 
     Returns:
         (k,n) its poses, the start first; fewer than the path has times where no pose is within reach.
     """
-    feasible, poses = found.feasible(margin_rad), [np.array(start)]
+    feasible, poses = found.feasible(margin), [np.array(start)]
     for k in range(1, len(found.targets)):
         q = found.poses(k)
         share = np.where(feasible[k], (np.abs(q - poses[-1]) / step_rad).max(axis=2), np.inf)

@@ -9,6 +9,7 @@ import numpy as np
 
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array, read_only
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets
 
 Objective = Literal["mean", "worst", "log"]
@@ -72,7 +73,7 @@ def faster(q: Array) -> Array:
 
 
 def make_course(
-    robot: RobotModel, targets: Targets, q: Array, margin_rad: float = 0.0, speed_share: float = 1.0,
+    robot: RobotModel, targets: Targets, q: Array, margin: Margin = 0.0, speed_share: float = 1.0,
     acceleration: float = np.inf,
 ) -> Course:  # fmt: skip
     """Judge poses (k,n) for the first k times by the robot model itself, whoever found them.
@@ -83,7 +84,7 @@ def make_course(
     tips, wrists = robot.tool_along(q)
     off = max(np.abs(tips - targets.tip[:count]).max(), np.abs(wrists - targets.wrist[:count]).max())
     moving = robot.moves.any(axis=0)
-    beyond = np.maximum(q - robot.q_max + margin_rad, robot.q_min + margin_rad - q)[:, moving].max()
+    beyond = np.maximum(q - robot.q_max + margin, robot.q_min + margin - q)[:, moving].max()
     fast = np.abs(np.diff(q, axis=0)) - speed_share * robot.v_max * targets.period_s
     gained = faster(q) - acceleration * targets.period_s**2
     violation = float(max(off, beyond, fast.max(initial=-np.inf), gained.max(initial=-np.inf), 0.0))

@@ -19,6 +19,7 @@ import numpy as np
 
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.refine import SETTLED_S, across_shafts, too_fast
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
@@ -37,7 +38,7 @@ class Horizon:
     """The program for one arm; ``solve`` fills in times, targets, start and end."""
 
     def __init__(
-        self, robot: RobotModel, nodes: int, *, mu: float, margin_rad: float, speed: Array, smoothness: float,
+        self, robot: RobotModel, nodes: int, *, mu: float, margin: Margin, speed: Array, smoothness: float,
         brake: float = np.inf,
     ) -> None:
         """Write the program.
@@ -45,7 +46,7 @@ class Horizon:
         Args:
             nodes: N, times after the start.
             mu: mu_0, what a pose is usually worth [m^3].
-            margin_rad: from the joint limits.
+            margin: from the joint limits.
             speed: (n,) most of each joint [rad/s].
             smoothness: w [s^4/rad^2], as of `refine`.
             brake: as of `refine` [rad/s^2].
@@ -61,7 +62,7 @@ class Horizon:
         tip, one, two = sym("tip", 3, nodes), sym("one", 3, nodes), sym("two", 3, nodes)
         end, along, slope, bend = sym("end", n), sym("along", n), sym("slope"), sym("bend")
         idle = start * ca.DM(1.0 - place.sum(axis=1))
-        low, high = robot.q_min + margin_rad, robot.q_max - margin_rad
+        low, high = robot.q_min + margin, robot.q_max - margin
         gain, tasks, steps, brakes, before, moved = ca.SX(0.0), [], [], [], start, speed_0
         for k in range(nodes):
             q = ca.DM(place) @ x[:, k] + idle
@@ -88,7 +89,7 @@ class Horizon:
         )
         self._brakes = np.zeros(ca.vertcat(*brakes).numel())
         self._step, self._equal = np.tile(speed[moving], nodes), np.zeros(5 * nodes)
-        self.nodes, self.speed, self.margin_rad = nodes, speed, margin_rad
+        self.nodes, self.speed, self.margin = nodes, speed, margin
 
     def forget(self) -> None:
         """Make the solver anew: its workspace goes from call to call, and a run is to be repeated to the last bit."""

@@ -15,7 +15,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course
-from moc_opt.planning.pose_map import PoseMap, spherical_map
+from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
 from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
 from moc_opt.planning.search_kernels import nearest_share
@@ -113,7 +113,7 @@ def make_plan(
     objective: Objective = "mean",
     *,
     swivels: int = 720,
-    margin_rad: float = 0.0,
+    margin: Margin = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
     refined: bool = True,
@@ -124,7 +124,7 @@ def make_plan(
         q_start: (n,) with tip and wrist at the first target [rad].
         objective: "mean", "worst" or "log".
         swivels: samples of one turn, of an arm with a closed form.
-        margin_rad: that every joint keeps from its limits.
+        margin: that every joint keeps from its limits.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
         refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
@@ -132,7 +132,7 @@ def make_plan(
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
     """
-    _check(robot, q_start, targets, objective, margin_rad, speed_share)
+    _check(robot, q_start, targets, objective, margin, speed_share)
     if not _is_number(acceleration) or not acceleration > 0.0:
         raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
     if np.isfinite(acceleration) and not refined:
@@ -142,10 +142,10 @@ def make_plan(
     mapped = time.perf_counter()
     step = speed_share * robot.v_max * targets.period_s
     start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
-    answers = [search(found, step, objective, start=begin, margin_rad=margin_rad) for begin in (start, None)]
+    answers = [search(found, step, objective, start=begin, margin=margin) for begin in (start, None)]
     searched = time.perf_counter()
     bounds = [
-        search(found, step, objective, start=begin, margin_rad=margin_rad, generous=True) for begin in (start, None)
+        search(found, step, objective, start=begin, margin=margin, generous=True) for begin in (start, None)
     ]
     bounded = time.perf_counter()
     courses = []
@@ -153,12 +153,12 @@ def make_plan(
         known = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
         course = None
         if known is not None and np.isfinite(known).all():
-            course = make_course(robot, targets, known, margin_rad, speed_share, acceleration)
+            course = make_course(robot, targets, known, margin, speed_share, acceleration)
         # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
         for guess in (None, bound.q_rad) if refined and course is not None else ():
             if course is not None and (guess is None or np.isfinite(guess).all()):
                 course = refine(
-                    robot, targets, course, objective, guess=guess, free_start=free, margin_rad=margin_rad,
+                    robot, targets, course, objective, guess=guess, free_start=free, margin=margin,
                     speed_share=speed_share, acceleration=acceleration,
                 )  # fmt: skip
         if course is not None and not course.kept and (answer.q_rad is None or np.isfinite(acceleration)):
@@ -172,11 +172,11 @@ def make_plan(
     shown = mine if mine is not None else best
     return Plan(
         objective, targets, mine, best,
-        make_course(robot, targets, climb(found, step, start[0], margin_rad), margin_rad, speed_share),
+        make_course(robot, targets, climb(found, step, start[0], margin), margin, speed_share),
         _bound(bounds[0], mine, objective),
         bound=_bound(bounds[1], best, objective),
         blocked=None if mine is not None else blocked(
-            robot, found, answers[0], start[0], step, margin_rad, proven=bounds[0].q_rad is None
+            robot, found, answers[0], start[0], step, margin, proven=bounds[0].q_rad is None
         ),
         start_swivel_rad=float(elbow.swivel(start[0][None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
@@ -199,14 +199,14 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 7
 
 
 def blocked(
-    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin_rad: float, proven: bool
+    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin: Margin, proven: bool
 ) -> Blocked:
     """Name the first point that the search did not reach, and what is in its way; unless ``proven``, say so."""
     if answer.q_rad is not None:
         return _too_sudden(robot, found.targets, answer.q_rad)
     k, targets = answer.reached, found.targets
     at = float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist())
-    feasible, names = found.feasible(margin_rad), robot.data.joint_names
+    feasible, names = found.feasible(margin), robot.data.joint_names
     if not np.isfinite(found.mu[k]).any():
         return Blocked(*at, "out of reach: no pose has tip and wrist there, whatever the joint limits")
     if not feasible[k].any():
@@ -264,14 +264,16 @@ def _is_number(value: object) -> bool:
 
 
 def _check(
-    robot: RobotModel, q_start: Array, targets: Targets, objective: str, margin_rad: float, speed_share: float
+    robot: RobotModel, q_start: Array, targets: Targets, objective: str, margin: Margin, speed_share: float
 ) -> None:
     if not isinstance(objective, str) or objective not in OBJECTIVES:
         raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
     if not _is_number(speed_share) or not 0.0 < speed_share <= 1.0:
         raise TaskError(f"speed_share = {speed_share!r}: give a share above 0 up to 1")
-    if not _is_number(margin_rad) or not 0.0 <= margin_rad < float((robot.q_max - robot.q_min).min()) / 2.0:
-        raise TaskError(f"margin_rad = {margin_rad!r}: give zero or more, and less than half of every joint's range")
+    one = _is_number(margin) or (isinstance(margin, np.ndarray) and margin.shape == (robot.n,))
+    if not one or not ((np.asarray(margin) >= 0.0) & (2.0 * np.asarray(margin) < robot.q_max - robot.q_min)).all():
+        name = "margin_rad" if _is_number(margin) else "margin_rad and margin_m, joint by joint,"
+        raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
     tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:

@@ -22,6 +22,8 @@ from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.arm_angle import Elbow
 
 Flags = NDArray[np.bool_]
+Margin = float | Array
+"""From the joint limits: one number for all, or one per joint (n,) [rad], [m] of a joint that slides."""
 
 ROUNDING_RAD = 1e-9
 """A pose this far beyond a limit still stands on it."""
@@ -49,14 +51,14 @@ class PoseMap:
         """(m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
         return np.zeros(self.mu.shape[2], dtype=np.int64)
 
-    def feasible(self, margin_rad: float = 0.0) -> Flags:
+    def feasible(self, margin: Margin = 0.0) -> Flags:
         """(k,b,m) whether every joint keeps the margin from its limits."""
-        found: Flags = self.room_rad >= margin_rad - ROUNDING_RAD
+        found: Flags = self.room_rad >= np.max(margin) - ROUNDING_RAD
         return found
 
-    def highest(self, margin_rad: float = 0.0) -> Array:
+    def highest(self, margin: Margin = 0.0) -> Array:
         """(k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible."""
-        score = np.where(self.feasible(margin_rad), self.mu, -np.inf).max(axis=(1, 2))
+        score = np.where(self.feasible(margin), self.mu, -np.inf).max(axis=(1, 2))
         return np.where(np.isfinite(score), score, np.nan)
 
 
@@ -99,13 +101,13 @@ class SphericalMap(PoseMap):
         pose: Array = self._poses(angles[0])[branch, 0]
         return pose
 
-    def highest(self, margin_rad: float = 0.0) -> Array:
+    def highest(self, margin: Margin = 0.0) -> Array:
         """(k,) the largest feasible mu at each time, local maxima climbed between the map's swivels to rounding."""
-        return self.peaks(margin_rad)[0]
+        return self.peaks(margin)[0]
 
-    def peaks(self, margin_rad: float = 0.0) -> tuple[Array, Array]:
+    def peaks(self, margin: Margin = 0.0) -> tuple[Array, Array]:
         """The largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
-        score = np.where(self.feasible(margin_rad).any(axis=1), self.mu[:, 0], -np.inf)
+        score = np.where(self.feasible(margin).any(axis=1), self.mu[:, 0], -np.inf)
         peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
         order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
         rows, best = np.arange(len(score)), np.full((2, len(score)), -np.inf)
@@ -115,7 +117,7 @@ class SphericalMap(PoseMap):
             while width > 1e-10:
                 tried = swivel[:, None] + width * np.linspace(-1.0, 1.0, 21)
                 _, mu, room = _evaluate(self.arm, self.reference, self.targets.tip, self.targets.wrist, tried)
-                allowed = (room >= margin_rad - ROUNDING_RAD).any(axis=1)
+                allowed = (room >= np.max(margin) - ROUNDING_RAD).any(axis=1)
                 reached = np.where(allowed, mu, -np.inf)
                 at = reached.argmax(axis=1)
                 better = reached[rows, at] > value

@@ -163,7 +163,7 @@ class Receding:
         if not np.isfinite(course).all():
             return False
         step = there.period_s * self._horizon.speed
-        judged = make_course(self._robot, there, course[1:], self._horizon.margin_rad)
+        judged = make_course(self._robot, there, course[1:], self._horizon.margin)
         fast = np.abs(np.diff(course, axis=0)) - step
         return judged.violation < MOST_OFF and float(fast.max()) < MOST_OFF
 

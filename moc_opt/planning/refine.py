@@ -19,6 +19,7 @@ import numpy as np
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets
 
 # mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
@@ -49,7 +50,7 @@ def refine(
     *,
     guess: Array | None = None,
     free_start: bool = False,
-    margin_rad: float = 0.0,
+    margin: Margin = 0.0,
     speed_share: float = 1.0,
     smoothness: float = 0.0,
     acceleration: float = np.inf,
@@ -62,7 +63,7 @@ def refine(
         guess: (k,n) poses to begin with in place of the course's; they may break constraints.
         objective: as for the search.
         free_start: whether the first pose may change, too.
-        margin_rad: from the joint limits.
+        margin: from the joint limits.
         speed_share: of the joints' speed limits.
         smoothness: w [s^4/rad^2]; w (|ddq|^2 + |dq|^2 / `SETTLED_S`^2), its mean over the time, is taken off the
             objective (in shares of the mean mu; log: of itself), from rest to rest. The answer is taken if the
@@ -101,7 +102,7 @@ def refine(
         gain = acceleration * targets.period_s**2
         most_gained = np.full(a * (k - 1), max(gain - INSIDE, 0.5 * gain))
         rows.append((ca.vec(gained), -most_gained, most_gained))
-    keep = margin_rad + INSIDE
+    keep = margin + INSIDE
     low, high = (np.tile(limit[moving], k) for limit in (robot.q_min + keep, robot.q_max - keep))
     if np.isfinite(brake):
         later, way = ca.vec(x[:, 1:]), ca.vec(x[:, 1:] - x[:, :-1])
@@ -136,7 +137,7 @@ def refine(
     poses[:, moving] = np.array(answer["x"]).ravel()[: k * a].reshape(k, a)
     if not np.isfinite(poses).all():
         return course
-    found = make_course(robot, targets, poses, margin_rad, speed_share, acceleration)
+    found = make_course(robot, targets, poses, margin, speed_share, acceleration)
     loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
     enough = course.value(objective) - loss * abs(course.value(objective))
     if not found.kept or (course.kept and found.value(objective) < enough):

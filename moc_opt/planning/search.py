@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import LEAST_MU, Objective, weights
-from moc_opt.planning.pose_map import PoseMap
+from moc_opt.planning.pose_map import Margin, PoseMap
 from moc_opt.planning.search_kernels import advance
 
 CURVED = 1.1
@@ -45,7 +45,7 @@ def search(
     objective: Objective = "mean",
     *,
     start: tuple[Array, float] | None = None,
-    margin_rad: float = 0.0,
+    margin: Margin = 0.0,
     generous: bool = False,
     floor: float = -np.inf,
 ) -> Search:
@@ -56,19 +56,19 @@ def search(
         objective: "mean" mu, "worst" mu, or the mean of "log" mu. Of all courses with the largest worst mu (to
             rounding) the one with the best mean is taken.
         start: the pose (n,) to begin with [rad] and its mu [m^3]; None: any pose of the first time.
-        margin_rad: from the joint limits.
+        margin: from the joint limits.
         generous: search for the bound.
         floor: poses with a smaller mu are forbidden [m^3].
     """
     if objective == "worst" and not generous and floor == -np.inf:
-        least = search(found, step_rad, "worst", start=start, margin_rad=margin_rad, floor=-1.0)
+        least = search(found, step_rad, "worst", start=start, margin=margin, floor=-1.0)
         if least.q_rad is None:
             return least
-        best = search(found, step_rad, "mean", start=start, margin_rad=margin_rad, floor=least.value - 1e-12)
+        best = search(found, step_rad, "mean", start=start, margin=margin, floor=least.value - 1e-12)
         return Search(least.value, best.reached, best.q_rad, best.last)
     count, worst = len(found.targets), objective == "worst"
     weight = np.ones(count) if worst else weights(count)
-    feasible, mu = found.feasible(margin_rad), found.mu
+    feasible, mu = found.feasible(margin), found.mu
     if generous:
         feasible, mu = _dilated(feasible), _highest_nearby(mu)
     gain = np.where(feasible & (mu >= floor), gain_of(mu, objective) * weight[:, None, None], -np.inf)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.planning.course import weights
-from moc_opt.planning.pose_map import PoseMap
+from moc_opt.planning.pose_map import Margin, PoseMap
 from moc_opt.planning.search import half_cells
 
 NEARBY_RAD = 0.2
@@ -56,12 +56,12 @@ def _poses_and_ways(found: PoseMap, k: int) -> tuple[Array, Array]:
 class ToGo:
     """V over a map of k times, b branches, m samples."""
 
-    def __init__(self, found: PoseMap, step_rad: Array, margin_rad: float = 0.0, price: float = 0.0) -> None:
+    def __init__(self, found: PoseMap, step_rad: Array, margin: Margin = 0.0, price: float = 0.0) -> None:
         """Go through the map from its end to its start.
 
         Args:
             step_rad: (n,) most that a joint turns in one period [rad].
-            margin_rad: from the joint limits.
+            margin: from the joint limits.
             price: c, of speed [m^3 s^2/rad^2].
         """
         self._price = price / found.targets.period_s
@@ -69,7 +69,7 @@ class ToGo:
         # Not a method: the object would hold itself, 50 MB that wait for the garbage collector.
         self._poses = lru_cache(KEPT)(partial(_poses_and_ways, found))
         weight = weights(count) * found.targets.period_s
-        self._gain = np.where(found.feasible(margin_rad), found.mu * weight[:, None, None], -np.inf)
+        self._gain = np.where(found.feasible(margin), found.mu * weight[:, None, None], -np.inf)
         self.value = np.array(self._gain)
         """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
         for k in range(count - 2, -1, -1):

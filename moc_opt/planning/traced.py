@@ -15,7 +15,7 @@ from moc_opt.errors import RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.planning.pose_map import Flags, PoseMap
+from moc_opt.planning.pose_map import ROUNDING_RAD, Flags, Margin, PoseMap
 from moc_opt.planning.targets import Targets
 from moc_opt.redundancy.arm_angle import nearest_turns, reach, without_limits
 from moc_opt.redundancy.self_motion import self_motion
@@ -34,6 +34,17 @@ class TracedMap(PoseMap):
 
     q_rad: Array
     """(k,1,m,n)"""
+
+    limits: tuple[Array, Array]
+    """q_min, q_max (n,) [rad], [m]; without any where a joint is idle"""
+
+    def feasible(self, margin: Margin = 0.0) -> Flags:
+        """(k,1,m) whether every joint keeps its margin from its limits."""
+        if np.ndim(margin) == 0:
+            return super().feasible(margin)
+        low, high = self.limits
+        room = np.minimum(self.q_rad - low, high - self.q_rad) - margin
+        return room.min(axis=-1) >= -ROUNDING_RAD  # NaN: no pose
 
     def poses(self, k: int) -> Array:
         """Return the poses (1,m,n) [rad] at time k; NaN where there is none."""
@@ -122,4 +133,5 @@ def _stacked(
     mu, room = np.full(known.shape, np.nan), np.full(known.shape, np.nan)
     mu[known] = robot.mu_along(q[known])
     room[known] = np.minimum(q[known] - robot.q_min, robot.q_max - q[known])[:, moving].min(axis=1)
-    return TracedMap(targets, mu, room, np.full(len(columns), longest, dtype=np.int64), q)
+    limits = np.where(moving, robot.q_min, -np.inf), np.where(moving, robot.q_max, np.inf)
+    return TracedMap(targets, mu, room, np.full(len(columns), longest, dtype=np.int64), q, limits)

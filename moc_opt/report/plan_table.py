@@ -59,13 +59,13 @@ def plan_json(plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def plan_tables(name: str, plan: Plan, margin_rad: float = 0.0, speed_share: float = 1.0) -> list[Table]:
+def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     """Make the tables of the verdict and of the courses; both fit 80 columns.
 
     Args:
         name: of the scenario.
         plan: of it.
-        margin_rad, speed_share: within which it was made.
+        within: margin_rad, margin_m and speed_share that it was made with, as of `moc_opt.scenario.planned.plan`.
     """
     rows: list[dict[str, Any]] = [
         {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
@@ -75,8 +75,11 @@ def plan_tables(name: str, plan: Plan, margin_rad: float = 0.0, speed_share: flo
         point = ", ".join(f"{x:.3f}" for x in stuck.tip_m)
         where = f"{1e3 * stuck.arc_length_m:.1f} mm along the path (t = {stuck.t_s:.2f} s), tip at {point} m"
         rows += [{"what": "first point out of reach", "value": where}, {"what": "why", "value": stuck.reason}]
-    within = "the joint limits" if margin_rad == 0.0 else f"{margin_rad:g} rad (m) from the joint limits"
-    rows.append({"what": "planned within", "value": f"{within}, {100.0 * speed_share:.3g} % of their speed limits"})
+    units = (("rad", within.get("margin_rad", 0.0)), ("m", within.get("margin_m", 0.0)))
+    kept = " and ".join(f"{margin:g} {unit}" for unit, margin in units if margin > 0.0)
+    share = 100.0 * within.get("speed_share", 1.0)
+    limits = f"{kept} from the joint limits" if kept else "the joint limits"
+    rows.append({"what": "planned within", "value": f"{limits}, {share:.3g} % of their speed limits"})
     rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
     rows.append({"what": "swivel of the best start", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):

@@ -19,18 +19,19 @@ class Within(TypedDict):
     """What a plan was made within, as `moc_opt.scenario.planned.plan` takes it."""
 
     margin_rad: float
+    margin_m: float
     speed_share: float
 
 
 def followable_plan(
     scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
-    acceleration: float,
+    acceleration: float, margin_m: float | None = None,
 ) -> tuple[Plan, Within]:  # fmt: skip
     """Plan within what the scenario's third level keeps to where it follows a course, else within the arm's own limits.
 
     Args:
         scenario: what would be run.
-        margin_rad, speed_share: in place of these, where given.
+        margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
         objective, acceleration: as of `moc_opt.scenario.planned.plan`.
 
     Raises:
@@ -41,9 +42,11 @@ def followable_plan(
     if speed_share is None:
         speed_share = settings.course_speed_fraction if follows else 1.0
     # The two margins that `guided` tries, too.
-    margins = dict.fromkeys((settings.course_margin_rad, 0.0) if follows else (0.0,))
-    for margin in margins if margin_rad is None else (margin_rad,):
-        within: Within = {"margin_rad": margin, "speed_share": speed_share}
+    slides = scenario.robot.arm().chain.prismatic.any()
+    margins = [(settings.course_margin_rad, settings.limit_margin_m if slides else 0.0)] if follows else []
+    given = margin_rad is not None or margin_m is not None
+    for turning, sliding in [(margin_rad or 0.0, margin_m or 0.0)] if given else [*margins, (0.0, 0.0)]:
+        within: Within = {"margin_rad": turning, "margin_m": sliding, "speed_share": speed_share}
         found = plan(scenario, objective=objective, acceleration=acceleration, **within)
         if found.executable:
             break
@@ -83,10 +86,11 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
     room = np.minimum(course.q_rad - robot.q_min, robot.q_max - course.q_rad).min(axis=0)
     short = np.where(moving, margins - room, -1.0)
     j = int(np.argmax(short))
-    unit, key = ("m", "limit_margin_m") if robot.chain.prismatic[j] else ("rad", "course_margin_rad")
+    turns = "rad", "course_margin_rad", "--margin"
+    unit, key, option = ("m", "limit_margin_m", "--margin-m") if robot.chain.prismatic[j] else turns
     if short[j] > ROUNDING:
         said.append(
             f"the course takes {robot.data.joint_names[j]} to within {room[j]:.3f} {unit} of its limit; the third "
-            f"level keeps {margins[j]:g} {unit}: plan with --margin {margins[j]:g}, or lower {key}"
+            f"level keeps {margins[j]:g} {unit}: plan with {option} {margins[j]:g}, or lower {key}"
         )
     return said

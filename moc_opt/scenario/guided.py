@@ -14,13 +14,14 @@ from moc_opt.planning.course import Course
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.plan import Plan, make_plan, map_of
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.receding import HURRY, NODES, Receding
 from moc_opt.planning.refine import SETTLED_S, refine
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
-from moc_opt.scenario.planned import targets_of
+from moc_opt.scenario.planned import margin_of, targets_of
 
 V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
@@ -75,7 +76,7 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
     smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
 
     def made(share: float, brake: float) -> Callable[[], Receding]:
-        for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
+        for margin in _margins(scenario, robot):
             usual = float(np.nanmean(found.highest(margin)))
             to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
             if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
@@ -83,7 +84,7 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
         else:
             raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
         horizon = Horizon(
-            robot, NODES, mu=usual, margin_rad=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake
+            robot, NODES, mu=usual, margin=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake
         )
         return lambda: Receding(  # one program, of which each controller makes a solver of its own
             to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
@@ -106,20 +107,26 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     """Return the best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
-    for margin in dict.fromkeys((settings.course_margin_rad, 0.0)):
+    for margin in _margins(scenario, robot):
         for part in SPEEDS:
             share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
-            found = make_plan(robot, layout.q, targets, margin_rad=margin, speed_share=share)
+            found = make_plan(robot, layout.q, targets, margin=margin, speed_share=share)
             if found.from_start is None:
                 break
             for rule in rules:
                 course = refine(
-                    robot, targets, found.from_start, margin_rad=margin, speed_share=share,
+                    robot, targets, found.from_start, margin=margin, speed_share=share,
                     smoothness=SMOOTHNESS["planned"], brake=rule,
                 )  # fmt: skip
                 if course is not found.from_start or rule == np.inf:
                     return course
     raise _stuck(scenario, found)
+
+
+def _margins(scenario: Scenario, robot: RobotModel) -> tuple[Margin, Margin]:
+    """What a course keeps from the joint limits where it can, and where it cannot."""
+    settings = scenario.control
+    return margin_of(robot, settings.course_margin_rad, settings.limit_margin_m), 0.0
 
 
 def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:

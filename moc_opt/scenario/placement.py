@@ -21,7 +21,7 @@ from moc_opt.planning.search import search
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
-from moc_opt.scenario.planned import layout_of, targets_of
+from moc_opt.scenario.planned import layout_of, margin_of, targets_of
 from moc_opt.tasks import Trocar
 
 Movable = Literal["trocar", "base"]
@@ -41,6 +41,7 @@ def place(
     best: int = 5,
     objective: Objective = "mean",
     margin_rad: float = 0.0,
+    margin_m: float = 0.0,
     speed_share: float = 1.0,
 ) -> list[Placement]:
     """Search a cube for the place that serves the path best; the best first, the present place among them.
@@ -50,7 +51,7 @@ def place(
         box_m: half the edge of the cube about the present place [m].
         candidates: drawn evenly from the cube.
         best: places that are planned on the finer grid and returned, besides the present one.
-        objective, margin_rad, speed_share: as of `moc_opt.planning.plan.make_plan`.
+        objective, margin_rad, margin_m, speed_share: as of `moc_opt.scenario.planned.plan`.
 
     Raises:
         ScenarioError: an argument is out of range.
@@ -65,6 +66,7 @@ def place(
             raise ScenarioError(f"{name} = {count!r}: give 1 or more")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
+    margin = margin_of(robot, margin_rad, margin_m)
     shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
 
     def planned(shift: Array, times: int | None, swivels: int) -> Placement:
@@ -76,9 +78,9 @@ def place(
             return Placement(moved, None, depth)
         found = map_of(robot, layout.q, targets, swivels)
         step = speed_share * robot.v_max * targets.period_s
-        q = search(found, step, objective, margin_rad=margin_rad).q_rad
+        q = search(found, step, objective, margin=margin).q_rad
         if q is not None:
-            course = make_course(robot, targets, q, margin_rad, speed_share)
+            course = make_course(robot, targets, q, margin, speed_share)
         return Placement(moved, course, depth)
 
     def value(placement: Placement) -> float:

@@ -12,6 +12,7 @@ from moc_opt.errors import ScenarioError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan, make_plan
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
@@ -29,6 +30,7 @@ def plan(
     times: int | None = None,
     swivels: int = 720,
     margin_rad: float = 0.0,
+    margin_m: float = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
     refined: bool = True,
@@ -42,7 +44,8 @@ def plan(
         scenario: what would be run, or the path of its file.
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
-        swivels, margin_rad, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
+        margin_rad: that every joint keeps from its limits; margin_m: the same of one that slides.
+        swivels, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -53,9 +56,16 @@ def plan(
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
     return make_plan(
-        robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels, margin_rad=margin_rad,
-        speed_share=speed_share, acceleration=acceleration, refined=refined,
+        robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels,
+        margin=margin_of(robot, margin_rad, margin_m), speed_share=speed_share, acceleration=acceleration,
+        refined=refined,
     )  # fmt: skip
+
+
+def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
+    """One number where no joint slides, else one per joint (n,)."""
+    slides = robot.chain.prismatic
+    return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad
 
 
 def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:

@@ -24,7 +24,7 @@ def problem(robot: RobotModel) -> tuple[Horizon, Array, Array, Targets]:
     assert q is not None
     part, path = slice(30, 30 + NODES), found.targets
     there = Targets(path.t_s[part], path.tip[part], path.wrist[part], path.arc_length_m[part])
-    made = Horizon(robot, NODES, mu=0.1, margin_rad=0.0, speed=robot.v_max, smoothness=1e-3)
+    made = Horizon(robot, NODES, mu=0.1, margin=0.0, speed=robot.v_max, smoothness=1e-3)
     return made, q[29], q[part], there
 
 
@@ -58,7 +58,7 @@ def test_a_smoother_course_is_had_for_a_higher_price(robot: RobotModel) -> None:
     _, start, guess, there = problem(robot)
     rough = []
     for price in (1e-4, 1e-1):
-        made = Horizon(robot, NODES, mu=0.1, margin_rad=0.0, speed=robot.v_max, smoothness=price)
+        made = Horizon(robot, NODES, mu=0.1, margin=0.0, speed=robot.v_max, smoothness=price)
         q = np.concatenate([start[None], made.solve(guess, start, np.zeros(robot.n), there, nothing(start))])
         rough.append(float((np.diff(q, axis=0) ** 2).sum()))
     assert rough[1] < rough[0]

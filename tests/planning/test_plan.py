@@ -97,7 +97,7 @@ def test_a_speed_that_the_joints_have_not_is_named(robot: RobotModel) -> None:
 def test_a_joint_at_its_limit_is_named(robot: RobotModel) -> None:
     q = robot.data.q_home
     targets = task(robot, q, 60)
-    plan = make_plan(robot, q, targets, swivels=180, margin_rad=0.6, refined=False)
+    plan = make_plan(robot, q, targets, swivels=180, margin=0.6, refined=False)
     assert plan.blocked is not None
     assert "joint_" in plan.blocked.reason
     assert "limit" in plan.blocked.reason
@@ -159,7 +159,7 @@ def test_a_limit_on_accelerations_is_kept_and_costs_little(robot: RobotModel) ->
         ({"acceleration": 5.0, "refined": False}, "refined = True"),
         ({"objective": "best"}, "objective = 'best'"),
         ({"speed_share": 0.0}, "speed_share = 0.0"),
-        ({"margin_rad": 3.0}, "margin_rad = 3.0"),
+        ({"margin": 3.0}, "margin_rad = 3.0"),
     ],
 )
 def test_bad_arguments_are_named(robot: RobotModel, change: dict[str, object], message: str) -> None:

@@ -66,7 +66,7 @@ def test_a_course_at_its_limits_stays_at_its_maximum_of_mu_when_it_is_made_smoot
     found = plan(circle, margin_rad=0.05, speed_share=0.97, refined=False)
     assert found.from_start is not None
     course = found.from_start
-    smooth = refine(robot, found.targets, course, margin_rad=0.05, speed_share=0.97, smoothness=1e-4)
+    smooth = refine(robot, found.targets, course, margin=0.05, speed_share=0.97, smoothness=1e-4)
     assert smooth is not course
     assert smooth.mu_mean > 0.99 * course.mu_mean
     assert found.climbed.mu_mean < 0.97 * course.mu_mean
@@ -96,7 +96,7 @@ def test_a_course_that_breaks_a_limit_is_said_to(robot: RobotModel) -> None:
     assert make_course(robot, found.targets, jump).violation == pytest.approx(
         abs(jump[10, 6] - jump[9, 6]) - robot.v_max[6] * found.targets.period_s
     )
-    assert make_course(robot, found.targets, answer.q_rad, margin_rad=1.5).violation > 0.1
+    assert make_course(robot, found.targets, answer.q_rad, margin=1.5).violation > 0.1
     off = np.array(answer.q_rad)
     off[3, 1] += 1e-3
     assert make_course(robot, found.targets, off).violation > 1e-5
@@ -121,10 +121,10 @@ def test_a_course_brakes_off_before_the_limits_that_it_keeps(robot: RobotModel) 
     """At margins at which the course without a brake is too fast towards a limit, by the rule itself."""
     q, brake, margin = robot.data.q_home, 0.5, 0.3
     found, step = map_of(robot, q, count=60, swivels=180)
-    course = course_of(robot, found, search(found, step, start=(q, robot.state(q).mu), margin_rad=margin).q_rad)
+    course = course_of(robot, found, search(found, step, start=(q, robot.state(q).mu), margin=margin).q_rad)
     dt, late = found.targets.period_s, []
     for limit in (np.inf, brake):
-        poses = refine(robot, found.targets, course, margin_rad=margin, brake=limit).q_rad
+        poses = refine(robot, found.targets, course, margin=margin, brake=limit).q_rad
         speed, ends = np.diff(poses, axis=0) / dt, (robot.q_min + margin, robot.q_max - margin)
         rows = zip(speed, poses[1:], strict=True)
         excess = [too_fast(*(casadi.DM(given) for given in (*row, *ends)), brake) for row in rows]

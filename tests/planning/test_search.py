@@ -160,7 +160,7 @@ def test_the_window_leaves_no_way_out(robot: RobotModel) -> None:
 def test_a_margin_costs_mu_and_is_kept(robot: RobotModel) -> None:
     q = robot.data.q_home
     found, step = map_of(robot, q)
-    free, kept = (search(found, step, margin_rad=margin) for margin in (0.0, 0.4))
+    free, kept = (search(found, step, margin=margin) for margin in (0.0, 0.4))
     assert kept.q_rad is not None
     room = np.minimum(kept.q_rad - robot.q_min, robot.q_max - kept.q_rad)[:, :6].min()
     assert room >= 0.4 - 1e-9

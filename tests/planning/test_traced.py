@@ -39,6 +39,20 @@ def test_continuation_agrees_with_the_closed_form(robot: RobotModel) -> None:
     assert traced.feasible().sum() > 200
 
 
+def test_each_joint_keeps_its_own_margin(tmp_path: Path) -> None:
+    panda = build(tmp_path, PANDA)
+    found = traced_map(panda, line_from(panda, panda.data.q_home), panda.data.q_home)
+    margin = np.array([0.4, 0.1, 0.8, 0.3, 0.05, 0.2, 9.0])  # the last joint is idle
+    may = found.feasible(margin)
+    kept = np.array([
+        [(pose >= panda.q_min + margin)[:6].all() and (pose <= panda.q_max - margin)[:6].all() for pose in poses]
+        for poses in found.q_rad[:, 0]
+    ])  # fmt: skip
+    np.testing.assert_array_equal(may[:, 0], kept)
+    assert found.feasible(0.8).sum() < may.sum() < found.feasible(0.05).sum()
+    np.testing.assert_array_equal(found.feasible(np.full(7, 0.3)), found.feasible(0.3))
+
+
 def test_a_panda_has_every_pose_that_random_starts_find(tmp_path: Path) -> None:
     panda = build(tmp_path, PANDA)
     q = panda.data.q_home

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import moc_opt as mo
+from moc_opt.planning.course import Course
 from moc_opt.planning.plan import Plan
+from moc_opt.planning.targets import Targets
 from moc_opt.scenario.followable import following_warnings
-from moc_opt.scenario.planned import plan
+from moc_opt.scenario.planned import margin_of, plan
 
 ASKED = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
 
@@ -16,6 +20,24 @@ ASKED = mo.Scenario(duration_s=2.0, start={"swivel": 0.2})
 @pytest.fixture(scope="module")
 def fast() -> Plan:
     return plan(ASKED, refined=False)
+
+
+def test_a_joint_that_slides_has_a_margin_of_its_own() -> None:
+    """Of the default course on a rail: in m, and the cure is the option that is in m."""
+    scenario = ASKED.change(robot={"name": "lwr4_rail"}, control={"third_level": "planned", "limit_margin_m": 0.3})
+    robot = scenario.robot.arm()
+    margin = margin_of(robot, 0.05, 0.3)
+    slides = robot.chain.prismatic
+    assert slides.sum() == 1
+    np.testing.assert_array_equal(margin, np.where(slides, 0.3, 0.05))
+    assert margin_of(ASKED.robot.arm(), 0.05, 0.3) == 0.05
+    t, q = np.array([0.0, 1.0]), np.array([(robot.q_min + robot.q_max) / 2.0] * 2)
+    q[:, slides] = robot.q_max[slides] - 0.2
+    course = Course(t, q, np.ones(2), 0.0)
+    targets = Targets(t, np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(2))
+    (said,) = following_warnings(scenario, SimpleNamespace(course=course, targets=targets))  # type: ignore[arg-type]
+    assert "0.200 m of its limit" in said
+    assert "--margin-m 0.3, or lower limit_margin_m" in said
 
 
 def test_what_the_third_level_may_do_itself_is_not_warned_of() -> None:
