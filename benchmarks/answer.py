@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
@@ -102,6 +102,14 @@ def goals_answer(text: str, title: str, columns: Sequence[Column], goals: Sequen
     rows.sort(key=lambda row: -row["reached"].rank)  # type: ignore[attr-defined]
     made = [replace(column, title="") if column.key == "reached" else column for column in columns]
     return Answer(in_sentences(text), Table(title, made, rows), pictures)
+
+
+def interval_of(row: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
+    """Return (low, value, high) of a row's figure, both ends the value where it has no interval; None without it."""
+    value, low, high = (row.get(f"{name}{end}") for end in ("", "_low", "_high"))
+    if value is None:
+        return None
+    return (low, value, high) if low is not None and high is not None and low == low else (value, value, value)
 
 
 def interval_picture(

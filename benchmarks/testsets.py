@@ -252,22 +252,27 @@ def make(name: str, robot: RobotModel, seed: int = 0) -> TestSet:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make or check all sets."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.testsets", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare with the files instead of writing")
-    given = parser.parse_args(arguments)
+    """Make or check all sets; see `cli.run` for the exit status, which is 1 where the files differ."""
+    from benchmarks import cli  # late: whoever reads a set needs no tables
+
+    options = argparse.ArgumentParser(prog="python -m benchmarks.testsets", description=__doc__)
+    options.add_argument("--check", action="store_true", help="compare with the files instead of writing")
+    return cli.run(options, _make_all, arguments)
+
+
+def _make_all(given: argparse.Namespace) -> int:
     robot, different = load_robot(), []
     for name in RECIPES:
         made = make(name, robot)
         found = compute_residuals(made.rows, made.x)
         print(f"{name:20s} {len(made.rows):4d} problems, {int(made.feasible.sum()):4d} feasible, "
               f"largest primal residual {np.max(found.primal[made.feasible], initial=0.0):.1e}")  # fmt: skip
-        if given.check:
-            kept = TestSet.load(name)
-            if not np.allclose(kept.rows, made.rows, rtol=1e-9, atol=1e-12, equal_nan=True):
-                different.append(name)
-        else:
+        if not given.check:
             write_atomically(FOLDER / f"{name}.npz", made.to_bytes())
+            continue
+        kept = TestSet.load(name)
+        if not np.allclose(kept.rows, made.rows, rtol=1e-9, atol=1e-12, equal_nan=True):
+            different.append(name)
     if different:
         print(f"not what this program makes: {', '.join(different)}")
     return 1 if different else 0

@@ -34,7 +34,7 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
     "solvers": {"inputs", "numerics", "qp"},
     "control": {"inputs", "numerics", "qp", "robots", "model", "tasks", "solvers.base"},
     "sim": {"inputs", "numerics", "robots", "tasks", "trace"},
-    "realtime": {"inputs", "sim", "trace"},
+    "realtime": {"inputs", "qp.layout", "sim", "trace"},
     "vision": {"inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
     "embedded": {"inputs", "qp", "robots", "model", "solvers", "control"},

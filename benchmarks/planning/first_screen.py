@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_picture
+from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
 from benchmarks.planning.goals import MOST_CHANGE_PERCENT, MOST_GAP_PERCENT
 from benchmarks.planning.parts import ERRORS
 from moc_opt.comparison.statistics import StatisticsError, mean
@@ -138,10 +138,8 @@ def _pictures(summary: Mapping[str, Any], runs: Rows) -> Iterator[Picture]:
         intervals, tones = {}, {}
         for robot, by in summary["loops"].items():
             for name, found in by.items():
-                value, low, high = (found.get(f"{key}{end}") for end in ("", "_low", "_high"))
-                if value is not None:
-                    known_ends = low is not None and low == low
-                    intervals[f"{robot}, {name}"] = (low, value, high) if known_ends else (value, value, value)
+                if (ends := interval_of(found, key)) is not None:
+                    intervals[f"{robot}, {name}"] = ends
                     tones[f"{robot}, {name}"] = GOOD if name != LOCAL else list(SERIES)[1]
         if intervals:
             limits = {"none": 0.0} if key == "gap_percent" else {"goal": MOST_CHANGE_PERCENT}

@@ -33,7 +33,7 @@ class Case(Settings):
             raise ValueError(f"until_s = {self.until_s} is before from_s = {self.from_s}: exchange them")
         return self
 
-    def spoil(self, scenario: Scenario) -> Scenario:
+    def corrupt(self, scenario: Scenario) -> Scenario:
         """Return the scenario with this fault in it."""
         return scenario.change(faults=self.faults, plant=self.plant, trocar=self.trocar)
 
@@ -58,7 +58,7 @@ class Config(Configuration):
     @classmethod
     def _fit_a_scenario(cls, cases: dict[str, Case]) -> dict[str, Case]:
         for case in cases.values():
-            case.spoil(Scenario())
+            case.corrupt(Scenario())
         if "none" in cases:
             raise ValueError("'none' is the name of the run without a fault: choose another one")
         return cases

@@ -1,4 +1,4 @@
-"""What the checks of every kind of input share: verdicts, a limit of time, a folder, and an arm's files to spoil.
+"""What the checks of every kind of input share: verdicts, a limit of time, a folder, and an arm's files to corrupt.
 
 A check takes one input. It returns "accepted" or "refused"; it raises where neither is the case.
 """

@@ -133,21 +133,21 @@ def _small_shards() -> Iterator[None]:
 
 
 def sweep_folder(case: Sequence[Damage]) -> Verdict:
-    """Check that a sweep whose files are spoilt goes on to the same rows, by itself."""
+    """Check that a sweep whose files are corrupted goes on to the same rows, by itself."""
     with folder() as where, _small_shards():
         whole, _ = _do(where / "whole")
-        with sweep_store.Store(where / "spoilt", small_plan()) as store:
+        with sweep_store.Store(where / "corrupted", small_plan()) as store:
             for i in range(7):
                 store.add(i, _made_up(i))
-        _spoil(where / "spoilt", case)
-        rows, _ = _do(where / "spoilt")
+        _corrupt(where / "corrupted", case)
+        rows, _ = _do(where / "corrupted")
         if rows != whole:
             raise Wrong("other rows than those of the sweep that nothing disturbed")
     return "accepted"
 
 
 def study_folder(case: Sequence[Damage]) -> Verdict:
-    """Check that a part of the study that is spoilt is none; one that is returned is what was kept."""
+    """Check that a part of the study that is corrupted is none; one that is returned is what was kept."""
     values = {"a": 1.5, "b": [1, 2], "c": None}
     arrays = {"x": np.arange(40.0).reshape(8, 5), "t": np.array(["a", "bc"])}
     with folder() as where:
@@ -155,7 +155,7 @@ def study_folder(case: Sequence[Damage]) -> Verdict:
         for key in ("one", "two"):
             store.put(key, study_store.Part(values, arrays))
         before = {path.name: path.read_bytes() for path in where.iterdir()}
-        _spoil(where, case)
+        _corrupt(where, case)
         sound = {file for file, data in before.items() if _holds(where / file, data)}
         with contextlib.redirect_stderr(io.StringIO()):
             found = {key: study_store.Store(where).get(key) for key in ("one", "two")}
@@ -174,14 +174,14 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def trace_folder(case: Sequence[Damage]) -> Verdict:
-    """Check what a killed run left, spoilt: its rows, or a refusal; and another run of that name can write."""
+    """Check what a killed run left, corrupted: its rows, or a refusal; and another run of that name can write."""
     trace = good_trace()[0]
     with folder() as where:
         target = where / "run.parquet"
         with TraceWriter(target, {"period_s": 0.002}) as writer:
             for first in range(0, 20, 5):
                 writer.write(first, {n: array[first : first + 5] for n, array in trace.columns.items()})
-        _spoil(parts_of(target), case)
+        _corrupt(parts_of(target), case)
         verdict: Verdict = "accepted"
         try:
             found = Trace.load(target)
@@ -197,7 +197,7 @@ def trace_folder(case: Sequence[Damage]) -> Verdict:
     return verdict
 
 
-def _spoil(folder: Path, damages: Sequence[Damage]) -> None:
+def _corrupt(folder: Path, damages: Sequence[Damage]) -> None:
     """Damage files, whichever are there."""
     for damage in damages:
         files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")

@@ -222,7 +222,7 @@ def extreme_numbers(draw: st.DrawFn) -> tuple[str, tuple[tuple[tuple[str, ...], 
 
 
 class Damage(NamedTuple):
-    """One file of a folder spoilt: which (modulo their number), how, where (a share of its length), and with what."""
+    """A file of a folder corrupted: which (modulo their number), how, where (a share of its length), and with what."""
 
     file: int
     how: str

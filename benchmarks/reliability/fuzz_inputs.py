@@ -145,7 +145,7 @@ def edited(draw: st.DrawFn, text: str) -> bytes:
 
 @st.composite
 def robot_files(draw: st.DrawFn) -> tuple[bytes, bytes]:
-    """Draw TOML and URDF of an arm, one or both of them spoilt."""
+    """Draw TOML and URDF of an arm, one or both of them corrupted."""
     which = draw(st.integers(0, 2))
     return (
         draw(edited(ARM_TOML)) if which != 1 else ARM_TOML.encode(),

@@ -49,7 +49,7 @@ def _places(value: Any, before: Place = ()) -> Iterator[Place]:
 
 
 @st.composite
-def _spoilt(draw: st.DrawFn) -> list[tuple[str, Any, Any]]:
+def _corrupted(draw: st.DrawFn) -> list[tuple[str, Any, Any]]:
     """Draw what is changed: ("meta", place, value or None to leave it out) or ("column", name, how)."""
     columns, _, places = _sound()
     meta = st.tuples(st.just("meta"), st.sampled_from(places), st.one_of(st.none(), _ENTRIES))
@@ -120,4 +120,4 @@ def foreign_trace(case: list[tuple[str, Any, Any]]) -> Verdict:
     return "accepted"
 
 
-KINDS = {"foreign_trace": Kind(foreign_trace, _spoilt())}
+KINDS = {"foreign_trace": Kind(foreign_trace, _corrupted())}

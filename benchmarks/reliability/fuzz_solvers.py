@@ -31,7 +31,7 @@ TICKS = 30
 
 
 def _nothing(*arguments: Any) -> None:
-    """Name a handler or a tracing function."""
+    """Do nothing, as a handler or a tracing function."""
 
 
 def _flush_to_zero() -> None:

@@ -32,7 +32,7 @@ SEEN = [
     Column("solver", "controller"),
     Column("injected", "injected", format=".0f"),
     Column("detected", "detected", format=".0f"),
-    Column("harmless", "harmless", format=".0f", help="spoilt, taken, and verified as optimal all the same"),
+    Column("harmless", "harmless", format=".0f", help="corrupted, taken, and verified as optimal all the same"),
     Column("missed", "missed", format=".0f"),
     Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
 ]

@@ -103,7 +103,7 @@ def run_job(job: Job) -> Outcome:
     waiting: Trace | None = None
     for name, case in {"none": None, **job.cases}.items():
         level: Trace = free
-        trace, how = (free, ended) if case is None else run_case(case.spoil(job.scenario), case.camera_lost_s)
+        trace, how = (free, ended) if case is None else run_case(case.corrupt(job.scenario), case.camera_lost_s)
         if case is not None and case.camera_lost_s is not None:
             # A path that may wait starts gently, so it is compared with one that never has to.
             waiting = run_case(job.scenario, (0.0, 0.0))[0] if waiting is None else waiting
@@ -159,7 +159,7 @@ def _coast_mm(trace: Trace, stop: int) -> float:
 def detection(trace: Trace) -> dict[str, int]:
     """Count injected solver faults, those that were refused, and those that were not.
 
-    An answer that was spoilt, was taken, and is verified as the optimum all the same (the opposite gradient can
+    An answer that was corrupted, was taken, and is verified as the optimum all the same (the opposite gradient can
     have the same optimum, where the box leaves one point) did no harm: it counts apart from the missed ones.
     """
     injected: Flags = trace.columns.get("injected", np.zeros(len(trace), dtype=np.bool_))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_picture
+from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
 from benchmarks.robots_study.tables import FINDINGS, LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, of
 from moc_opt.comparison.statistics import spread
 from moc_opt.figures.notation import Mark
@@ -122,10 +122,8 @@ def _pictures(summary: Mapping[str, Any]) -> Sequence[Picture]:
         change, intervals, tones = JUDGED[key], {}, {}
         for arm, figures in summary["robots"].items():
             row = figures.get(of(figures) or "", {})
-            value, low, high = (row.get(f"{change}{end}") for end in ("", "_low", "_high"))
-            if value is not None:
-                known = low is not None and low == low
-                intervals[arm] = (low, value, high) if known else (value, value, value)
+            if (ends := interval_of(row, change)) is not None:
+                intervals[arm] = ends
                 tones[arm] = {True: GOOD, False: WORST}.get(summary["findings"][arm][key], BAD)
         if intervals:
             held = sum(summary["findings"][arm][key] is True for arm in intervals)

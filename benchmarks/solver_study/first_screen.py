@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, interval_picture
+from benchmarks.answer import Answer, Picture, interval_of, interval_picture
 from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.verdicts import AVOID, BEST_MU, GAPS, NEAR, OTHER, SOUND, TAKE, Row, assess
@@ -153,10 +152,9 @@ def _front(points: Mapping[str, tuple[float, float]]) -> str:
 def _closed_picture(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
     gains: dict[str, tuple[float, float, float]] = {}
     for row in rows:
-        value, low, high = (row["closed"].get(f"mu_gain_percent{end}") for end in ("", "_low", "_high"))
-        if value is not None and not row["closed"].get("short_runs"):
-            known = low is not None and np.isfinite(low)
-            gains[row["solver"]] = (low, value, high) if known else (value, value, value)
+        ends = interval_of(row["closed"], "mu_gain_percent")
+        if ends is not None and not row["closed"].get("short_runs"):
+            gains[row["solver"]] = ends
     if not gains:
         return []
     poor = [row["solver"] for row in rows if row["solver"] in gains and row["verdict"] is AVOID and

@@ -92,8 +92,8 @@ class Interpreter:
         self._handle(*_HANDLED)
         sys.setswitchinterval(self._switch_s)
         if warnings.filters != self._filters:
+            warnings.resetwarnings()  # which also tells the interpreter that they changed
             warnings.filters[:] = self._filters  # type: ignore[index]
-            warnings._filters_mutated()  # type: ignore[attr-defined]
         for name, stream in self._streams.items():
             setattr(sys, name, stream)
         os.umask(self._mask)

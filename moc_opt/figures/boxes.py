@@ -13,9 +13,7 @@ from moc_opt.figures.notation import pretty_units
 from moc_opt.figures.style import Styles, figure, label, log_axis
 
 
-def box_plots(
-    groups: Mapping[str, Samples], value_label: str, *, log: bool = False, styles: Styles | None = None
-) -> go.Figure:
+def box_plots(groups: Mapping[str, Samples], value_label: str, *, log: bool = False) -> go.Figure:
     """Draw box plots grouped by task, one colour per controller, in the manner of the paper's Figure 7.
 
     Boxes are quartiles with the median; whiskers reach the last sample within 1.5 box lengths (Tukey); samples
@@ -25,12 +23,11 @@ def box_plots(
         groups: controller -> task -> samples; NaN is left out, and a box without samples leaves its place empty.
         value_label: of the value axis, with the unit.
         log: a log axis of values; the whiskers are then those of the logarithms.
-        styles: how each controller looks; None deals colours out anew.
 
     Raises:
         ReportError: a sample is infinite, or not positive under `log`.
     """
-    drawn, styles = (figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32), styles or Styles(groups))
+    drawn, styles = (figure(boxmode="group", boxgap=0.3, boxgroupgap=0.25, margin_b=32), Styles(groups))
     shown: list[float] = []
     for name, group in groups.items():
         known = {task: known_samples(f"{name}, {task}", values, signed=True) for task, values in group.items()}

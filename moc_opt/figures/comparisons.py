@@ -38,7 +38,7 @@ OUTCOMES = {
 
 def accuracy_against_time(
     points: Mapping[str, tuple[float, float]], *, x_label: str = "median time [µs]", y_label: str = "largest residual",
-    floor: float = 1e-18, styles: Styles | None = None,
+    floor: float = 1e-18,
 ) -> go.Figure:  # fmt: skip
     """Draw error over time, both on log axes; the Pareto front (nobody is both faster and more accurate) is marked.
 
@@ -47,12 +47,11 @@ def accuracy_against_time(
             are not finite are left out.
         x_label, y_label: of the axes, with units.
         floor: the smallest error drawn.
-        styles: how each name looks; None deals colours out anew.
 
     Raises:
         ReportError: no entry is finite, a time is not positive, or an error is negative.
     """
-    drawn, styles = figure(showlegend=False), styles or Styles(points)
+    drawn, styles = figure(showlegend=False), Styles(points)
     known = {name: point for name, point in points.items() if np.isfinite(point).all()}
     for name, (time, error) in known.items():
         if time <= 0.0 or error < 0.0:

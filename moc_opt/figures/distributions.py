@@ -19,9 +19,7 @@ CLOCK_US = 1e-3
 _ECDF_POINTS, _STRIP_POINTS, _KERNEL_POINTS = 400, 160, 161
 
 
-def latency_ecdf(
-    samples: Samples, deadline_us: float | None = None, *, tail: bool = False, styles: Styles | None = None
-) -> go.Figure:
+def latency_ecdf(samples: Samples, deadline_us: float | None = None, *, tail: bool = False) -> go.Figure:
     """Draw the fraction of solves or ticks that are done within a time, on a log axis of time.
 
     Args:
@@ -29,12 +27,11 @@ def latency_ecdf(
             without samples says so.
         deadline_us: drawn as a line.
         tail: draw instead the fraction that takes as long or longer, on a log axis: for the rare late ones.
-        styles: how each name looks; None deals colours out anew.
 
     Raises:
         ReportError: there is no finite time at all, or one is negative.
     """
-    drawn, styles = figure(legend_y=1.08, height=320 + legend_height(samples)), styles or Styles(samples)
+    drawn, styles = figure(legend_y=1.08, height=320 + legend_height(samples)), Styles(samples)
     for name, values in samples.items():
         known = known_samples(name, values)
         count, times = len(known), np.maximum(np.sort(known[np.isfinite(known)]), CLOCK_US)
@@ -62,14 +59,14 @@ def latency_ecdf(
     return drawn
 
 
-def latency_violin(samples: Samples, deadline_us: float | None = None, *, styles: Styles | None = None) -> go.Figure:
+def latency_violin(samples: Samples, deadline_us: float | None = None) -> go.Figure:
     """Draw one violin per name on a log axis of time: density of log10(time), median, quartiles, 99th percentile.
 
     Infinite times have no place on the axis: their number stands beside the name.
 
     Arguments and errors are those of `latency_ecdf`.
     """
-    drawn, styles = figure(showlegend=False), styles or Styles(samples)
+    drawn, styles = figure(showlegend=False), Styles(samples)
     names, ends = list(samples)[::-1], []
     for row, name in enumerate(names):
         known, style = known_samples(name, samples[name]), styles[name]
@@ -95,9 +92,8 @@ def latency_violin(samples: Samples, deadline_us: float | None = None, *, styles
 
 
 def residual_strip(
-    samples: Samples, value_label: str, *,
-    limit: float | None = None, floor: float = 1e-18, styles: Styles | None = None,
-) -> go.Figure:  # fmt: skip
+    samples: Samples, value_label: str, *, limit: float | None = None, floor: float = 1e-18
+) -> go.Figure:
     """Draw one row per name on a log axis: its residuals as points, the middle half as a bar, the worst as a cross.
 
     Args:
@@ -106,12 +102,11 @@ def residual_strip(
         value_label: of the axis, with the unit.
         limit: drawn as a line: the largest residual that still counts as solved.
         floor: the smallest value drawn.
-        styles: how each name looks; None deals colours out anew.
 
     Raises:
         ReportError: there is no finite residual at all, or one is negative.
     """
-    drawn, styles = figure(showlegend=False), styles or Styles(samples)
+    drawn, styles = figure(showlegend=False), Styles(samples)
     names, ends = list(samples)[::-1], []
     for row, name in enumerate(names):
         known, style = known_samples(name, samples[name]), styles[name]

@@ -43,9 +43,8 @@ class Run(Protocol):
 
 
 def time_series(
-    runs: Mapping[str, Run], panels: Sequence[str] | None = None, *,
-    styles: Styles | None = None, points: int = 1200,
-) -> go.Figure:  # fmt: skip
+    runs: Mapping[str, Run], panels: Sequence[str] | None = None, *, styles: Styles | None = None
+) -> go.Figure:
     """Draw several runs over time, one panel per column, one legend entry per run for all panels.
 
     Beside mu the largest mu of all feasible poses is dotted in, one legend entry for all runs; a curve's own name
@@ -58,7 +57,6 @@ def time_series(
         panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's error by the robot's own
             kinematics where every run has it. The absolute one is mostly the error of the arm's calibration.
         styles: how each run looks; None deals colours out anew.
-        points: at most so many per line.
 
     Raises:
         ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts.
@@ -73,7 +71,7 @@ def time_series(
         for name, trace in runs.items():
             if column not in trace.columns:
                 continue
-            t, y = envelope(trace.t_s, factor * _lengths(trace.columns[column]), points)
+            t, y = envelope(trace.t_s, factor * _lengths(trace.columns[column]))
             drawn.add_scatter(
                 x=t.astype(np.float32), y=y.astype(np.float32), mode="lines", name=label(name), legendgroup=name,
                 showlegend=name not in named, row=row, col=1, connectgaps=False,

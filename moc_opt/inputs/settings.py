@@ -134,7 +134,7 @@ class Settings(BaseModel):
 
 
 def _without_quotes(given: Any) -> Any:
-    """The number that a text holds, or a list with such texts as numbers; None where there is no such text."""
+    """Return the number that a text holds, or a list with such texts as numbers; None where there is no such text."""
     if isinstance(given, str):
         try:
             return float(given)

@@ -62,7 +62,7 @@ class Follower:
         return {"left_course_s": self._lost_s, **self._rescue.told} if self._rescue and self._lost_s < np.inf else {}
 
     def wish(self, state: RobotState) -> Array:
-        """x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
+        """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         if self._rescue is not None and self._lost_s < np.inf:
             return self._rescue.wish(state)
         k, tick = min(self._tick, len(self._q) - 1), self._tick

@@ -44,20 +44,20 @@ class PoseMap:
     """(k,) how many swivels beside its own a pose may come from within one period, at most"""
 
     def poses(self, k: int) -> Array:
-        """The poses (b,m,n) [rad] at time k; NaN where there is none."""
+        """Return the poses (b,m,n) [rad] at time k; NaN where there is none."""
         raise NotImplementedError
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """(m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
+        """Return (m,) bits of the branch's number that may change within a period with these joint steps (n,) [rad]."""
         return np.zeros(self.mu.shape[2], dtype=np.int64)
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
-        """(k,b,m) whether every joint keeps the margin from its limits."""
+        """Return (k,b,m) whether every joint keeps the margin from its limits."""
         found: Flags = self.room_rad >= np.max(margin) - ROUNDING_RAD
         return found
 
     def highest(self, margin: Margin = 0.0) -> Array:
-        """(k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible."""
+        """Return (k,) the largest feasible mu at each time [m^3]; NaN where nothing is feasible."""
         score = np.where(self.feasible(margin), self.mu, -np.inf).max(axis=(1, 2))
         return np.where(np.isfinite(score), score, np.nan)
 
@@ -77,7 +77,7 @@ class SphericalMap(PoseMap):
     """Joint 7, which moves neither tip nor wrist, stands here throughout."""
 
     def poses(self, k: int) -> Array:
-        """The poses (8,m,7) [rad] at time k."""
+        """Return the poses (8,m,7) [rad] at time k."""
         return self._poses(self.angles[k])
 
     def _poses(self, angles: Array) -> Array:
@@ -87,13 +87,13 @@ class SphericalMap(PoseMap):
         return found
 
     def crossing(self, k: int, step_rad: Array) -> NDArray[np.int64]:
-        """(m,) bits of joints 2, 4 and 6 that stand within two steps of zero or half a turn: there they change sign."""
+        """Return (m,) bits of joints 2, 4 and 6 within two steps of zero or half a turn, where they change sign."""
         with np.errstate(invalid="ignore"):
             near = np.abs(np.sin(self.angles[k][:, 1::2])) <= np.sin(np.minimum(2.0 * step_rad[1:6:2], 0.5 * np.pi))
         return near @ np.array([1, 2, 4])
 
     def at(self, k: int, swivel_rad: float, branch: int) -> Array:
-        """The pose (7,) at one time, swivel [rad] and branch, between the map's swivels too."""
+        """Return the pose (7,) at one time, swivel [rad] and branch, between the map's swivels too."""
         one = slice(k, k + 1)
         angles, _, _ = _evaluate(
             self.arm, self.reference, self.targets.tip[one], self.targets.wrist[one], np.array([[swivel_rad]])
@@ -102,11 +102,11 @@ class SphericalMap(PoseMap):
         return pose
 
     def highest(self, margin: Margin = 0.0) -> Array:
-        """(k,) the largest feasible mu at each time, local maxima climbed between the map's swivels to rounding."""
+        """Return (k,) the largest feasible mu at each time, maxima climbed between the map's swivels to rounding."""
         return self.peaks(margin)[0]
 
     def peaks(self, margin: Margin = 0.0) -> tuple[Array, Array]:
-        """The largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
+        """Return the largest feasible mu (k,) [m^3] and its swivel (k,) [rad]; NaN where nothing is feasible."""
         score = np.where(self.feasible(margin).any(axis=1), self.mu[:, 0], -np.inf)
         peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1)) & np.isfinite(score)
         order = np.argsort(np.where(peak, score, -np.inf), axis=1)[:, ::-1][:, :CANDIDATES]
@@ -162,7 +162,7 @@ def spherical_map(
 def _evaluate(
     arm: Spherical, reference: Array, tips: Array, wrists: Array, swivels: Array
 ) -> tuple[Array, Array, Array]:
-    """Angles (k,m,6), mu (k,m) and room (k,8,m) at swivels (k,m)."""
+    """Return angles (k,m,6), mu (k,m) and room (k,8,m) at swivels (k,m)."""
     k, m = swivels.shape
     angles, mu, room = np.empty((k, m, 6)), np.empty((k, m)), np.empty((k, BRANCHES, m))
     kernels.fill_map(
@@ -174,7 +174,7 @@ def _evaluate(
 
 
 def _window(robot: RobotModel, arm: Spherical, targets: Targets, swivels: int) -> NDArray[np.int64]:
-    """How far the elbow gets on its circle in one period: joints 1 and 2 carry it, the wrist carries the circle."""
+    """Return how far the elbow gets on its circle in one period: joints 1 and 2 carry it, the wrist the circle."""
     span = np.linalg.norm(targets.wrist - arm.shoulder, axis=1)
     along = (arm.upper**2 + span**2 - arm.fore**2) / (2.0 * span)
     radius = np.sqrt(np.maximum(arm.upper**2 - along**2, 1e-12))

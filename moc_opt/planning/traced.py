@@ -39,7 +39,7 @@ class TracedMap(PoseMap):
     """q_min, q_max (n,) [rad], [m]; without any where a joint is idle"""
 
     def feasible(self, margin: Margin = 0.0) -> Flags:
-        """(k,1,m) whether every joint keeps its margin from its limits."""
+        """Return (k,1,m) whether every joint keeps its margin from its limits."""
         if np.ndim(margin) == 0:
             return super().feasible(margin)
         low, high = self.limits

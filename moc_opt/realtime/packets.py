@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.qp.layout import offsets
+
 MAGIC, VERSION = b"MOCW", 1
 TAG_BYTES = 16
 REASON_BYTES, WORDS_BYTES = 96, 3000
@@ -62,7 +64,7 @@ def layout(kind: Kind, n: int) -> np.dtype[Any]:
         ],
         Kind.REPORT: [
             ("solve_us", "<f8"), ("x_rad_per_s", "<f8", (n,)), ("applied_x_rad_per_s", "<f8", (n,)),
-            ("dual", "<f8", (6,)), ("subproblem", "<f8", (10 * n + 10,)), ("iterations", "<i4"), ("spare", "<u4"),
+            ("dual", "<f8", (6,)), ("subproblem", "<f8", (offsets(n).end,)), ("iterations", "<i4"), ("spare", "<u4"),
             ("status", "S16"), ("fault", "S16"),
         ],
         Kind.BYE: [("words", f"S{WORDS_BYTES}")],

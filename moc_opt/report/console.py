@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import timedelta
 from threading import Timer
-from typing import IO, Any, TypeVar
+from typing import IO, Any
 
 from rich.console import Console, RenderableType
 from rich.progress import (
@@ -28,7 +28,6 @@ from moc_opt.inputs.files import to_json
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0
 PIPED_WIDTH = 80
-T = TypeVar("T")
 
 
 CLOSED = 141
@@ -148,14 +147,6 @@ def progress(
         late.join()
         if where.is_terminal:
             bar.stop()
-
-
-def track(items: Sequence[T], description: str, *, on: Console | None = None) -> Iterator[T]:
-    """Go through `items` under a progress bar."""
-    with progress(description, len(items), on=on) as bar:
-        for item in items:
-            yield item
-            bar.advance()
 
 
 def print_json(values: Mapping[str, Any], file: IO[str] | None = None) -> None:

@@ -124,7 +124,7 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
 
 
 def _margins(scenario: Scenario, robot: RobotModel) -> tuple[Margin, Margin]:
-    """What a course keeps from the joint limits where it can, and where it cannot."""
+    """Return what a course keeps from the joint limits where it can, and where it cannot."""
     settings = scenario.control
     return margin_of(robot, settings.course_margin_rad, settings.limit_margin_m), 0.0
 

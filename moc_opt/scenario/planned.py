@@ -63,7 +63,7 @@ def plan(
 
 
 def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
-    """One number where no joint slides, else one per joint (n,)."""
+    """Return one number where no joint slides, else one per joint (n,)."""
     slides = robot.chain.prismatic
     return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad
 

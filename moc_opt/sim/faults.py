@@ -42,9 +42,9 @@ class FaultSettings(PacketSettings):
 
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
         default="none",
-        description="how the solver's answers are spoilt (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
+        description="how solver answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
     )
-    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="of the answers that are spoilt")
+    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="of the answers that are corrupted")
 
     @property
     def around_the_arm(self) -> bool:
@@ -54,7 +54,7 @@ class FaultSettings(PacketSettings):
 
 
 class Faults:
-    """The faults of one run: ``sense`` spoils measurements, ``act`` pushes, ``slip`` moves the trocar.
+    """The faults of one run: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     Args:
         settings: what goes wrong.

@@ -33,7 +33,7 @@ class Faulty:
             "outside" for an answer beyond the box, "raise" raises, "rig" answers 50 rad/s and rewrites the subproblem
             so that this fits, "malformed" gives duals of another kind. The solver inside is not asked then.
         rate: share of faulty ticks, 0 to 1.
-        seed: of the draw; the same seed spoils the same ticks.
+        seed: of the draw; the same seed corrupts the same ticks.
 
     Raises:
         SolverError: a setting is out of range.
@@ -79,13 +79,13 @@ class FaultySession(ShownBySettings):
     def __init__(self, settings: Faulty, inner: Session, qp: NullSpaceQP) -> None:
         self._settings, self._inner = settings, inner
         self._rng = np.random.default_rng(settings.seed)
-        self._liar = Exact().start(qp)
+        self._false = Exact().start(qp)
         if hasattr(inner, "observe"):
             self.observe = inner.observe  # the controller looks for it
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:
-        """Answer one subproblem, or spoil the answer."""
+        """Answer one subproblem, or corrupt the answer."""
         if self._rng.uniform() >= self._settings.rate:
             return self._inner.solve(qp)
         self.faults += 1
@@ -107,4 +107,4 @@ class FaultySession(ShownBySettings):
             return Solution(np.full(qp.n, 50.0), None, Status.SOLVED)
         row = np.array(qp.row)
         fields(row).grad_mu[:] *= -1.0
-        return self._liar.solve(NullSpaceQP.from_row(row))
+        return self._false.solve(NullSpaceQP.from_row(row))

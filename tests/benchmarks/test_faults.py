@@ -70,7 +70,7 @@ def run_of(error, level=1e-3, **meta):
 def test_every_fault_of_the_configuration_fits_a_scenario(shipped):
     assert {case.group for case in shipped.cases.values()} == set(page.TITLES) - {"none"}
     for case in shipped.cases.values():
-        assert case.spoil(shipped.scenario) != shipped.scenario or case.camera_lost_s is not None
+        assert case.corrupt(shipped.scenario) != shipped.scenario or case.camera_lost_s is not None
     delays = {case.plant.get("delay_ticks") for case in shipped.cases.values()} - {None}
     assert delays | {shipped.scenario.plant.delay_ticks} == {1, 2, 3, 4, 5}
     assert max(case.faults.get("bump_N", 0.0) for case in shipped.cases.values()) == 30.0

@@ -172,21 +172,21 @@ def test_every_injected_solver_fault_is_named_in_the_trace(kind, solver):
 
 
 def test_a_faulty_solver_costs_the_trocar_nothing():
-    clean, spoilt = (
+    clean, corrupted = (
         run(Scenario(control=TUNED, bound_samples=0, judge=False, duration_s=2.5, faults=f))
         for f in ({}, {"solver": "lie", "solver_share": 0.2})
     )
-    assert spoilt.rcm_error_m.max() < 1.05 * clean.rcm_error_m.max()
-    assert spoilt.rcm_error_m.mean() < 1.05 * clean.rcm_error_m.mean()
+    assert corrupted.rcm_error_m.max() < 1.05 * clean.rcm_error_m.max()
+    assert corrupted.rcm_error_m.mean() < 1.05 * clean.rcm_error_m.mean()
 
 
-def test_dcac_has_no_solver_to_spoil():
+def test_dcac_has_no_solver_to_corrupt():
     trace = run(Scenario(control={"law": "dcac"}, faults={"solver": "nan", "solver_share": 1.0}, **SHORT))
     assert not trace.injected.any()
 
 
 @pytest.mark.parametrize("kind", ["lie", "hang"])
-def test_compiled_ticks_say_that_they_cannot_be_spoilt(kind):
+def test_compiled_ticks_say_that_they_cannot_be_corrupted(kind):
     setup = Setup(Scenario(control={"backend": "c"}, faults={"solver": kind}, **SHORT))
     with pytest.raises(ScenarioError, match=r"\[faults\] solver"):
         setup.adapter()

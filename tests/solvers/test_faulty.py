@@ -50,16 +50,16 @@ def is_wrong(kind, qp, answer):
 def test_wrong_at_the_drawn_ticks_and_right_at_the_others(kind, problems):
     solver = Faulty(Exact(), kind, rate=0.3, seed=4)
     session = solver.start(problems[0])
-    spoilt = solver.fault_mask(len(problems))
-    assert 0.2 < spoilt.mean() < 0.4
+    corrupted = solver.fault_mask(len(problems))
+    assert 0.2 < corrupted.mean() < 0.4
     right = answers(Exact().start(problems[0]), problems)
     shown = [qp.copy() for qp in problems]
-    for qp, bad, mine, honest in zip(shown, spoilt, answers(session, shown), right, strict=True):
+    for qp, bad, mine, honest in zip(shown, corrupted, answers(session, shown), right, strict=True):
         if bad:
             assert is_wrong(kind, qp, mine)
         else:
             np.testing.assert_array_equal(mine.x, honest.x)
-    assert session.faults == spoilt.sum()
+    assert session.faults == corrupted.sum()
 
 
 def test_the_draw_belongs_to_the_seed_and_grows():
@@ -82,13 +82,13 @@ def test_two_sessions_share_nothing(problems):
 
 def test_the_solver_inside_keeps_its_memory_to_itself(problems):
     """A network that is not asked at a tick goes on from where it was: its answers are not mixed with lies."""
-    clean, spoilt = (
+    clean, corrupted = (
         create("rnn").start(problems[0]),
         Faulty(create("rnn"), "lie", rate=0.5).start(problems[0]),
     )
     hit = Faulty(create("rnn"), "lie", rate=0.5).fault_mask(len(problems))
     for qp, bad in zip(problems, hit, strict=True):
-        mine = spoilt.solve(qp)
+        mine = corrupted.solve(qp)
         if not bad:
             np.testing.assert_array_equal(mine.x, clean.solve(qp).x)
 

@@ -55,7 +55,7 @@ class Replay:
         self._styles = styles or Styles(traces)
 
     @classmethod
-    def load(cls, files: Sequence[str | os.PathLike[str]], *, title: str = "") -> Self:
+    def load(cls, files: Sequence[str | os.PathLike[str]]) -> Self:
         """Load a replay of saved traces, named as their files are.
 
         Raises:
@@ -63,7 +63,7 @@ class Replay:
             TraceError: a file is missing, damaged, or no trace.
         """
         traces, robot = load_runs(files)
-        return cls(traces, robot, title=title)
+        return cls(traces, robot)
 
     def data(self) -> tuple[dict[str, Any], str]:
         """Return what the page shows: a JSON value, and the block of numbers it points into."""
