@@ -135,7 +135,13 @@ def _with(columns: Stored, more: Columns) -> Iterator[Columns]:
 
 
 def parts_of(path: Path) -> Path:
-    """Return the folder of blocks beside a file."""
+    """Return the folder of blocks beside a file.
+
+    Raises:
+        TraceError: the path ends in no name ("/", ".").
+    """
+    if not path.name:
+        raise TraceError(f"trace {str(path)!r} is a folder: give the name of a file in it")
     return path.with_name(f"{path.name}.parts")
 
 

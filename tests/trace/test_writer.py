@@ -219,6 +219,17 @@ def test_a_folder_that_is_not_there_is_said_before_the_run(target, tmp_path, cap
     assert "there is no folder" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("folder", ["/", "."])
+def test_a_folder_is_no_name_of_a_trace(folder, tmp_path, capsys):
+    (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
+    assert main(["run", str(tmp_path / "s.toml"), "--trace", folder]) == 2
+    assert "folder" in capsys.readouterr().err
+    with pytest.raises(TraceError, match="folder"):
+        TraceWriter(folder, {})
+    with pytest.raises(TraceError):
+        Trace.load(folder)
+
+
 @pytest.mark.parametrize("name", ["t.csv", "t.JSON", "a.b.npz"])
 def test_a_name_of_another_format_is_refused_before_the_run(name, tmp_path, capsys):
     (tmp_path / "s.toml").write_text("duration_s = 0.1\n")
