@@ -140,10 +140,11 @@ class Plan:
         for case in cases:
             try:
                 Setup(self._scenario(case)).controller()
-            except UnknownNameError:
-                raise
-            except MocOptError:
-                continue  # a combination that cannot run: its row will say so
+            except MocOptError as error:
+                for cause in (error, error.__cause__):  # a scenario that is none says so in other words
+                    if isinstance(cause, UnknownNameError):
+                        raise cause from None
+                # else a combination that cannot run: its row will say so
 
     def _point(self, number: int) -> Point:
         *grid, sample, seed, solver = (int(i) for i in np.unravel_index(number, self._shape))
