@@ -5,8 +5,8 @@ Four signs, each of which a sound arm stays well below:
 - the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
 - all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
   enough where the wrench sensor repeats its reading too;
-- one encoder repeats its reading for longer than its noise lets it, or its filtered velocity with it, or while the
-  must have gathered speed;
+- one encoder repeats its reading for longer than its noise lets it, or its filtered velocity with it, or while its
+  joint must have gathered speed;
 - the momentum residual (De Luca & Mattone 2003) leaves its own mean, or is larger than any load explains, as where its
   mean follows it because the torque grows slowly: the torque went into motion that no encoder shows.
 """
