@@ -64,22 +64,28 @@ def _command(arguments: Sequence[str] | None) -> int:
         epilog="Exit status: 0 the whole path can be executed from this start; 2 the input is wrong; 3 it cannot.",
     )  # fmt: skip
     ahead.add_argument("scenario", nargs="?", type=Path, help="TOML; without it the default scenario")
-    ahead.add_argument("--objective", choices=("mean", "worst", "log"), default="mean", help="of mu along the path")
     ahead.add_argument(
-        "--margin", type=float,
-        help="that joints keep from their limits [rad]; default 0, or what a third level that follows a course keeps",
-    )
-    ahead.add_argument("--margin-m", type=float, help="the same of a joint that slides [m]")
-    ahead.add_argument(
-        "--speed-share", type=float,
-        help="of the joints' speed limits that may be used, above 0 to 1; default 1, or what that level follows",
+        "--objective", choices=("mean", "worst", "log"), default="mean",
+        help="what is made large: mean or worst mu along the path, or the mean of its logarithm",
     )
     ahead.add_argument(
-        "--acceleration", type=float, default=float("inf"), help="most of any joint [rad/s^2]; default: no limit"
+        "--margin", type=float, metavar="RAD",
+        help="what joints keep from their limits; default 0, or what a third level that follows a course keeps",
+    )
+    ahead.add_argument("--margin-m", type=float, metavar="M", help="the same for a joint that slides")
+    ahead.add_argument(
+        "--speed-share", type=float, metavar="S",
+        help="share of the joints' speed limits that may be used, above 0 to 1; default 1, or what that level uses",
+    )
+    ahead.add_argument(
+        "--acceleration", type=float, default=float("inf"), metavar="A",
+        help="largest of any joint [rad/s^2]; default: no limit",
     )
     ahead.add_argument("--place", choices=("trocar", "base"), help="also search for the place of it that serves best")
-    ahead.add_argument("--box", type=float, help="with --place: half the edge of the cube searched [m]; default 0.05")
-    ahead.add_argument("--candidates", type=int, help="with --place: places that are tried; default 40")
+    ahead.add_argument(
+        "--box", type=float, metavar="M", help="with --place: half the edge of the cube searched; default 0.05"
+    )
+    ahead.add_argument("--candidates", type=int, metavar="N", help="with --place: places that are tried; default 40")
     ahead.add_argument("--out", type=Path, metavar="FILE.parquet", help="the course to follow goes here")
     ahead.add_argument("--json", action="store_true", help="print JSON")
     replay = commands.add_parser("replay", help="one to four saved traces in 3-D, as one HTML file")

@@ -74,11 +74,17 @@ class UnknownNameError(MocOptError, LookupError):
         # a key without its table is looked for among the last parts of dotted ones
         ends = {one: one if "." in name else one.rpartition(".")[2] for one in names}
         close = difflib.get_close_matches(name[:100], set(ends.values()), n=3, cutoff=0.4 if short else 0.5)
+        if short:  # the low cutoff is for what has nothing nearer
+            close = [end for end in close if _likeness(name, end) > _likeness(name, close[0]) - 0.25]
         near = [one for end in close for one in names if ends[one] == end][:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         every = f"`{listed_by}` lists all {len(names)}" if short else f"valid names: {', '.join(names)}"
         super().__init__(f"unknown {kind} {shown(name)}: {hint}{every}")
         self.kind, self.name, self.valid = kind, name, names
+
+
+def _likeness(name: str, other: str) -> float:
+    return difflib.SequenceMatcher(None, name[:100], other).ratio()
 
 
 def shown(value: object, most: int = 200) -> str:

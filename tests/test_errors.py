@@ -34,6 +34,8 @@ def test_of_a_long_list_that_a_command_prints_the_nearest_three_stand():
     assert "did you mean 'name_7'" in text
     assert text.count("name_") == 4  # what was written, and three
     assert text.endswith("`moc-opt metrics` lists all 500")
+    names += ["osqp", "proxqp", "nlp-fatrop"]
+    assert "did you mean 'proxqp'? `" in str(UnknownNameError("solver", "proxpq", names, "moc-opt solvers --list"))
     assert str(UnknownNameError("metric", "a", names[:3], "moc-opt metrics")).endswith("name_0, name_1, name_2")
 
 

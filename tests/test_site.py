@@ -1,10 +1,13 @@
 """The documentation site: what it is made of hangs together, without building it. `make docs` builds it."""
 
 import ast
+import importlib
 import re
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 
+import plotly.graph_objects as go
 import pytest
 
 import moc_opt as mo
@@ -49,3 +52,25 @@ def test_an_example_runs(example, capsys):
 
 def test_there_are_examples():
     assert len(EXAMPLES) >= 10
+
+
+def test_a_figure_of_the_gallery_is_drawn(chromium, tmp_path, monkeypatch):
+    """As the theme lays a page out, which puts its own scripts behind the examples' figures."""
+    monkeypatch.syspath_prepend(DOCS / "_extensions")
+    site = importlib.import_module("figures")
+    for folder in ("_static", "gallery"):
+        (tmp_path / folder).mkdir()
+    site._write_script(SimpleNamespace(outdir=tmp_path))
+    drawn = site.PageRenderer().to_mimebundle(go.Figure(go.Scatter(y=[1.0, 2.0])).to_plotly_json())["text/html"]
+    example = tmp_path / "gallery" / "example.html"
+    example.write_text(f"<!doctype html><meta charset='utf-8'><body>{drawn}</body>", encoding="utf-8")
+    page, wrong, asked = chromium.new_page(), [], []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(example.as_uri())
+    page.wait_for_load_state("load")
+    lines = page.locator(".main-svg .scatterlayer path.js-line").count()
+    page.close()
+    assert wrong == []
+    assert lines == 1
+    assert asked == [example.as_uri(), (tmp_path / "_static" / site.SCRIPT).as_uri()], "no other host"

@@ -31,8 +31,12 @@ FAULTS: list[st.SearchStrategy[dict[str, Any]]] = [
     st.fixed_dictionaries({
         "frozen_at_s": at_s, "frozen_ticks": st.integers(1, 1000), "frozen_joint": st.none() | st.integers(0, 6),
         "frozen_velocity": st.sampled_from(["repeated", "zero"]), "forged_stamps": st.booleans(),
+        "frozen_wrench": st.booleans(),
     }),
-    st.fixed_dictionaries({"lag_at_s": at_s, "lag_growth": st.floats(0.01, 1.0), "forged_stamps": st.booleans()}),
+    st.fixed_dictionaries({
+        "lag_at_s": at_s, "lag_growth": st.floats(0.01, 1.0), "forged_stamps": st.booleans(),
+        "lag_joint": st.none() | st.integers(0, 6),
+    }),
     st.fixed_dictionaries({"replay_at_s": at_s, "replay_ticks": st.integers(1, 200), "forged_stamps": st.booleans()}),
     st.fixed_dictionaries({
         "drift_at_s": at_s, "drift_rad_per_s": signed(1e-3, 0.1),

@@ -13,14 +13,14 @@ SCRIPT = "plotly.min.js"
 
 
 class PageRenderer(plotly.io.base_renderers.MimetypeRenderer):  # type: ignore[misc]
-    """Draws a figure as a `div` of a page that has plotly's script already."""
+    """Draws a figure as a `div` of a page of `gallery/`, with plotly's script before it: a theme loads scripts last."""
 
     def to_mimebundle(self, fig_dict: dict[str, Any]) -> dict[str, str]:
         """Return the figure as HTML."""
         options = {"responsive": True, "displaylogo": False}
         height = f"{fig_dict['layout'].get('height', 460)}px"
         drawn = plotly.io.to_html(
-            fig_dict, include_plotlyjs=False, full_html=False, config=options, default_height=height
+            fig_dict, include_plotlyjs=f"../_static/{SCRIPT}", full_html=False, config=options, default_height=height
         )
         return {"text/html": drawn}
 
@@ -31,15 +31,9 @@ def _write_script(app: Sphinx) -> None:
     (folder / SCRIPT).write_text(get_plotlyjs(), encoding="utf-8")
 
 
-def _only_in_the_gallery(app: Sphinx, page: str, template: str, context: Any, tree: Any) -> None:
-    if page.startswith("gallery/"):
-        app.add_js_file(SCRIPT, priority=100)
-
-
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the renderer for the examples that the gallery runs, and the script for its pages."""
+    """Register the renderer for the examples that the gallery runs, and put the script into the site."""
     plotly.io.renderers["page"] = PageRenderer()
     plotly.io.renderers.default = "page"
     app.connect("builder-inited", _write_script)
-    app.connect("html-page-context", _only_in_the_gallery)
     return {"parallel_read_safe": False, "parallel_write_safe": True}

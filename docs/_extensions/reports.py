@@ -25,8 +25,10 @@ class PublishedReports(Directive):
     def run(self) -> list[nodes.Node]:
         """Return the list, or a sentence that says how to make a report."""
         if not found():
-            text = "No benchmark has been run where this site was built: python -m benchmarks.solvers makes a report."
-            return [nodes.paragraph(text, text)]
+            said = nodes.paragraph("", "There are none: ")
+            command = "python -m benchmarks.solvers"
+            said += [nodes.literal(command, command), nodes.Text(" makes one.")]
+            return [said]
         listed = nodes.bullet_list()
         for folder in found():
             entry = nodes.paragraph()

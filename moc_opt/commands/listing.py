@@ -57,16 +57,14 @@ def here(found: Table) -> Table:
 
 def robots() -> Table:
     """Return every arm of the package: its joints, what tip and shaft leave of them, and what it is."""
-    from moc_opt.model.robot_model import load_robot
-    from moc_opt.redundancy.freedoms import best_freedoms
-    from moc_opt.robots import about, available_robots
+    from moc_opt.robots import about, available_robots, load_data
+    from moc_opt.scenario.tables import RobotTable
 
     rows = []
     for name in available_robots():
-        robot = load_robot(name)
-        left = best_freedoms(robot)
-        rows.append({"robot": name, "joints": robot.n, "real": left.real, "idle": len(left.idle),
-                     "tool": robot.data.tool_length, "about": about(name)})  # fmt: skip
+        data, left = load_data(name), RobotTable(name=name).freedoms()
+        rows.append({"robot": name, "joints": data.n, "real": left.real, "idle": len(left.idle),
+                     "tool": data.tool_length, "about": about(name)})  # fmt: skip
     columns = [
         Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
         Column("tool", "tool", "m"), Column("about", "what it is"),

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 CHANGES = {"mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "rcm_error_model_mean_mm": "rcm_change"}
 """Metric -> name of its change against DCAC in `Comparison.summary` [percent]."""
 
+FEW = 8
+TOO_SHORT = f"Of fewer than {FEW} trials the intervals are too short: of three they hold the true mean 7 times in 10."
+"""What bootstrap intervals of that few samples are worth; `moc_opt.comparison.statistics` has more of it."""
+
 SOLVER, TRIALS, OSCILLATED = (Column(name, name) for name in ("solver", "trials", "oscillated"))
 VERIFIED, WRONG = Column("verified", "verified", "%", digits=4), Column("silently_wrong", "silently wrong")
 TIMES = (Column("solve_p50_us", "p50", "us"), Column("solve_p99_us", "p99", "us"))
@@ -139,6 +143,8 @@ class Comparison:
             "with the same gains on the same trials; times: of the middle trial; tip and RCM by the robot's own "
             "kinematics."
         )
+        if any(1 < len(self.values(name, "mu_mean")) < FEW for name in self.solvers):
+            caption += f" {TOO_SHORT}"
         named = "name" in self.scenario.model_fields_set
         title = self.scenario.name if named else self.scenario.task.path
         unjudged = any(row["asked"] and "verified_solved" not in row for row in self.rows)

@@ -5,7 +5,8 @@ the levels ``tip_impedance``, ``rcm``, ``null_space``. ``supervisor`` and ``solu
 a solver, ``isolated`` runs one in a process of its own (``worker``, ``exchange``); ``safety_filter``, ``motion`` and
 ``incision`` check measurements and limits, compiled in ``safety_tick``. Solvers are passed in: of ``solvers`` only
 ``base`` is imported here.
-Imported by embedded, procedure, scenario and live; never by sim, which knows the safety filter as a protocol.
+Imported by embedded, procedure, scenario, commissioning and live; never by sim, which knows the safety filter as a
+protocol.
 """
 
 from moc_opt.control.controller import Controller

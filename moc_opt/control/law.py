@@ -16,7 +16,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
 DYNAMIC, STATIC, AS_PUBLISHED = range(len(PROJECTORS))
-_SCALARS, _ROWS = 13, 6
+_ROWS = 6
 
 
 class Law(NamedTuple):

@@ -17,6 +17,7 @@ WORDS = {
     kernels.UNEXPLAINED: "the measured motion is not what the torque makes: a wrong encoder, an unknown force, or a "
     "loop that shakes at too long a delay",
     kernels.ONE_REPEATED: "one encoder repeats its reading, as its noise does not let it",
+    kernels.WRENCH_REPEATED: "the wrench sensor repeats its reading, as its noise does not let it",
     kernels.RECORDED: "the measurements are a recording: they came before, to the last bit",
 }
 """What is wrong with a reading, by what the kernels find."""

@@ -1,12 +1,13 @@
 """Whether what the encoders show can be the motion of the arm that the torque went to: compiled, over flat state.
 
-Four signs, each of which a sound arm stays well below:
+Five signs, each of which a sound arm stays well below:
 
 - the reading runs away from its own velocity: |q - integral of v|, forgotten over a time;
 - all encoders repeat their reading to the last bit, while the tip is told to move or the torque changes; a little is
   enough where the wrench sensor repeats its reading too;
-- one encoder repeats its reading for longer than its noise lets it, or its filtered velocity with it, or while the
-  must have gathered speed;
+- one encoder repeats its reading for longer than its noise lets it, or its filtered velocity with it (in a row when it
+  is stuck, now and then when it lags more and more), or while the joint must have gathered speed;
+- the wrench sensor repeats its reading, as its noise does not let it: the trocar's force is no longer seen;
 - the momentum residual (De Luca & Mattone 2003) leaves its own mean, or is larger than any load explains, as where its
   mean follows it because the torque grows slowly: the torque went into motion that no encoder shows.
 """
@@ -25,11 +26,11 @@ GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, 
 """Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
 torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
 joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean; the
-last v; ticks in a row with the same q and v."""
+last v; ticks so far with the same q and v as the tick before."""
 ROWS = 13
 FIRST_TICKS = 100.0
 
-NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED, RECORDED = range(7)
+NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED, RECORDED, WRENCH_REPEATED = range(8)
 
 FRESH, REPEAT, OLD = 0, 1, 2
 
@@ -92,7 +93,7 @@ def compare_readings(
         elapsed: time since the reading before [s].
 
     Returns:
-        NOTHING, RAN_AWAY, REPEATED, or ONE_REPEATED.
+        NOTHING, RAN_AWAY, REPEATED, ONE_REPEATED, or WRENCH_REPEATED.
     """
     n = q.shape[0]
     still[9] += 1.0
@@ -105,7 +106,7 @@ def compare_readings(
         if still[9] > 0.0:
             still[11] = 1.0
     keep = 1.0 - min(1.0, elapsed / levels[0])
-    ran_away, fewest, most, least_whole, most_whole = False, 1e18, 0.0, 1e18, 0.0
+    ran_away, fewest, most, all_whole, most_whole = False, 1e18, 0.0, True, 0.0
     for i in range(n):
         if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
             memory[SHOWN, i] = q[i] - elapsed * v[i]
@@ -114,10 +115,11 @@ def compare_readings(
         if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
             ran_away = True
         # A velocity that was never other than zero is no sign: the joint has rested since the start.
-        whole = memory[REPEATS, i] >= 0.0 and q[i] == memory[SHOWN, i] and v[i] == memory[SPEED, i]
-        memory[WHOLE, i] = memory[WHOLE, i] + 1.0 if whole and memory[PEAK, i] > 0.0 else 0.0
+        same = q[i] == memory[SHOWN, i] and v[i] == memory[SPEED, i]
+        whole = memory[REPEATS, i] >= 0.0 and same and memory[PEAK, i] > 0.0
+        memory[WHOLE, i] += 1.0 if whole else 0.0
         memory[SPEED, i] = v[i]
-        least_whole, most_whole = min(least_whole, memory[WHOLE, i]), max(most_whole, memory[WHOLE, i])
+        all_whole, most_whole = all_whole and whole, max(most_whole, memory[WHOLE, i])
         if memory[REPEATS, i] < 0.0 or q[i] == memory[SHOWN, i]:
             memory[REPEATS, i] += 1.0
         else:
@@ -125,7 +127,7 @@ def compare_readings(
             memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
         fewest, most = min(fewest, memory[REPEATS, i]), max(most, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
-    still[12] += 1.0 if least_whole > 0.0 else 0.0
+    still[12] += 1.0 if all_whole else 0.0
     if still[12] > levels[14]:
         return REPEATED
     if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
@@ -146,7 +148,9 @@ def compare_readings(
                 return REPEATED
     if ran_away:
         return RAN_AWAY
-    return ONE_REPEATED if most > levels[6] or most_whole > levels[14] else NOTHING
+    if most > levels[6] or most_whole > levels[14]:
+        return ONE_REPEATED
+    return WRENCH_REPEATED if has_noise(still) and still[9] > levels[12] else NOTHING
 
 
 @njit(cache=True, nogil=True)

@@ -51,6 +51,7 @@ class SafetyFilter:
             error and trocar force are not checked then.
         state: q, v -> RobotState (``RobotModel.state``), for a controller that shows none; None: its motion is not
             compared with its torque.
+        slides: (n,) which joints are prismatic: they have a margin of their own; None: none is.
 
     Attributes:
         limited: number of joints at which the last torque was changed.

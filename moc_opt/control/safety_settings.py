@@ -39,7 +39,9 @@ class MotionSettings(Settings):
     )
     repeat_whole_m: float = Field(0.0005, gt=0.0, description="and the way of the reference in that case")
     repeat_whole_ticks: int = Field(
-        25, ge=1, description="ticks of that, at rest too, where the wrench sensor has noise, and of a recording"
+        25, ge=1,
+        description="ticks of that, or of the wrench sensor's repetition alone, at rest too, where that sensor has "
+        "noise; and of a recording",
     )
     stuck_torque: float = Field(
         0.06, ge=0.0,
@@ -56,8 +58,8 @@ class MotionSettings(Settings):
     )  # fmt: skip
     repeat_reading_ticks: int | None = Field(
         None, ge=0,
-        description="ticks in a row in which one encoder may repeat position and velocity to the last bit, and "
-        "readings in all in which all of them may; where it is left out, a scenario whose encoders have noise and "
+        description="readings in all in which one encoder, or all of them, may repeat position and velocity to the "
+        "last bit; where it is left out, a scenario whose encoders have noise and "
         "filtered velocities allows patience_ticks, and otherwise there is no limit",
     )  # fmt: skip
     stuck_rad_per_s: float = Field(

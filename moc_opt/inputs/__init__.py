@@ -3,5 +3,5 @@
 Read first: ``settings`` (the base of every table of a TOML; errors name field, value and range). ``files``
 reads TOML and JSON within limits of size, ``toml`` writes tables, ``names`` holds the allow-list of characters,
 ``memory`` says what would fit, ``plugins`` finds entry points, ``notebook`` is how an object shows itself. Any room
-but numerics, qp, model and redundancy may import it; it imports ``errors`` alone.
+but numerics, figures, qp, model and redundancy may import it; it imports ``errors`` alone.
 """

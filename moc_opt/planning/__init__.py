@@ -3,5 +3,5 @@
 Read first: ``targets`` (tip and wrist that a path asks for), ``spherical`` (arms whose poses have a closed form) and
 ``pose_map`` (every pose at every point of the path), then ``search`` (dynamic programming over the map), ``refine``
 (the whole horizon as one nonlinear program) and ``plan`` (what is told before anything moves); ``largest`` is the
-largest mu at given points, of any arm. Imports model, redundancy, tasks and trace; scenario imports it.
+largest mu at given points, of any arm. Imports model, redundancy and tasks; scenario and report import it.
 """

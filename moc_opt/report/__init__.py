@@ -9,5 +9,6 @@ Nothing is loaded here, so that a terminal table does not wait for a plotting li
 - ``report.map_figure``, ``report.map_page``: the manipulability map as a figure, and on a page with what it says
 - ``report.replay``: runs in 3-D, as a file
 
-Imports figures, trace, model and redundancy; live, the command line and benchmarks import it.
+Imports figures, trace, model, redundancy and planning; comparison, commissioning, live, the command line and benchmarks
+import it.
 """

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from moc_opt.figures.notation import Missing, Notation, missing
+from moc_opt.figures.notation import Missing, Notation, missing, pretty_units
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS
@@ -19,7 +19,7 @@ METHOD = "mu_bound_method"
 
 
 MATTER: Mapping[str, str] = MappingProxyType({
-    "mu_mean": "manipulability [m^3]: how far the arm keeps from singular poses",
+    "mu_mean": "manipulability [m³]: how far the arm keeps from singular poses",
     "mu_gain_percent": "mean mu above that of DCAC (no third level) with the same gains [%]",
     "mu_fraction_of_best_from_start": "mean mu over that of the best motion of the elbow from this start, 0 to 1",
     "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics",
@@ -147,7 +147,7 @@ def run_table(
             continue
         marked = f"{metric} (part)" if of and metric not in WHOLE_RUN else metric
         shown = Missing(ANOTHER_PROBLEM) if other and metric in VERDICTS else _written(value)
-        says = MATTER[metric] if first else METRICS[metric].about if metric in METRICS else ""
+        says = MATTER[metric] if first else pretty_units(METRICS[metric].about) if metric in METRICS else ""
         rows.append({"metric": marked, "value": shown, "says": says})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
             rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from moc_opt.control.isolated import ProcessSettings
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.redundancy.freedoms import Freedoms, best_freedoms
 from moc_opt.solvers.registry import check_name, defaults
 from moc_opt.tasks.kinds import check_sizes
 
@@ -36,6 +37,10 @@ class RobotTable(Settings):
             MocOptError: no such robot, or something is wrong with its files.
         """
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
+
+    def freedoms(self) -> Freedoms:
+        """Return what tip and shaft leave the arm, at the pose where that is most; raises as ``arm``."""
+        return best_freedoms(self.arm())
 
 
 class StartTable(Settings):

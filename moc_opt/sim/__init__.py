@@ -4,7 +4,7 @@ Read first: ``closed_loop`` (the one step of every closed loop), ``filtered`` (c
 ``loop`` (``simulate``, which records), then ``plant`` (MuJoCo), built by ``mjcf``, and ``period``, its compiled step.
 ``protocols`` says what a controller is. ``contact``, ``sensors``, ``actuation``, ``elastic``
 and ``mismatch`` are its parts; ``faults`` and ``packets`` disturb it; docs/plant.md lists ``settings``.
-Imported by realtime, procedure, vision and scenario.
+Imported by realtime, procedure, vision, scenario and commissioning.
 """
 
 from moc_opt.sim.mismatch import Mismatch

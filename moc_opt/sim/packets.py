@@ -30,10 +30,16 @@ class PacketSettings(Settings):
     frozen_joint: int | None = Field(
         default=None, ge=0, description="of one encoder, counted from 0, whose packets go on; None: whole packets"
     )
+    frozen_wrench: bool = Field(
+        default=False, description="of the wrench sensor alone: the encoders' packets go on"
+    )
     frozen_velocity: Literal["repeated", "zero"] = Field(
         default="repeated", description="what a frozen reading says of the velocity"
     )
     lag_at_s: float | None = Field(default=None, ge=0.0, description="measurements lag more and more from then on")
+    lag_joint: int | None = Field(
+        default=None, ge=0, description="of one encoder, counted from 0, under up-to-date numbers; None: of all"
+    )
     lag_growth: float = Field(default=0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
     replay_at_s: float | None = Field(
         default=None, ge=0.0, description="old packets come once more from then on, in their order, over and over"
@@ -73,8 +79,10 @@ class Packets:
         lag = 0 if s.lag_at_s is None else 2000
         back = 0 if s.replay_at_s is None else s.replay_ticks
         self._past: deque[Measurement] = deque(maxlen=max(s.late_ticks + lag, back) + 1)
-        if s.frozen_joint is not None and s.frozen_joint >= n:
-            raise PlantError(f"frozen_joint = {s.frozen_joint}: the arm has {n} joints: give 0 to {n - 1}")
+        for name in ("frozen_joint", "lag_joint"):
+            joint = getattr(s, name)
+            if joint is not None and joint >= n:
+                raise PlantError(f"{name} = {joint}: the arm has {n} joints: give 0 to {n - 1}")
         self._drift = s.drift_rad_per_s * signs.choice([-1.0, 1.0], size=n)
         self._last: Measurement | None = None
         self._frozen: Measurement | None = None
@@ -91,7 +99,8 @@ class Packets:
         late = s.late_ticks + int(s.lag_growth * self._after(s.lag_at_s, tick) + 1e-9)
         arrived = self._past[max(0, len(self._past) - 1 - late)]
         if late > s.late_ticks:
-            arrived = self._forged(arrived, taken)
+            on_time = self._past[max(0, len(self._past) - 1 - s.late_ticks)]
+            arrived = self._forged(arrived, taken) if s.lag_joint is None else _spliced(on_time, arrived, s.lag_joint)
         arrived = self._replayed(self._stuck(arrived, taken, tick), taken, tick)
         if s.drop_share > 0.0 and self._last is not None and self._drops.uniform() < s.drop_share:
             arrived = self._last
@@ -112,11 +121,11 @@ class Packets:
             return arrived
         held = self._frozen = self._frozen or self._last or arrived
         v = np.zeros_like(held.v) if s.frozen_velocity == "zero" else held.v
+        if s.frozen_wrench:
+            return arrived._replace(force=held.force)
         if s.frozen_joint is None:
             return self._forged(held._replace(v=v), taken)
-        q, seen = np.array(arrived.q), np.array(arrived.v)
-        q[s.frozen_joint], seen[s.frozen_joint] = held.q[s.frozen_joint], v[s.frozen_joint]
-        return arrived._replace(q=q, v=seen)
+        return _spliced(arrived, held._replace(v=v), s.frozen_joint)
 
     def _replayed(self, arrived: Measurement, taken: Measurement, tick: int) -> Measurement:
         s = self.settings
@@ -126,3 +135,10 @@ class Packets:
         if after == 1:
             self._tape = list(self._past)[-s.replay_ticks :]
         return self._forged(self._tape[(after - 1) % len(self._tape)], taken)
+
+
+def _spliced(arrived: Measurement, other: Measurement, joint: int) -> Measurement:
+    """Return what arrived, with one encoder's reading of another measurement."""
+    q, v = np.array(arrived.q), np.array(arrived.v)
+    q[joint], v[joint] = other.q[joint], other.v[joint]
+    return arrived._replace(q=q, v=v)

@@ -3,7 +3,7 @@
 Read first: ``base`` (``Solver``, ``Session``, ``Solution``, ``Status``), then ``registry`` (names and lazy
 loading) and ``plugins`` (those of third parties). Each kind has a room: ``exact``, ``neural``, ``nlp``,
 ``backends``. ``faulty`` makes any solver fail for tests, ``checks`` and ``options`` check settings. To add
-one: docs/extending.md. A QP solver sees ``qp``, ``numerics`` and ``errors``, never a robot; control imports
+one: docs/extending.md. A QP solver sees ``qp``, ``numerics``, ``inputs`` and ``errors``, never a robot; control imports
 ``base`` alone.
 """
 

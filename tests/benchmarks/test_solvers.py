@@ -237,7 +237,7 @@ def test_the_shipped_configuration_is_that_of_the_program():
     assert full.twice
     assert set(full.parts) == set(PARTS)
     assert len(config.closed_loop.tasks) * config.closed_loop.seeds >= 15
-    assert len(config.sweeps.tasks) * config.sweeps.seeds >= 15
+    assert len(config.sweeps.tasks) * config.sweeps.seeds >= 9  # points are compared with each other on the same trials
     long = Config.load(default_config("solvers-long"))
     assert long.twice
     assert set(long.parts) == set(PARTS)

@@ -92,6 +92,12 @@ def test_its_text_is_as_wide_as_the_terminal(wide, columns, monkeypatch):
     assert title == "circle: solvers on the same trials"
 
 
+@pytest.mark.parametrize(("trials", "told"), [(1, False), (2, True), (7, True), (8, False)])
+def test_few_trials_are_told_to_have_too_short_intervals(trials, told):
+    found = Comparison([row("dcac", seed) for seed in range(trials)], ["dcac"], SHORT)
+    assert ("intervals are too short" in found.table.caption) == told
+
+
 def test_one_trial_has_no_table_of_intervals():
     names = ["dcac", "a_rather_long_name_of_a_solver"]
     found = Comparison([row(name, 0) for name in names], names, SHORT)

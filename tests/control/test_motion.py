@@ -149,6 +149,18 @@ def test_a_packet_repeated_whole_at_rest_is_noticed_where_its_sensor_has_noise(n
     )
 
 
+@pytest.mark.parametrize("noisy", [True, False])
+def test_a_wrench_sensor_that_freezes_alone_is_noticed_where_it_has_noise(noisy):
+    rng = np.random.default_rng(4)
+    q = rng.normal(scale=1e-5, size=(600, N))
+    wrench = rng.normal(size=(600, 6)) if noisy else np.ones((600, 6))
+    wrench[300:] = wrench[300]
+    told = "the wrench sensor repeats its reading, as its noise does not let it"
+    assert looked(q, 0.0 * q, wrench=wrench) == ((told, 326) if noisy else ("", 600))
+    wrench[325] += 1.0  # it lives
+    assert looked(q[:340], 0.0 * q[:340], wrench=wrench[:340]) == ("", 340)
+
+
 @pytest.mark.parametrize("longest", [None, 40])
 def test_one_encoder_may_repeat_itself_for_as_long_as_its_noise_lets_it(longest):
     """The others live; without a limit nothing is said of a joint that rests."""

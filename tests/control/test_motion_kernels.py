@@ -55,9 +55,11 @@ def expected(q, v, tau, wrench, tip, elapsed, patience, s):
         found.append(kernels.NOTHING)
         allowed = np.inf if s.repeat_reading_ticks is None else s.repeat_reading_ticks
         again = wholly_repeated(q, v)
-        if repeats[k].max() > (np.inf if s.repeat_joint_ticks is None else s.repeat_joint_ticks):
-            found[-1] = kernels.ONE_REPEATED
-        if in_a_row(again)[k].max() > allowed:
+        noise = k >= 99 and not alike[:100].any()
+        if noise and wrench_repeats[k] > s.repeat_whole_ticks:
+            found[-1] = kernels.WRENCH_REPEATED
+        longest = np.inf if s.repeat_joint_ticks is None else s.repeat_joint_ticks
+        if again[: k + 1].sum(0).max() > allowed or repeats[k].max() > longest:
             found[-1] = kernels.ONE_REPEATED
         if (np.abs(gap) > s.motion_rad + s.motion_lag_s * peak).any():
             found[-1] = kernels.RAN_AWAY
@@ -66,7 +68,6 @@ def expected(q, v, tau, wrench, tip, elapsed, patience, s):
             whole = wrench_repeats[k] > patience
             way, torque = (s.repeat_whole_m, s.repeat_whole_torque) if whole else (s.repeat_m, s.repeat_torque)
             moved = np.abs(tip[k] - tip[begun]).max() > way or (np.abs(tau[k] - tau[begun]) > torque * TAU_MAX).any()
-            noise = k >= 99 and not alike[:100].any()
             if moved or (noise and wrench_repeats[k] > s.repeat_whole_ticks):
                 found[-1] = kernels.REPEATED
         if again[: k + 1].all(1).sum() > allowed:

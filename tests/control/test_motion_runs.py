@@ -150,6 +150,32 @@ def test_a_lag_under_forged_numbers_repeats_readings(robot, task):
         assert max(excursion(trace)) < 4e-3
 
 
+@pytest.mark.parametrize("robot", ["lwr4", "gen3", "xarm7"])
+def test_a_lag_of_one_encoder_repeats_its_readings(robot):
+    """A reading of it comes twice now and then: of twelve runs four completed without, one ended at 53 mm."""
+    rng = np.random.default_rng(2130)
+    for joint in range(7):
+        at, growth = float(rng.uniform(0.3, 1.0)), float(rng.uniform(0.05, 0.5))
+        faults = {"lag_at_s": at, "lag_growth": growth, "lag_joint": joint}
+        trace = run(Scenario(
+            seed=int(rng.integers(2000, 3000)), robot={"name": robot}, start={"pose": "random"}, faults=faults,
+            duration_s=at + 0.4, **QUICK,
+        ))  # fmt: skip
+        assert trace.meta["ended"].startswith("stopped: ")
+        assert trace.meta["stopped_at_s"] - at < 5 / growth * 0.002 + 0.01
+        assert force(trace).max() < 6.0
+        assert max(excursion(trace)) < 0.012
+
+
+@pytest.mark.parametrize("robot", ["lwr4", "xarm7"])
+def test_a_frozen_wrench_sensor_does_not_hide_a_slip(robot):
+    """Where it froze before the trocar slipped the run completed, with 34 N and 61 mm."""
+    faults = {"frozen_at_s": 0.4, "frozen_wrench": True, "slip_m": 0.1, "slip_at_s": 0.8}
+    trace = run(Scenario(seed=2140, robot={"name": robot}, faults=faults, duration_s=1.5, **QUICK))
+    assert trace.meta["ended"].startswith("stopped: the wrench sensor repeats its reading")
+    assert trace.meta["stopped_at_s"] == pytest.approx(0.452, abs=0.004)
+
+
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("seed", [2100, 2101])
 def test_one_stuck_encoder_is_found_by_its_noise_at_the_latest(joint, seed):

@@ -222,6 +222,6 @@ def test_defaults_are_those_of_the_documentation():
         "motion": True, "motion_s": 0.1, "motion_rad": 0.001, "motion_lag_s": 0.012, "repeat_m": 0.003,
         "repeat_whole_m": 0.0005, "repeat_whole_ticks": 25,
         "repeat_torque": 0.06, "repeat_whole_torque": 0.0005, "stuck_torque": 0.06, "stuck_rad_per_s": 0.2,
-        "stuck_friction": 6.0, "repeat_joint_ticks": None,
+        "stuck_friction": 6.0, "repeat_joint_ticks": None, "repeat_reading_ticks": None,
         "residual_torque": 0.2, "residual_whole_torque": 0.5, "residual_rate_per_s": 40.0, "residual_s": 0.25,
     }  # fmt: skip

@@ -46,11 +46,11 @@ SCENARIOS = st.fixed_dictionaries(
         "duration_s": st.none() | st.floats(0.01, 100.0),
         "control": CONTROL,
         "plant": PLANT,
-        "task": st.fixed_dictionaries({"path": st.sampled_from(["line", "spiral"])}, optional={
-            "sizes": st.dictionaries(st.sampled_from(["length", "radius"]), st.floats(0.01, 0.1)),
+        "task": st.fixed_dictionaries({"path": st.sampled_from(["circle", "spiral"])}, optional={
+            "sizes": st.dictionaries(st.just("radius"), st.floats(0.01, 0.1)),
             "heading": st.tuples(*[st.floats(0.1, 1.0)] * 3),
         }),
-        "solver": st.fixed_dictionaries({"name": NAMES}, optional={
+        "solver": st.fixed_dictionaries({"name": st.sampled_from(["exact", "rnn", "osqp"])}, optional={
             "settings": st.dictionaries(NAMES, FINITE | st.lists(FINITE, max_size=3), max_size=3),
             "replay_us": st.none() | st.lists(NOT_NEGATIVE, max_size=3),
         }),

@@ -201,7 +201,8 @@ def test_both_ends_must_mean_the_same_run() -> None:
 
 def test_another_key_is_not_heard() -> None:
     base = Scenario(**SHORT, wire={"wait_s": 0.3})
-    plant = PlantServer(base, "127.0.0.1:0", b"k" * 32, lock_step=True)
+    # The plant waits longer: on a busy machine the controller is late to ask.
+    plant = PlantServer(base.change(wire={"wait_s": 4.0}), "127.0.0.1:0", b"k" * 32, lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="no plant answers"):

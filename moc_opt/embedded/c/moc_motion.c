@@ -75,7 +75,7 @@ static int moved(const double *tau, const moc_motion_state *state)
 }
 
 /* Joint i: position against velocity, and whether it repeats itself. Returns whether it runs away from its velocity. */
-static int compare_joint(int i, double q, double v, double elapsed, moc_motion_state *state)
+static int compare_joint(int i, double q, double v, double elapsed, int *all_whole, moc_motion_state *state)
 {
     double keep = 1.0 - fmin(1.0, elapsed / MOC_MOTION_S);
     int first = state->repeats[i] < 0.0;
@@ -87,7 +87,8 @@ static int compare_joint(int i, double q, double v, double elapsed, moc_motion_s
     int same = q <= state->shown[i] && q >= state->shown[i];
     /* A velocity that was never other than zero is no sign: the joint has rested since the start. */
     int whole = !first && same && v <= state->speed[i] && v >= state->speed[i] && state->peak[i] > 0.0;
-    state->whole[i] = whole ? state->whole[i] + 1.0 : 0.0;
+    state->whole[i] += whole;
+    *all_whole &= whole;
     state->speed[i] = v;
     if (first || same) {
         state->repeats[i] += 1.0;
@@ -111,23 +112,23 @@ static int compare_readings(const double *q, const double *v, const double *tau,
                             moc_motion_state *state)
 {
     double elapsed = MOC_PERIOD * (state->ticks > 1 ? (double)state->ticks : 1.0), fewest = 1e18, most = 0.0;
-    double least_whole = 1e18, most_whole = 0.0;
-    int ran_away = 0;
+    double most_whole = 0.0;
+    int ran_away = 0, all_whole = 1;
 
     state->ticks = 0;
     compare_wrench(wrench, state);
     for (int i = 0; i < MOC_N; i++) {
-        ran_away |= compare_joint(i, q[i], v[i], elapsed, state);
+        ran_away |= compare_joint(i, q[i], v[i], elapsed, &all_whole, state);
         fewest = fmin(fewest, state->repeats[i]);
         most = fmax(most, state->repeats[i]);
-        least_whole = fmin(least_whole, state->whole[i]);
         most_whole = fmax(most_whole, state->whole[i]);
     }
-    state->readings_twice += least_whole > 0.0 ? 1.0 : 0.0;
+    state->readings_twice += all_whole;
     if (state->readings_twice > MOC_REPEAT_READING_TICKS)
         return MOC_STOP_REPEATED;
     int one = most > MOC_REPEAT_JOINT_TICKS || most_whole > MOC_REPEAT_READING_TICKS;
-    int single = ran_away ? MOC_STOP_RAN_AWAY : one ? MOC_STOP_ONE_REPEATED : 0;
+    int deaf = has_noise(state) && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS;
+    int single = ran_away ? MOC_STOP_RAN_AWAY : one ? MOC_STOP_ONE_REPEATED : deaf ? MOC_STOP_WRENCH_REPEATED : 0;
     if (fewest <= MOC_PATIENCE_TICKS) { /* from here on a repeated reading counts, and so does what changes */
         for (int i = 0; i < MOC_N; i++)
             state->torque[i] = tau[i];
@@ -135,7 +136,7 @@ static int compare_readings(const double *q, const double *v, const double *tau,
             state->still[i] = state->told[i];
         return single;
     }
-    if ((has_noise(state) && state->wrench_repeats > MOC_REPEAT_WHOLE_TICKS) || moved(tau, state))
+    if (deaf || moved(tau, state))
         return MOC_STOP_REPEATED;
     return single;
 }

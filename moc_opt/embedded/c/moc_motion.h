@@ -26,7 +26,7 @@ typedef struct {
     double unseen[MOC_N];    /* speed that it must have gathered since [rad/s] */
     double exceeded[MOC_N];  /* ticks in a row with the residual far from its mean */
     double speed[MOC_N];     /* the last v [rad/s] */
-    double whole[MOC_N];     /* ticks in a row with the same q and v */
+    double whole[MOC_N];     /* ticks so far with the same q and v as the tick before */
     double readings_twice;   /* readings so far in which all joints had that: old ones under new numbers */
     double told[3];          /* where the tip is told to be [m] */
     double still[3];         /* where that was when all encoders had repeated themselves for the patience [m] */
@@ -47,7 +47,8 @@ void moc_motion_start(const double *q, const double *v, int64_t stamp, moc_motio
 int moc_motion_age(int64_t stamp, moc_motion_state *state);
 
 /* Take in a new reading q, v (n,), wrench (6,), after the torque tau (n,) went out.
- * Returns MOC_STOP_REPLAYED, MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, MOC_STOP_ONE_REPEATED, or 0. */
+ * Returns MOC_STOP_REPLAYED, MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, MOC_STOP_ONE_REPEATED, MOC_STOP_WRENCH_REPEATED, or
+ * 0. */
 int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state);
 
 /* Take in what the model makes of a measurement with velocity v (n,), tau (n,) having acted before it.

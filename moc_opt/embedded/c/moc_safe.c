@@ -187,6 +187,7 @@ const char *moc_safe_reason(int reason)
         "at too long a delay",
         "the measurements are a recording: they came before, to the last bit",
         "one encoder repeats its reading, as its noise does not let it",
+        "the wrench sensor repeats its reading, as its noise does not let it",
     };
     return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }

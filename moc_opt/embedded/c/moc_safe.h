@@ -36,6 +36,7 @@ enum {
     MOC_STOP_UNEXPLAINED, /* the measured motion is not what the torque makes */
     MOC_STOP_REPLAYED,    /* the measurements are a recording: they came before, to the last bit */
     MOC_STOP_ONE_REPEATED, /* one encoder repeats its reading, as its noise does not let it */
+    MOC_STOP_WRENCH_REPEATED, /* the wrench sensor does, as its noise does not let it */
     MOC_REASONS
 };
 
