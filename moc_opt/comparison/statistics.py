@@ -3,9 +3,9 @@
 Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
 ran the same trials. Ticks of one trial are not independent, so they are never resampled.
 
-Of few trials the intervals are too short. Of 1000 sets of normal samples the interval for 95 % held the mean in 71 % with
-three samples, 82 % with five, 89 % with eight, 93 % with fifteen and 94 % with 45; of log-normal ones (sigma 0.5) in 70,
-81, 87, 91 and 93 %.
+Of few trials the intervals are too short. Of 1000 sets of normal samples the interval for 95 % held the mean in 71 %
+with three samples, 82 % with five, 89 % with eight, 93 % with fifteen and 94 % with 45; of log-normal ones (sigma 0.5)
+in 70, 81, 87, 91 and 93 %.
 
 Two controllers are compared by the ratio of their means (`relative_change`), never by a mean of the trials' ratios, in
 which a trial with a small denominator counts for more.
