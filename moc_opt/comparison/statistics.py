@@ -13,6 +13,7 @@ which a trial with a small denominator counts for more.
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -24,6 +25,8 @@ from scipy import stats
 from moc_opt.errors import MocOptError
 from moc_opt.numerics.arrays import Array
 
+_FILTERS = threading.Lock()
+"""Held while warnings are off: they are the process's own, and several threads ask for intervals."""
 RESAMPLES = 4000
 CONFIDENCE = 0.95
 
@@ -131,7 +134,7 @@ def _interval(statistic: Callable[..., Any], seed: int, confidence: float, **giv
         return Interval(value, low, high, count)
     for method in ("BCa", "percentile"):
         # BCa has no value where all resamples agree or the jackknife does; the percentiles always have.
-        with warnings.catch_warnings():
+        with _FILTERS, warnings.catch_warnings():
             warnings.simplefilter("ignore", stats.DegenerateDataWarning)
             warnings.simplefilter("ignore", RuntimeWarning)
             found = stats.bootstrap(
