@@ -24,8 +24,10 @@ class MotionSettings(Settings):
     motion_s: float = Field(0.1, gt=0.0, description="how long q - integral of v is remembered")
     motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")
     motion_lag_s: float = Field(
-        0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
-    )
+        0.012, ge=0.0,
+        description="times its recent speed on top of that: velocity readings are filtered, and lag; a scenario takes "
+        "three time constants of its filter where they are more",
+    )  # fmt: skip
     repeat_m: float = Field(
         0.003, gt=0.0,
         description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "

@@ -27,6 +27,7 @@ from moc_opt.model.robot_model import load_robot
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.scenario import Scenario, Setup, run
 from moc_opt.sim import Plant
+from moc_opt.sim.mjcf import TOOL_BODY
 from moc_opt.trace.trace import Trace
 
 SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
@@ -190,8 +191,8 @@ def test_absurd_gains_end_in_a_stop():
 def test_an_arm_that_runs_away_leaves_no_log(robot, tmp_path, monkeypatch):
     """MuJoCo would write one into the current folder."""
     monkeypatch.chdir(tmp_path)
-    heavy = load_robot(tool_mass=1e300)
-    plant = Plant(heavy.data)
+    plant = Plant(robot.data)
+    plant.push(TOOL_BODY, np.array([1e300, 0.0, 0.0]))
     with pytest.raises(PlantError, match="ran away"):
         plant.step(np.zeros(7))
     assert list(tmp_path.iterdir()) == []
