@@ -12,6 +12,11 @@ from moc_opt.errors import ControlError, MocOptError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.numerics.arrays import Array
 
+_SETTLED = 6.0
+"""Time constants of the residual after which it is what it will be."""
+_MOST_TICKS = 1e9
+"""As good as never, and still an int of C."""
+
 
 def _or_never(ticks: int | None) -> float:
     return np.inf if ticks is None else float(ticks)
@@ -84,6 +89,10 @@ class MotionSettings(Settings):
         that all of them do is its n-th power.
         """
         return max(float(self.repeat_whole_ticks), _or_never(self.repeat_joint_ticks) / n)
+
+    def settling_ticks(self, period: float) -> int:
+        """Return for how many ticks of ``period`` [s] the residual is on its way to what it will be."""
+        return round(min(_SETTLED / (self.residual_rate_per_s * period), _MOST_TICKS))
 
     def held(self, tau_max: Array, coulomb: Array) -> Array:
         """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""
