@@ -9,7 +9,6 @@ from moc_opt.control import replay_kernels as replays
 from moc_opt.control.safety_settings import MotionSettings
 from moc_opt.numerics.arrays import Array
 
-SETTLED = 6.0  # time constants of the residual after which it is what it will be
 WORDS = {
     kernels.RAN_AWAY: "the encoders' positions do not follow their velocities",
     kernels.REPEATED: "all encoders repeat one reading, as no arm that moves or has noise does",
@@ -42,7 +41,7 @@ class MotionMonitor:
         n = tau_max.size
         self.on, self.levels, self.tau_max = settings.motion, settings.levels, np.array(tau_max)
         self.held = settings.held(tau_max, np.zeros(n) if coulomb is None else coulomb)
-        self.settling = round(SETTLED / (settings.residual_rate_per_s * period))
+        self.settling = settings.settling_ticks(period)
         self.most_replayed = np.array([settings.replayed_ticks(n), settings.repeat_whole_ticks])
         self.clock, self.memory = np.zeros(3, dtype=np.int64), np.zeros((kernels.ROWS, n))
         self.still, self.tip = np.zeros(13), np.zeros(3)

@@ -12,6 +12,11 @@ from moc_opt.errors import ControlError, MocOptError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.numerics.arrays import Array
 
+_SETTLED = 6.0
+"""Time constants of the residual after which it is what it will be."""
+_MOST_TICKS = 1e9
+"""As good as never, and still an int of C."""
+
 
 def _or_never(ticks: int | None) -> float:
     return np.inf if ticks is None else float(ticks)
@@ -24,8 +29,10 @@ class MotionSettings(Settings):
     motion_s: float = Field(0.1, gt=0.0, description="how long q - integral of v is remembered")
     motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")
     motion_lag_s: float = Field(
-        0.012, ge=0.0, description="times its recent speed on top of that: velocity readings are filtered, and lag"
-    )
+        0.012, ge=0.0,
+        description="times its recent speed on top of that: velocity readings are filtered, and lag; a scenario takes "
+        "three time constants of its filter where they are more",
+    )  # fmt: skip
     repeat_m: float = Field(
         0.003, gt=0.0,
         description="way of the reference while all encoders repeat one reading to the last bit: soft gains need as "
@@ -82,6 +89,10 @@ class MotionSettings(Settings):
         that all of them do is its n-th power.
         """
         return max(float(self.repeat_whole_ticks), _or_never(self.repeat_joint_ticks) / n)
+
+    def settling_ticks(self, period: float) -> int:
+        """Return for how many ticks of ``period`` [s] the residual is on its way to what it will be."""
+        return round(min(_SETTLED / (self.residual_rate_per_s * period), _MOST_TICKS))
 
     def held(self, tau_max: Array, coulomb: Array) -> Array:
         """Return the change of torque (n,) [Nm] that static friction holds; coulomb (n,), 0 where it is not known."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from moc_opt.control import ControlSettings
 from moc_opt.control.gains import per_joint
-from moc_opt.control.motion import SETTLED
 from moc_opt.control.safety_filter import PRESS_PER_S
 from moc_opt.control.safety_settings import SafetyFilterSettings
 from moc_opt.embedded.operations import worst_path
@@ -120,5 +119,5 @@ def _motion(guard: SafetyFilterSettings, n: int, period: float) -> dict[str, str
         "MOC_RESIDUAL_WHOLE": number(guard.residual_whole_torque),
         "MOC_RESIDUAL_RATE": number(guard.residual_rate_per_s),
         "MOC_RESIDUAL_SHARE": number(min(1.0, period / guard.residual_s)),
-        "MOC_SETTLING_TICKS": str(round(SETTLED / (guard.residual_rate_per_s * period))),
+        "MOC_SETTLING_TICKS": str(guard.settling_ticks(period)),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +22,9 @@ from moc_opt.scenario.tables import MOST_S, RobotTable, SolverTable, StartTable,
 from moc_opt.sim.faults import FaultSettings
 from moc_opt.sim.sensors import longest_repetition, repeats_no_reading
 from moc_opt.sim.settings import PlantSettings
+
+_LAGS = 3.0
+"""Time constants of the encoders' velocity filter that the guard takes for its lag, at least."""
 
 
 class Scenario(Settings):
@@ -168,7 +172,7 @@ class Scenario(Settings):
     @property
     def told_guard(self) -> SafetyFilterSettings:
         """``[guard]``, and what it is told of the encoders where it does not say it itself."""
-        guard, plant, told = self.guard, self.plant, dict[str, int | None]()
+        guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:
             told["repeat_joint_ticks"] = longest_repetition(*encoder)
@@ -176,6 +180,8 @@ class Scenario(Settings):
             *encoder, plant.velocity_cutoff_Hz, plant.period_s
         ):
             told["repeat_reading_ticks"] = guard.patience_ticks
+        if plant.velocity_cutoff_Hz > 0.0:  # a filter lags by its time constant, and more where the motion turns round
+            told["motion_lag_s"] = max(guard.motion_lag_s, _LAGS / (2.0 * math.pi * plant.velocity_cutoff_Hz))
         return guard.model_copy(update=told)
 
 

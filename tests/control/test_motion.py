@@ -203,6 +203,13 @@ def test_kernels_take_no_more_than_they_are_given(robot):
         assert "3 ticks late" in guard.reason
 
 
+def test_a_residual_that_never_settles_is_still_a_number_of_ticks(robot):
+    assert SafetyFilterSettings().settling_ticks(PERIOD) == 75
+    assert SafetyFilterSettings(residual_rate_per_s=1e-30).settling_ticks(PERIOD) == 10**9
+    guard = SafetyFilter(robot.data, SafetyFilterSettings(residual_rate_per_s=1e-30), PERIOD)
+    guard.start(robot.data.q_home, np.zeros(N), 0)
+
+
 def test_the_watch_can_be_switched_off(robot):
     guard = SafetyFilter(robot.data, SafetyFilterSettings(motion=False), PERIOD, robot.gravity)
     guard.start(robot.data.q_home, np.zeros(N), 0)

@@ -284,6 +284,10 @@ def test_the_safety_filter_is_told_of_the_encoders():
     # Without noise, or a filter, a reading may well be the same.
     assert Scenario(plant={"preset": "nominal"}).told_guard.repeat_reading_ticks is None
     assert Scenario(plant={"velocity_cutoff_Hz": 0.0}).told_guard.repeat_reading_ticks is None
+    # A slow filter lags: sound runs with 15 Hz were stopped at the level that 50 Hz need.
+    assert [
+        Scenario(plant={"velocity_cutoff_Hz": cutoff}).told_guard.motion_lag_s for cutoff in (0.0, 50.0, 15.0)
+    ] == pytest.approx([0.012, 0.012, 3.0 / (2.0 * np.pi * 15.0)])
 
 
 def test_change_makes_a_copy():
