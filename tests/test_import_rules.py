@@ -47,7 +47,10 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
     "commissioning": {"inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario"},
     "comparison": {"figures", "inputs", "trace", "solvers.base", "report", "scenario"},
     "public": {"qp", "trace", "model", "planning", "solvers", "scenario", "comparison"},
-    "commands": {"inputs", "trace", "tasks", "robots", "solvers", "realtime", "report", "scenario", "comparison"},
+    "commands": {  # the list of arms counts each one's freedoms: model and redundancy
+        "inputs", "trace", "tasks", "robots", "model", "redundancy", "solvers", "realtime", "report", "scenario",
+        "comparison",
+    },
     "command line": {
         "inputs", "trace", "report", "scenario", "embedded", "live", "commissioning", "commands", "public",
     },
