@@ -30,6 +30,16 @@ last v; ticks so far with the same q and v as the tick before."""
 ROWS = 13
 FIRST_TICKS = 100.0
 
+(
+    MOTION_S, MOTION_RAD, MOTION_LAG_S, REPEAT_M, REPEAT_TORQUE, REPEAT_WHOLE_TORQUE, REPEAT_JOINT_TICKS, STUCK_SPEED,
+    RESIDUAL_TORQUE, RESIDUAL_RATE, RESIDUAL_S, REPEAT_WHOLE_M, REPEAT_WHOLE_TICKS, RESIDUAL_WHOLE_TORQUE,
+    REPEAT_READING_TICKS,
+) = range(15)  # fmt: skip
+"""Places in the levels (15,), in the order of ``MotionSettings.levels``."""
+
+WRENCH, SAME_WRENCH, COUNTED, EVER_SAME, OLD_READINGS = 3, 9, 10, 11, 12
+"""Places in ``still`` (13,): a tip (3,) comes first; see ``compare_readings``."""
+
 NOTHING, RAN_AWAY, REPEATED, STUCK, UNEXPLAINED, ONE_REPEATED, RECORDED, WRENCH_REPEATED = range(8)
 
 FRESH, REPEAT, OLD = 0, 1, 2
@@ -67,7 +77,7 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
 @njit(cache=True, nogil=True)
 def has_noise(still: Array) -> bool:
     """Say whether the wrench sensor never repeated itself in the first readings; False until they are in."""
-    return bool(still[10] >= FIRST_TICKS and still[11] == 0.0)  # of Python, also where it is not compiled
+    return bool(still[COUNTED] >= FIRST_TICKS and still[EVER_SAME] == 0.0)  # of Python, also where it is not compiled
 
 
 @njit(cache=True, nogil=True)
@@ -96,23 +106,23 @@ def compare_readings(
         NOTHING, RAN_AWAY, REPEATED, ONE_REPEATED, or WRENCH_REPEATED.
     """
     n = q.shape[0]
-    still[9] += 1.0
+    still[SAME_WRENCH] += 1.0
     for i in range(6):
-        if wrench[i] != still[3 + i]:
-            still[9] = 0.0
-        still[3 + i] = wrench[i]
-    if still[10] < FIRST_TICKS:
-        still[10] += 1.0
-        if still[9] > 0.0:
-            still[11] = 1.0
-    keep = 1.0 - min(1.0, elapsed / levels[0])
+        if wrench[i] != still[WRENCH + i]:
+            still[SAME_WRENCH] = 0.0
+        still[WRENCH + i] = wrench[i]
+    if still[COUNTED] < FIRST_TICKS:
+        still[COUNTED] += 1.0
+        if still[SAME_WRENCH] > 0.0:
+            still[EVER_SAME] = 1.0
+    keep = 1.0 - min(1.0, elapsed / levels[MOTION_S])
     ran_away, fewest, most, all_whole, most_whole = False, 1e18, 0.0, True, 0.0
     for i in range(n):
         if memory[REPEATS, i] < 0.0:  # the first one: what it is compared with begins here
             memory[SHOWN, i] = q[i] - elapsed * v[i]
         memory[GAP, i] = keep * memory[GAP, i] + (q[i] - memory[SHOWN, i]) - elapsed * v[i]
         memory[PEAK, i] = max(keep * memory[PEAK, i], abs(v[i]))
-        if abs(memory[GAP, i]) > levels[1] + levels[2] * memory[PEAK, i]:
+        if abs(memory[GAP, i]) > levels[MOTION_RAD] + levels[MOTION_LAG_S] * memory[PEAK, i]:
             ran_away = True
         # A velocity that was never other than zero is no sign: the joint has rested since the start.
         same = q[i] == memory[SHOWN, i] and v[i] == memory[SPEED, i]
@@ -127,8 +137,8 @@ def compare_readings(
             memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
         fewest, most = min(fewest, memory[REPEATS, i]), max(most, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
-    still[12] += 1.0 if all_whole else 0.0
-    if still[12] > levels[14]:
+    still[OLD_READINGS] += 1.0 if all_whole else 0.0
+    if still[OLD_READINGS] > levels[REPEAT_READING_TICKS]:
         return REPEATED
     if fewest <= patience:  # from here on a repeated reading counts: what changes is counted from here as well
         for i in range(n):
@@ -136,10 +146,11 @@ def compare_readings(
         for i in range(3):
             still[i] = tip[i]
     else:
-        if has_noise(still) and still[9] > levels[12]:
+        if has_noise(still) and still[SAME_WRENCH] > levels[REPEAT_WHOLE_TICKS]:
             return REPEATED
-        wrench_too = still[9] > patience
-        least, way = levels[5] if wrench_too else levels[4], levels[11] if wrench_too else levels[3]
+        wrench_too = still[SAME_WRENCH] > patience
+        least = levels[REPEAT_WHOLE_TORQUE] if wrench_too else levels[REPEAT_TORQUE]
+        way = levels[REPEAT_WHOLE_M] if wrench_too else levels[REPEAT_M]
         for i in range(3):
             if abs(tip[i] - still[i]) > way:
                 return REPEATED
@@ -148,9 +159,10 @@ def compare_readings(
                 return REPEATED
     if ran_away:
         return RAN_AWAY
-    if most > levels[6] or most_whole > levels[14]:
+    if most > levels[REPEAT_JOINT_TICKS] or most_whole > levels[REPEAT_READING_TICKS]:
         return ONE_REPEATED
-    return WRENCH_REPEATED if has_noise(still) and still[9] > levels[12] else NOTHING
+    frozen = has_noise(still) and still[SAME_WRENCH] > levels[REPEAT_WHOLE_TICKS]
+    return WRENCH_REPEATED if frozen else NOTHING
 
 
 @njit(cache=True, nogil=True)
@@ -176,9 +188,9 @@ def compare_momentum(
                 memory[INTEGRAL, i] += s.M[i, j] * s.v[j]
         return NOTHING
     momentum_residual(
-        s.M, s.energy_slope, s.gravity, s.v, tau, levels[9], period, memory[INTEGRAL], memory[RESIDUAL]
+        s.M, s.energy_slope, s.gravity, s.v, tau, levels[RESIDUAL_RATE], period, memory[INTEGRAL], memory[RESIDUAL]
     )
-    share = min(1.0, period / levels[10])
+    share = min(1.0, period / levels[RESIDUAL_S])
     found = NOTHING
     for i in range(n):
         r = memory[RESIDUAL, i]
@@ -188,9 +200,10 @@ def compare_momentum(
         beyond = r - memory[AT_REPEAT, i]
         beyond -= min(max(beyond, -held[i]), held[i])
         memory[UNSEEN, i] += period * beyond / s.M[i, i]
-        if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[7]:
+        if memory[REPEATS, i] > patience and abs(memory[UNSEEN, i]) > levels[STUCK_SPEED]:
             found = STUCK
-        far = abs(r - memory[MEAN, i]) > levels[8] * tau_max[i] or abs(r) > levels[13] * tau_max[i]
+        off_its_mean = abs(r - memory[MEAN, i]) > levels[RESIDUAL_TORQUE] * tau_max[i]
+        far = off_its_mean or abs(r) > levels[RESIDUAL_WHOLE_TORQUE] * tau_max[i]
         memory[EXCEEDED, i] = memory[EXCEEDED, i] + 1.0 if far else 0.0
         if memory[EXCEEDED, i] > patience:
             return UNEXPLAINED

@@ -16,9 +16,9 @@ class History:
         self._ring = np.full((rows, len(QUANTITIES)), np.nan)
         self._count = 0
 
-    def add(self, *values: float) -> None:
-        """Add one tick, in the order of `QUANTITIES`."""
-        self._ring[self._count % len(self._ring)] = values
+    def add(self, **values: float) -> None:
+        """Add one tick: each of `QUANTITIES` by its name."""
+        self._ring[self._count % len(self._ring)] = [values[name] for name in QUANTITIES]
         self._count += 1
 
     def clear(self) -> None:

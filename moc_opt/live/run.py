@@ -227,9 +227,9 @@ class LiveRun:
             self._bound = self._largest_mu(state.q)
         with self._lock:
             self._history.add(
-                t, state.mu, self._bound, float(np.linalg.norm(tip - tip_ref)),
-                float(shaft_distance(tip, wrist, trocar)), float(np.linalg.norm(force)),
-                controller.solve_us, self._loop.tick_us,
+                t_s=t, mu=state.mu, mu_bound=self._bound, tip_error_m=float(np.linalg.norm(tip - tip_ref)),
+                rcm_error_m=float(shaft_distance(tip, wrist, trocar)), force_N=float(np.linalg.norm(force)),
+                solve_us=controller.solve_us, tick_us=self._loop.tick_us,
             )  # fmt: skip
         self._show(tip_ref, trocar, t)
 

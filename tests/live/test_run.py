@@ -292,7 +292,7 @@ def test_a_moving_trocar_says_its_true_velocity() -> None:
 def test_the_history_keeps_the_last_rows_and_their_peaks() -> None:
     history = History(100)
     for k in range(250):
-        history.add(*(k + 0.1 * j for j in range(len(QUANTITIES))))
+        history.add(**{name: k + 0.1 * j for j, name in enumerate(QUANTITIES)})
     rows = history.latest()
     np.testing.assert_allclose(rows[:, 0], np.arange(150.0, 250.0))
     rows[37, 3], rows[40:60, 2] = 1e6, np.nan
