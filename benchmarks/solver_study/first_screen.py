@@ -52,7 +52,7 @@ def table(summary: Mapping[str, Any], rows: Sequence[Row]) -> Table:
     columns = [
         Column("solver", "solver"),
         Column("verdict", "verdict", section=RULES),
-        Column("right_percent", "verified", unit="%", format=".1f", section=where,
+        Column("right_percent", "verified", unit="%", format=".2f", section=where,
                help=f"of {counted} certified problems: verified, or rightly called infeasible"),
         Column("silently_wrong", "silently wrong", format=".0f", section=where, help="claimed, but not optimal"),
         Column("p50_us", "p50", unit="us", format=".1f", section=recorded, help="median time of a warm solve"),
