@@ -19,6 +19,7 @@ from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.solving import RAISED, answers, cold_times, warm_times
 from benchmarks.solver_study.store import Part, Store
 from moc_opt.numerics.arrays import Array
+from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.exact.solver import Exact
 
@@ -54,7 +55,7 @@ class Data:
     @property
     def n(self) -> int:
         """Joints."""
-        return (self.rows.shape[1] - 10) // 10
+        return joints_of(self.rows.shape[1])
 
     def thinned(self, every: int) -> Data:
         """Keep every ``every``-th problem."""

@@ -23,7 +23,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
 from moc_opt.numerics.dense import cholesky, times, transpose_times
-from moc_opt.qp.equalities import offsets
+from moc_opt.qp.equalities import joints_of, offsets
 
 SHAFT_PULL = 0.1
 """Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
@@ -98,7 +98,7 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     direction, and the joints have to turn fast, grad mu has ``shaft_push`` added, and the box opens towards their
     whole speed: its share of it is there for the elbow's sake, and where nothing answers nothing pushes.
     """
-    n = (row.shape[0] - 10) // 10
+    n = joints_of(row.shape[0])
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
     at = offsets(n)
     for i in range(6):

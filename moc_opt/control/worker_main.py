@@ -27,6 +27,7 @@ from moc_opt.control.exchange import (
 from moc_opt.control.session import start_session
 from moc_opt.control.solution_check import received
 from moc_opt.errors import MocOptError, describe
+from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import ObservingSession, Session, Solution, Status, no_answer
 
@@ -71,5 +72,5 @@ def _solve(session: Session, request: Request) -> tuple[int, Solution, str]:
     if request.v is not None:
         session.observe(request.v)  # type: ignore[attr-defined]
     given = session.solve(NullSpaceQP.from_row(request.row))
-    solution, wrong = received(given, np.size(request.row) // 10 - 1)
+    solution, wrong = received(given, joints_of(np.size(request.row)))
     return (MALFORMED if wrong else ANSWERED), solution, wrong

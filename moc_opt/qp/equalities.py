@@ -22,6 +22,7 @@ _SIX = read_only(np.eye(6))
 
 # Kernels may call these from here on.
 offsets = register_jitable(layout.offsets)
+joints_of = register_jitable(layout.joints_of)
 directions_across = register_jitable(reduction.directions_across)
 reduce_rows = register_jitable(reduction.reduce_rows)
 register_jitable(reduction.tool_direction)

@@ -35,3 +35,8 @@ class Offsets(NamedTuple):
 def offsets(n: int) -> Offsets:
     """Compute where the parts of a record with n joints begin."""
     return Offsets(0, 6 * n, 6 * n + 6, 7 * n + 6, 8 * n + 6, 9 * n + 6, 9 * n + 10, 10 * n + 10)
+
+
+def joints_of(length: int) -> int:
+    """Return how many joints n a record of ``length`` = 10 n + 10 numbers is for."""
+    return (length - 10) // 10

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from moc_opt.errors import SubproblemError, shown
 from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.qp import residuals as optimality
-from moc_opt.qp.layout import offsets
+from moc_opt.qp.layout import joints_of, offsets
 from moc_opt.qp.reduction import reduce_rows
 from moc_opt.qp.residuals import Residuals
 
@@ -49,7 +49,7 @@ class Fields(NamedTuple):
 
 def fields(rows: Array) -> Fields:
     """Name the parts of one record or of a batch of them, without copying."""
-    n = (rows.shape[-1] - 10) // 10
+    n = joints_of(rows.shape[-1])
     if n < 1 or row_length(n) != rows.shape[-1]:
         raise SubproblemError(f"row: length {rows.shape[-1]} is not 10 n + 10; use NullSpaceQP(...).row")
     if rows.ndim == 1:  # in the control loop: five microseconds less
@@ -164,7 +164,7 @@ class NullSpaceQP:
         The controller's and the recordings' way in: their records were made by this package.
         """
         self = object.__new__(cls)
-        self._adopt(row, (row.shape[0] - 10) // 10)
+        self._adopt(row, joints_of(row.shape[0]))
         return self
 
     def copy(self) -> NullSpaceQP:
