@@ -6,7 +6,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from moc_opt.qp.layout import C0, C1, C2, RHO, Offsets, offsets
+from moc_opt.qp.layout import C0, C1, C2, RHO, Offsets, joints_of, offsets
 from moc_opt.qp.problem import NullSpaceQP, fields, row_length
 
 
@@ -15,6 +15,7 @@ def test_offsets_are_those_of_the_fields(n):
     record = np.arange(float(row_length(n)))
     named, at = fields(record), offsets(n)
     assert at.end == len(record)
+    assert joints_of(at.end) == n
     for name in named._fields:
         assert getattr(named, name).ravel()[0] == getattr(at, name)
     assert sum(part.size for part in named) == at.end
