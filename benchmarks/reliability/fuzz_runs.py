@@ -36,6 +36,7 @@ FAULTS: list[st.SearchStrategy[dict[str, Any]]] = [
     st.fixed_dictionaries({
         "lag_at_s": at_s, "lag_growth": st.floats(0.01, 1.0), "forged_stamps": st.booleans(),
         "lag_joint": st.none() | st.integers(0, 6),
+        "lag_ticks": st.integers(0, 60),
     }),
     st.fixed_dictionaries({"replay_at_s": at_s, "replay_ticks": st.integers(1, 200), "forged_stamps": st.booleans()}),
     st.fixed_dictionaries({

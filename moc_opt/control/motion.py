@@ -17,6 +17,7 @@ WORDS = {
     "loop that shakes at too long a delay",
     kernels.ONE_REPEATED: "one encoder repeats its reading, as its noise does not let it",
     kernels.WRENCH_REPEATED: "the wrench sensor repeats its reading, as its noise does not let it",
+    kernels.LAGGING: "one encoder lags: its readings came before, to the last bit",
     kernels.RECORDED: "the measurements are a recording: they came before, to the last bit",
 }
 """What is wrong with a reading, by what the kernels find."""
@@ -33,7 +34,8 @@ class MotionMonitor:
 
     Attributes:
         on: whether anything is checked.
-        levels, held, most_replayed, clock, memory, still, seen, count, tip: as ``motion_kernels`` take them.
+        levels, held, most_replayed, clock, memory, still, seen, count, joints_seen, joints_count, tip: as
+            ``motion_kernels`` and ``replay_kernels`` take them.
         settling: ticks until the residual is what it will be.
     """
 
@@ -46,10 +48,11 @@ class MotionMonitor:
         self.clock, self.memory = np.zeros(3, dtype=np.int64), np.zeros((kernels.ROWS, n))
         self.still, self.tip = np.zeros(13), np.zeros(3)
         self.seen, self.count = np.zeros((2, replays.SLOTS)), np.zeros(3)
+        self.joints_seen, self.joints_count = np.zeros((2 * n, replays.JOINT_SLOTS)), np.zeros((n, 3))
 
     def start(self, q: Array, v: Array, stamp: int) -> None:
         """Begin at a measurement; the next one may be the same."""
         self.clock[:] = stamp - 1, stamp - 1, -2
-        for memory in (self.memory, self.still, self.tip, self.seen, self.count):
+        for memory in (self.memory, self.still, self.tip, self.seen, self.count, self.joints_seen, self.joints_count):
             memory[:] = 0.0
         self.memory[kernels.SHOWN], self.memory[kernels.PEAK], self.memory[kernels.REPEATS] = q, np.abs(v), -1.0

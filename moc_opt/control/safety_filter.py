@@ -99,7 +99,8 @@ class SafetyFilter:
         self._before = partial(
             tick.BEFORE.code, settings.jump_rad, period, settings.patience_ticks, bounds, motion.tau_max,
             motion.levels, motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory,
-            motion.still, motion.tip, motion.seen, motion.count, joints, mount, np.array(tip), inside.tool,
+            motion.still, motion.tip, motion.seen, motion.count,
+            motion.joints_seen, motion.joints_count, joints, mount, np.array(tip), inside.tool,
             inside.lowest, inside.means, inside.point,
         )  # fmt: skip
         self._after = partial(

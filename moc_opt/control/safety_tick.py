@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from moc_opt.control import incision
 from moc_opt.control import motion_kernels as motion
-from moc_opt.control.replay_kernels import count_replayed
+from moc_opt.control.replay_kernels import count_lagging, count_replayed
 from moc_opt.control.safety_kernels import believable, limit_torque, squared_error
 from moc_opt.model.kinematics_kernels import state_views
 from moc_opt.model.place_kernels import tool_pose
@@ -33,7 +33,8 @@ WHAT, INSIDE = 8, 128
 def before(
     jump: float, period: float, patience: int, bounds: Array, tau_max: Array, levels: Array, most_replayed: Array,
     clock: Indices, counts: Indices, believed: Array, memory: Array, still: Array, tip: Array, seen: Array,
-    count: Array, joints: Array, mount: Array, tool_tip: Array, tool: Array, lowest: Array, means: Array, point: Array,
+    count: Array, joints_seen: Array, joints_count: Array, joints: Array, mount: Array, tool_tip: Array, tool: Array,
+    lowest: Array, means: Array, point: Array,
     parts: int, q: Array, v: Array, stamp: int, applied: Array, wrench: Array, trocar: Array,
 ) -> int:  # fmt: skip
     """Judge a measurement, and what it says of the incision; return flags and digits.
@@ -45,7 +46,7 @@ def before(
         most_replayed: (2,) readings in a row that may have come before, without and with noise of the wrench sensor.
         counts: (3,) changed in place.
         believed: (2, n) changed in place: rows q and v, the last accepted ones or what follows from them.
-        seen, count: as for ``count_replayed``.
+        seen, count: as for ``count_replayed``; joints_seen, joints_count: as for ``count_lagging``.
         joints, mount, tool_tip: as for ``tool_pose``.
         tool, lowest, means: as for ``incision.take``; point: (3,) written: the trocar.
         parts: what is to be checked beside what can be believed: AGE, READING, INCISION.
@@ -68,7 +69,12 @@ def before(
                 patience, tau_max, levels, memory, still, q, v, applied, wrench, tip, period * max(1, counts[GAP])
             )
             counts[GAP] = 0
-            if count_replayed(q, v, wrench, seen, count) > most_replayed[1 if motion.has_noise(still) else 0]:
+            # Where no encoder repeats a reading, one that came before is found as soon as one that comes twice.
+            most = levels[motion.REPEAT_READING_TICKS]
+            if count_lagging(q, v, joints_seen, joints_count) > most and what == motion.NOTHING:
+                what = motion.LAGGING
+            most = min(most, most_replayed[1 if motion.has_noise(still) else 0])
+            if count_replayed(q, v, wrench, seen, count) > most:
                 what = motion.RECORDED
             found += WHAT * what
     else:
@@ -125,7 +131,7 @@ def after(
 
 BEFORE = CompiledKernel(
     before, float64, float64, int64, MATRIX, *[VECTOR] * 3, INDICES, INDICES, MATRIX, MATRIX, VECTOR, VECTOR, MATRIX,
-    VECTOR, MATRIX, MATRIX, *[VECTOR] * 5, int64, VECTOR, VECTOR, int64, VECTOR, VECTOR, MATRIX,
+    VECTOR, *[MATRIX] * 4, *[VECTOR] * 5, int64, VECTOR, VECTOR, int64, VECTOR, VECTOR, MATRIX,
 )  # fmt: skip
 AFTER = CompiledKernel(
     after, float64, int64, float64, float64, float64, int64, MATRIX, *[VECTOR] * 4, INDICES, MATRIX, VECTOR, VECTOR,

@@ -28,7 +28,7 @@ REASONS = (
     "measurements are more than", "all encoders repeat one reading", "the encoders' positions do not follow",
     "an encoder repeats one reading", "the measured motion is not what the torque makes",
     "the measurements are a recording", "one encoder repeats",
-    "the wrench sensor repeats",
+    "the wrench sensor repeats", "one encoder lags",
 )  # fmt: skip
 """How the safety filter in Python begins the reasons to stop in moc_safe.h, in its order."""
 

@@ -80,7 +80,7 @@ def guard(n: int, gravity: int, tool_pose: int) -> int:
     """Count moc_guard, moc_motion, moc_replay, moc_incision, moc_safe_step's checks, and what only a stop needs."""
     believed = 1 + n * 10
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 32 + 2 * 3 + 4 + 2 * 6
-    readings = 2 + 6 * 3 + n * 31 + 12 + 6 + 3 * n + 2 * (2 * n + 6) + 14
+    readings = 2 + 6 * 3 + n * 31 + 12 + 6 + 3 * n + 2 * (2 * n + 6) + 14 + n * 17 + 2
     weighed = n * (dot(n) + 6) + n * 26
     walls = all_finite(n) + n * (4 + 2 * 6 + 12) + gravity + n * 12
     rest = gravity + all_finite(n) + n * 7

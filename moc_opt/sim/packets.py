@@ -40,6 +40,7 @@ class PacketSettings(Settings):
     lag_joint: int | None = Field(
         default=None, ge=0, description="of one encoder, counted from 0, under up-to-date numbers; None: of all"
     )
+    lag_ticks: int = Field(default=0, ge=0, le=1000, description="ticks of delay added at once when that begins")
     lag_growth: float = Field(default=0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
     replay_at_s: float | None = Field(
         default=None, ge=0.0, description="old packets come once more from then on, in their order, over and over"
@@ -96,7 +97,8 @@ class Packets:
             v = taken.v + self._drift if s.drift_velocity == "included" else taken.v
             taken = taken._replace(q=taken.q + since * self._drift, v=v)
         self._past.append(taken)
-        late = s.late_ticks + int(s.lag_growth * self._after(s.lag_at_s, tick) + 1e-9)
+        lagging = self._after(s.lag_at_s, tick)
+        late = s.late_ticks + int(s.lag_growth * lagging + 1e-9) + (s.lag_ticks if lagging else 0)
         arrived = self._past[max(0, len(self._past) - 1 - late)]
         if late > s.late_ticks:
             on_time = self._past[max(0, len(self._past) - 1 - s.late_ticks)]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.control.replay_kernels import SLOTS, count_replayed
+from moc_opt.control.replay_kernels import JOINT_SLOTS, SLOTS, count_lagging, count_replayed
 
 
 def fed(readings):
@@ -65,3 +65,23 @@ def test_what_is_no_number_is_left_out(value):
     readings = noisy(11, 30)
     readings[:, 15] = value
     assert fed([*readings, *readings])[-1] == 0.0
+
+
+def lagging(q, v):
+    """The most readings of one encoder that came before, after each of the readings (k, n)."""
+    seen, counts = np.zeros((2 * q.shape[1], JOINT_SLOTS)), np.zeros((q.shape[1], 3))
+    return [count_lagging(*reading, seen, counts) for reading in zip(q, v, strict=True)]
+
+
+@given(st.integers(0, 1000), st.integers(2, 60), st.integers(0, 6))
+@settings(deadline=None, max_examples=40)
+def test_an_encoder_that_begins_to_lag_shows_its_last_readings_once_more(seed, ticks, joint):
+    rng = np.random.default_rng(seed)
+    q, v = 0.5 + 1e-5 * rng.integers(-2, 3, size=(400, 7)), 1e-3 * rng.normal(size=(400, 7))
+    late_q, late_v = q.copy(), v.copy()
+    late_q[300:, joint], late_v[300:, joint] = q[300 - ticks : -ticks, joint], v[300 - ticks : -ticks, joint]
+    assert max(lagging(q, v)) == 0.0
+    hits = lagging(late_q, late_v)
+    assert max(hits[:300]) == 0.0
+    # A slot that another reading took costs a hit: of 60 readings in 256 slots one in nine, on average.
+    assert 0.6 * ticks - 1.0 <= hits[-1] <= ticks

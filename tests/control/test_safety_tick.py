@@ -40,8 +40,12 @@ def part_by_part(guard, q, v, stamp, applied, wrench, trocar, robot):
             s.patience_ticks, robot.tau_max, m.levels, m.memory, m.still, q, v, applied, wrench, m.tip, elapsed
         )
         counts[safety_tick.GAP] = 0
+        most = m.levels[motion.REPEAT_READING_TICKS]
+        lagging = replay_kernels.count_lagging(q, v, m.joints_seen, m.joints_count)
+        if lagging > most and what == motion.NOTHING:
+            what = motion.LAGGING
         came_before = replay_kernels.count_replayed(q, v, wrench, m.seen, m.count)
-        if came_before > m.most_replayed[int(motion.has_noise(m.still))]:
+        if came_before > min(most, m.most_replayed[int(motion.has_noise(m.still))]):
             what = motion.RECORDED
         found += safety_tick.ACCEPTED + safety_tick.WHAT * what
     else:

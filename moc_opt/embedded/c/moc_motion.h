@@ -47,8 +47,8 @@ void moc_motion_start(const double *q, const double *v, int64_t stamp, moc_motio
 int moc_motion_age(int64_t stamp, moc_motion_state *state);
 
 /* Take in a new reading q, v (n,), wrench (6,), after the torque tau (n,) went out.
- * Returns MOC_STOP_REPLAYED, MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, MOC_STOP_ONE_REPEATED, MOC_STOP_WRENCH_REPEATED, or
- * 0. */
+ * Returns MOC_STOP_REPLAYED, MOC_STOP_REPEATED, MOC_STOP_RAN_AWAY, MOC_STOP_ONE_REPEATED, MOC_STOP_WRENCH_REPEATED,
+ * MOC_STOP_LAGGING, or 0. */
 int moc_motion_look(const double *q, const double *v, const double *tau, const double *wrench, moc_motion_state *state);
 
 /* Take in what the model makes of a measurement with velocity v (n,), tau (n,) having acted before it.

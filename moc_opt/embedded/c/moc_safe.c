@@ -188,6 +188,7 @@ const char *moc_safe_reason(int reason)
         "the measurements are a recording: they came before, to the last bit",
         "one encoder repeats its reading, as its noise does not let it",
         "the wrench sensor repeats its reading, as its noise does not let it",
+        "one encoder lags: its readings came before, to the last bit",
     };
     return reason >= MOC_RUNNING && reason < MOC_REASONS ? words[reason] : "unknown";
 }

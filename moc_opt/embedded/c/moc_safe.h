@@ -37,6 +37,7 @@ enum {
     MOC_STOP_REPLAYED,    /* the measurements are a recording: they came before, to the last bit */
     MOC_STOP_ONE_REPEATED, /* one encoder repeats its reading, as its noise does not let it */
     MOC_STOP_WRENCH_REPEATED, /* the wrench sensor does, as its noise does not let it */
+    MOC_STOP_LAGGING, /* one encoder lags: its readings came before, to the last bit */
     MOC_REASONS
 };
 
