@@ -80,7 +80,7 @@ def test_two_runs_stand_side_by_side_with_what_each_figure_says():
     assert shown[1][1:] == ["0.2500", "7"]
     assert shown[2][0] == "oscillated: joint_7"
     assert shown[2][1:] == ["0.1250", "–"]
-    assert shown[3][1:] == [METRICS[name].about for name in shown[0][1:]]
+    assert shown[3][1:] == [METRICS[name].about.replace("m^3", "m³") for name in shown[0][1:]]
 
 
 def test_a_part_stands_beside_no_whole_run():
