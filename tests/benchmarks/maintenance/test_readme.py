@@ -96,7 +96,7 @@ def test_both_sections_are_written_and_nothing_else_is_touched(folder):
     (head,) = [line for line in text.splitlines() if line.startswith("| solver |")]
     assert head.count("|") == 9, "eight columns, those of the report"
     assert "| exact | ★ take | 100.00 | 0 | 1.7 | 3.1 | 94.7 | none |" in text
-    assert "| daqp | ◐ gaps | 90.0 | 0 |" in text
+    assert "| daqp | ◐ gaps | 90.00 | 0 |" in text
     assert "| nlp-sqp | ≠ other | – | – | 1.7 | 3.1 |" in text
     assert text.index("| exact |") < text.index("| daqp |") < text.index("| nlp-sqp |")
     assert "15 trials from random poses" in text
