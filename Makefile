@@ -31,7 +31,7 @@ lint: setup
 kernels: kernels.exact kernels.rnn
 
 kernels.%: setup
-	$(RUN) -m benchmarks.preload $*
+	$(RUN) -m benchmarks.common.preload $*
 
 docs: setup
 	$(RUN) -m sphinx -W --keep-going -q -b html docs build/docs

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import baselines as peers
 from benchmarks.baselines.check import PERIOD_S, Inputs, Verdict, job, perform, verdict
-from benchmarks.timing import Timed
+from benchmarks.common.timing import Timed
 from moc_opt.control import Controller, ControlSettings, tick
 from moc_opt.control import null_space as manipulability
 from moc_opt.control.law import law_of

@@ -7,12 +7,12 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, interval_of, interval_picture
-from benchmarks.solver_study.cases import BASELINE
+from benchmarks.common.answer import Answer, Picture, interval_of, interval_picture
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.verdicts import AVOID, BEST_MU, GAPS, NEAR, OTHER, SOUND, TAKE, Row, assess
 from moc_opt import figures
 from moc_opt.comparison.statistics import spread
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
