@@ -48,10 +48,11 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
     "commissioning": {"inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario"},
     "comparison": {"figures", "inputs", "trace", "solvers.base", "report", "scenario"},
     "public": {"qp", "trace", "model", "planning", "solvers", "scenario", "comparison"},
-    "commands": {"inputs", "trace", "tasks", "robots", "solvers", "realtime", "report", "scenario", "comparison"},
-    "command line": {
-        "inputs", "trace", "report", "scenario", "embedded", "live", "commissioning", "commands", "public",
+    "commands": {
+        "inputs", "trace", "tasks", "robots", "solvers", "realtime", "report", "scenario", "live", "commissioning",
+        "comparison", "public",
     },
+    "command line": {"report", "commands"},
 }.items()}  # fmt: skip
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.

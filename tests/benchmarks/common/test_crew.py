@@ -8,7 +8,7 @@ import pytest
 from benchmarks.common.crew import Crew, run_parallel, spread
 from benchmarks.common.processes import Crashed, Worker
 from moc_opt.errors import UnknownNameError
-from tests.benchmarks.test_processes import gone, square
+from tests.benchmarks.common.test_processes import gone, square
 
 
 @pytest.mark.parametrize("processes", [1, 2])
