@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import paper
 from benchmarks.common.output import default_config
-from benchmarks.paper_experiment import figures, swivel, verdict
+from benchmarks.paper_experiment import figures, parts, swivel, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import trials as paper_trials
 from benchmarks.paper_experiment.config import Config
@@ -207,7 +207,7 @@ def test_a_stopped_run_enters_no_mean_and_an_oscillating_one_is_counted(trial, m
     assert broken["controller"] == "exact"
     assert broken["ended"].startswith("stopped: the RCM error")
     small = Config(groups={"g": {}}, solvers=["exact"], best="g", best_solver="exact")
-    counts = paper.summarise(small, [found], [])[0]["g"]
+    counts = parts.summarise(small, [found], [])[0]["g"]
     assert (counts[MATCHED]["broke_off"], counts[MATCHED]["oscillated"]) == (0, 1)
     assert (counts["exact"]["broke_off"], counts["exact"]["oscillated"]) == (1, 0)
 
