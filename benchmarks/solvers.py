@@ -13,9 +13,10 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 from benchmarks.common import cli, output
+from benchmarks.common.config import choose
 from benchmarks.common.timing import clock_cost_us, each_us
 from benchmarks.solver_study.closed_parts import JOBS, SECONDS, weights
 from benchmarks.solver_study.config import PARTS, Config
@@ -27,26 +28,9 @@ from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import Study, run_study
 from benchmarks.solver_study.tables import tables
 from benchmarks.subproblems import qpbenchmark
-from moc_opt.errors import UnknownNameError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.report.console import console, progress
-from moc_opt.solvers import available
-
-
-def choose(wanted: Literal["all"] | list[str]) -> tuple[list[str], dict[str, str]]:
-    """Return the names that can run here, and name -> reason for those that cannot.
-
-    Raises:
-        UnknownNameError: a name that no solver has.
-    """
-    found = available()
-    names = list(found) if wanted == "all" else wanted
-    for name in names:
-        if name not in found:
-            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
-    reasons = {name: reason for name in names if (reason := found[name]) is not None}
-    return [name for name in names if name not in reasons], reasons
 
 
 def once(names: list[str]) -> tuple[list[str], dict[str, str]]:

@@ -54,22 +54,34 @@ class Configuration(Settings):
         return environment(self.model_dump(mode="json"), self.seed, given.argv) | remarks
 
 
-def runnable(wanted: Literal["all"] | Sequence[str], *beside: str) -> list[str]:
-    """Name the solvers of a benchmark; "all" are those that can run here.
+def choose(wanted: Literal["all"] | Sequence[str], *beside: str) -> tuple[list[str], dict[str, str]]:
+    """Return the names of solvers that can run here, and name -> reason for those that cannot.
 
     Args:
+        wanted: names; "all" are all there are.
         beside: further names, such as that of a baseline.
+
+    Raises:
+        UnknownNameError: no such solver.
+    """
+    found: dict[str, str | None] = {**dict.fromkeys(beside), **available()}
+    names = list(found) if wanted == "all" else list(wanted)
+    for name in names:
+        if name not in found:
+            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
+    reasons = {name: reason for name in names if (reason := found[name]) is not None}
+    return [name for name in names if name not in reasons], reasons
+
+
+def runnable(wanted: Literal["all"] | Sequence[str], *beside: str) -> list[str]:
+    """Name the solvers of a benchmark; "all" are those that can run here; see `choose`.
 
     Raises:
         UnknownNameError: no such solver.
         SolverError: one that is asked for by name cannot run here, and why.
     """
-    found = {**dict.fromkeys(beside), **available()}
-    if wanted == "all":
-        return [name for name, why in found.items() if why is None]
-    for name in wanted:
-        if name not in found:
-            raise UnknownNameError("solver", name, found, "moc-opt solvers --list")
-        if found[name] is not None:
-            raise SolverError(f"solver {name!r} cannot run here: {found[name]}")
-    return list(wanted)
+    names, reasons = choose(wanted, *beside)
+    if reasons and wanted != "all":
+        name, reason = next(iter(reasons.items()))
+        raise SolverError(f"solver {name!r} cannot run here: {reason}")
+    return names

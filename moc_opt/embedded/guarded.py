@@ -57,11 +57,11 @@ class GuardedController:
         self._has_clock = settings.supervisor.budget_us is not None
         self._reason = 0
 
-    def start(self, q: ArrayLike, v: ArrayLike, sent: ArrayLike, stamp: int = 0) -> None:
-        """Begin at measurement number ``stamp`` of q (n,) [rad], v (n,) [rad/s], ``sent`` (n,) [Nm] acting."""
-        (q_at, v_at, sent_at), _kept = self._pointers(q, v, sent)
+    def start(self, q: ArrayLike, v: ArrayLike, applied: ArrayLike, stamp: int = 0) -> None:
+        """Begin at measurement number ``stamp`` of q (n,) [rad], v (n,) [rad/s], ``applied`` (n,) [Nm] acting."""
+        (q_at, v_at, applied_at), _kept = self._pointers(q, v, applied)
         number = ctypes.c_int64(stamp)
-        self._reason = self.library.moc_safe_start(q_at, v_at, number, sent_at, self._state)
+        self._reason = self.library.moc_safe_start(q_at, v_at, number, applied_at, self._state)
 
     def tick(
         self, q: ArrayLike, v: ArrayLike, tip_ref: ArrayLike, trocar: ArrayLike, wrench: ArrayLike,

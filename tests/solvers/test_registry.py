@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from benchmarks.solvers import choose
+from benchmarks.common.config import choose
 from moc_opt.__main__ import main
 from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import Solver, Status, available, create, plugins, registry
