@@ -96,18 +96,15 @@ class SafetyFilter:
         settings, motion, inside = self.settings, self._motion, self._incision
         bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
         joints, mount, tip = self._place or (np.zeros((0, 16)), np.zeros((0, 3)), np.zeros(3))
-        self._before = partial(
-            tick.BEFORE.code, settings.jump_rad, period, settings.patience_ticks, bounds, motion.tau_max,
-            motion.levels, motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory,
-            motion.still, motion.tip, motion.seen, motion.count,
-            motion.joints_seen, motion.joints_count, joints, mount, np.array(tip), inside.tool,
-            inside.lowest, inside.means, inside.point,
+        self.memory = tick.SafetyMemory(
+            settings.jump_rad, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
+            settings.tip_error_m**2, motion.settling, bounds, self._limits, self._wall, motion.levels, motion.held,
+            motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory, motion.still, motion.tip,
+            self._square, motion.seen, motion.count, motion.joints_seen, motion.joints_count, joints, mount,
+            np.array(tip), inside.tool, inside.lowest, inside.means, inside.point,
         )  # fmt: skip
-        self._after = partial(
-            tick.AFTER.code, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
-            settings.tip_error_m**2, motion.settling, self._limits, self._wall, _NONE, motion.levels, motion.held,
-            self._counts, motion.memory, motion.tip, self._square,
-        )  # fmt: skip
+        self._before = partial(tick.BEFORE.code, self.memory)
+        self._after = partial(tick.AFTER.code, self.memory, _NONE)
 
     def _forget(self, q: Array, v: Array, stamp: int = 0) -> None:
         self._believed[0], self._believed[1] = q, v

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from llvmlite import ir
-from numba import bool_, float64, int64, types
+from numba import bool_, float64, int8, int64, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
@@ -16,6 +16,13 @@ VECTOR, MATRIX = float64[::1], float64[:, ::1]
 """Contiguous arrays of one and two dimensions."""
 INDICES, FLAGS = int64[::1], bool_[:, ::1]
 """The same of integers and of truth values."""
+CUBE, BYTES = float64[:, :, ::1], int8[::1]
+REAL, INTEGER = float64, int64
+
+
+def named(record: type[tuple[Any, ...]], *kinds: Any) -> Any:
+    """Return the kind of a ``NamedTuple`` whose fields have these kinds: a kernel takes it as one argument."""
+    return types.NamedTuple(kinds, record)
 
 
 class CompiledKernel:
@@ -85,6 +92,28 @@ def call(function: int, first: int, second: int) -> None:
     Both objects have to outlive the call: an address keeps nothing alive.
     """
     ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(int(function))(int(first), int(second))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _ask(typing_context: Any, function: Any, given: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointers = cgutils.unpack_tuple(builder, values[1])
+        kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * len(pointers))
+        answer = builder.call(builder.inttoptr(values[0], kind.as_pointer()), pointers)
+        return builder.sext(answer, ir.IntType(64))
+
+    return types.int64(types.int64, given), emit
+
+
+def ask(function: int, given: tuple[int, ...]) -> int:
+    """Call the C function ``int f(void *, ...)``, inside a kernel or in Python; all are addresses, as for ``call``."""
+    kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * len(given))
+    return int(kind(int(function))(*map(int, given)))
+
+
+@overload(ask, strict=False)
+def _asked(function: Any, given: Any) -> Callable[..., Any]:
+    return lambda function, given: _ask(function, given)
 
 
 @overload(call, strict=False)

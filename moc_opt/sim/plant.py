@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NoReturn
 
 import mujoco
@@ -15,7 +16,7 @@ from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
-from moc_opt.sim.period import AWAY, DONE, NO_TORQUE, NO_TROCAR
+from moc_opt.sim.period import ADVANCE, AWAY, DONE, NO_TORQUE, NO_TROCAR
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
 
@@ -105,7 +106,8 @@ class Plant:
         self._at.drives.start(self._at.joints.bias)
         self._at.joints.start(speed)
         self._at.tell()
-        self._advance = self._at.advance(encoders)
+        self.memory = self._at.memory(encoders)
+        self._advance = partial(ADVANCE.code, self.memory)
         q, v = encoders.start(*self._at.joints.shown)
         self._measurement = Measurement(q, v, sensor.read(self._at.wrench), self._ticks)
 
