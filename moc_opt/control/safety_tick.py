@@ -106,8 +106,8 @@ def before(
         q, v: (n,) as measured [rad], [rad/s]; stamp: number of the control period in which they were.
         applied: (n,) torque that was applied before [Nm]; wrench: (6,) at the tool's mount; trocar: (2, 3).
     """
-    q, v, wrench, believed = borrowed(q), borrowed(v), borrowed(wrench), borrowed(at.believed)
-    found, late = 0, motion.FRESH
+    at, q, v, wrench = borrowed(at), borrowed(q), borrowed(v), borrowed(wrench)
+    believed, found, late = at.believed, 0, motion.FRESH
     if parts & AGE:
         gap = at.clock[1]
         late = motion.age(stamp, at.patience, at.clock)
@@ -134,9 +134,9 @@ def before(
 @njit(cache=True, nogil=True)
 def _look(at: SafetyMemory, q: Array, v: Array, applied: Array, wrench: Array) -> int:
     """Compare a new reading with the ones before; return what ``motion_kernels`` calls it."""
-    levels, still = borrowed(at.levels), borrowed(at.still)
+    levels, still = at.levels, at.still
     what = motion.compare_readings(
-        at.patience, at.limits[3], levels, borrowed(at.memory), still, q, v, applied, wrench, at.told,
+        at.patience, at.limits[3], levels, at.memory, still, q, v, applied, wrench, at.told,
         at.period * max(1, at.counts[GAP]),
     )  # fmt: skip
     at.counts[GAP] = 0
@@ -168,7 +168,8 @@ def after(
         tau: (n,) changed in place [Nm].
     """
     n, found = tau.shape[0], 0
-    record, limits = borrowed(record), borrowed(at.limits)
+    at, record = borrowed(at), borrowed(record)
+    limits = at.limits
     if parts & TIP:
         for i in range(3):
             at.told[i] = tip_ref[0, i]

@@ -53,16 +53,26 @@ Lent = TypeVar("Lent")
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _lend(typing_context: Any, array: Any) -> Any:
-    def lend(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        made = context.make_array(signature.return_type)(context, builder, given[0])
+    def lend_one(context: Any, builder: Any, kind: Any, given: Any) -> Any:
+        if not isinstance(kind, types.Array):
+            return given
+        made = context.make_array(kind)(context, builder, given)
         made.meminfo = cgutils.get_null_value(made.meminfo.type)
         return made._getvalue()
+
+    def lend(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        if isinstance(array, types.Array):
+            return lend_one(context, builder, array, given[0])
+        parts = zip(array.types, cgutils.unpack_tuple(builder, given[0]), strict=True)
+        return context.make_tuple(builder, array, [lend_one(context, builder, *part) for part in parts])
 
     return array(array), lend
 
 
 def borrowed(array: Lent) -> Lent:
     """Return the same array for use inside a kernel, without a share in its memory; in Python, the array itself.
+
+    Of a named tuple, the same one with all its arrays borrowed.
 
     A kernel counts references to every array that it is given, views or hands on, each time with a locked
     instruction, which costs more than most arithmetic there. What is borrowed, and every view of it, is not counted.
@@ -73,7 +83,7 @@ def borrowed(array: Lent) -> Lent:
 
 @overload(borrowed, strict=False)
 def _borrowed(array: Any) -> Callable[..., Any] | None:
-    return (lambda array: _lend(array)) if isinstance(array, types.Array) else None
+    return (lambda array: _lend(array)) if isinstance(array, types.Array | types.BaseNamedTuple) else None
 
 
 @intrinsic  # type: ignore[untyped-decorator]

@@ -28,6 +28,7 @@ from moc_opt.numerics.compiled import (
     VECTOR,
     CompiledKernel,
     ask,
+    borrowed,
     call,
     named,
 )
@@ -108,6 +109,8 @@ def steps(
         nothing: (0,).
         call_clock: address of C's ``clock_gettime``.
     """
+    plant, guard, tick, rows, now = borrowed(plant), borrowed(guard), borrowed(tick), borrowed(rows), borrowed(now)
+    noise, wrench_noise = borrowed(noise), borrowed(wrench_noise)
     at, first, n = now.at, now.at[ROW], now.applied.size
     q, v, wrench = now.seen[:n], now.seen[n : 2 * n], now.seen[2 * n :]
     while at[ROW] < last:

@@ -133,9 +133,8 @@ def advance(
         noise, wrench_noise: (n,) [rad], (6,) [N, Nm].
         reading: (2 n + 6,) written: positions, velocities, wrench of the tool on its mount.
     """
-    q, v, theta, omega = borrowed(at.q), borrowed(at.v), borrowed(at.theta), borrowed(at.omega)
-    xpos, xmat, cvel, wrenches = borrowed(at.xpos), borrowed(at.xmat), borrowed(at.cvel), borrowed(at.wrenches)
-    truth, reading, numbers = borrowed(at.truth), borrowed(reading), borrowed(at.numbers)
+    at, reading = borrowed(at), borrowed(reading)
+    q, v, theta, omega, numbers = at.q, at.v, at.theta, at.omega, at.numbers
     n, stride = q.size, numbers[3]
     for i in range(2):
         for j in range(3):
@@ -152,14 +151,14 @@ def advance(
         if numbers[4] == 0:
             drive(at.torque, at.qpos, stride, at.ripple, at.applied)
         load_bodies(
-            wrenches, xpos, xmat, at.xipos, cvel, at.origin, numbers[0], numbers[1], numbers[2], at.trocar, at.force,
-            at.point, k * at.times[0], tissue[0], tissue[1], pushed, pushes,
+            at.wrenches, at.xpos, at.xmat, at.xipos, at.cvel, at.origin, numbers[0], numbers[1], numbers[2], at.trocar,
+            at.force, at.point, k * at.times[0], tissue[0], tissue[1], pushed, pushes,
         )  # fmt: skip
         call(at.calls[1], at.calls[2], at.calls[3])
         call(at.calls[0], at.calls[2], at.calls[3])
     if stride != 1:
         gather(at.qpos, at.qvel, q, v, theta, omega)
-    write_truth(q, v, xpos, cvel, at.origin, numbers, at.trocar, tissue, at.point, at.times[1], truth)
+    write_truth(q, v, at.xpos, at.cvel, at.origin, numbers, at.trocar, tissue, at.point, at.times[1], at.truth)
     if not _sound(q, v):
         return RAN_AWAY
     on_links = numbers[5] != 0

@@ -25,7 +25,7 @@ class Measurement(NamedTuple):
     """Number of the control period in which it was taken, counted by the arm: what was seen has an age."""
 
 
-_NOISE_ROWS = 64
+_NOISE_ROWS = 256
 
 
 class _Noise:
