@@ -79,12 +79,18 @@ class Setup(Objects):
         def trocar(t: Array) -> Array:
             return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
 
+        controller, safety_filter = self.adapter(), make_safety_filter(self.robot, self.scenario)
+        around = faults if wrong.around_the_arm else None
+        compiled = None
+        if self.scenario.control.backend == "c":
+            from moc_opt.scenario.steps import compiled_steps  # late, as all that needs the generated C
+
+            compiled = compiled_steps(self.plant, controller, safety_filter, around)
         with Interpreter():  # what a solver changed of it ends with the run
             found = simulate(
-                self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+                self.plant, controller, Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
                 Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
-                safety_filter=make_safety_filter(self.robot, self.scenario),
-                faults=faults if wrong.around_the_arm else None,
+                safety_filter=safety_filter, faults=around, compiled=compiled,
                 stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
             )  # fmt: skip
         told = self.guide.told if isinstance(self.guide, Receding | Follower) else {}
