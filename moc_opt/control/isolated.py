@@ -36,11 +36,17 @@ class ProcessSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     answer_age_ticks: int = Field(
-        0, ge=0, description="largest age of an answer that stands for one that is late; 0: only this tick's own"
+        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
     )
-    hang_s: float = Field(1.0, gt=0.0, description="without an answer for so long, it is killed and replaced")
-    memory_MB: float = Field(4096.0, gt=0.0, description="with more than this, it is killed and replaced")
-    most_restarts: int = Field(20, ge=0, description="of one run; from then on the third level falls back")
+    hang_s: float = Field(
+        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
+    )
+    memory_MB: float = Field(
+        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
+    )
+    most_restarts: int = Field(
+        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
+    )
     start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
 
 

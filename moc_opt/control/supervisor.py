@@ -83,37 +83,38 @@ class First(NamedTuple):
 
 
 class SupervisorSettings(Settings):
-    """When an answer is refused, and what takes its place."""
+    """When an answer is refused, and what replaces it."""
 
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="check residuals of answers that are claimed optimal")
+    check: bool = Field(True, description="whether the residuals of answers that are claimed optimal are checked")
     primal_limit: float = Field(
-        1e-2, gt=0.0, description="largest |A x - b| or box violation of a claim [m/s, rad/s]"
+        1e-2, gt=0.0, description="largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"
     )
     box_limit: float = Field(
-        0.1, gt=0.0,
-        description="largest |A x - b| or box violation of an answer that claims nothing [m/s, rad/s]",
-    )  # fmt: skip
-    relative_limit: float = Field(
-        0.05, gt=0.0, description="largest natural residual along the self-motion, cost scaled to one [rad/s]"
+        0.1, gt=0.0, description="largest |A x - b| or box violation of an answer without that claim [m/s, rad/s]"
     )
+    relative_limit: float = Field(
+        0.05, gt=0.0,
+        description="largest natural residual along the self-motion, with the cost scaled to slope one [rad/s]",
+    )  # fmt: skip
     opposite_limit: float = Field(
         1e-3, gt=0.0,
-        description="a claim this far from its optimum, and nearer to that of the opposite gradient, is false [rad/s]",
+        description="a claim is false if its x is farther than this from the optimum, and nearer to the optimum of the "
+        "opposite gradient [rad/s]",
     )  # fmt: skip
     hold_ticks: int = Field(
-        10, ge=0, description="how long the last good answer is held, before damping alone"
+        10, ge=0, description="ticks for which the last good answer is held, before the self-motion is damped"
     )
     keep_off_limits: bool = Field(
-        True, description="from then on, move the elbow as far as the box asks for; False: damping alone"
+        True, description="after these ticks, move the elbow as far as the box asks for; False: damping only"
     )
-    budget_us: float | None = Field(None, gt=0.0, description="time a solve may take; None: no limit")
+    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; None: no limit")
     late: Literal["hold", "zero", "iterate"] = Field(
         "hold",
-        description="what stands for a late answer; iterate: what the solver has when the budget ends, or its whole "
-        "answer where it cannot be stopped",
+        description="what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the "
+        "budget ends, which is its whole answer where it cannot be interrupted",
     )
 
 

@@ -33,8 +33,9 @@ class Scenario(Settings):
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field(default="circle", description="title of the run")
     seed: int = Field(
-        default=0, ge=0, le=LARGEST_INTEGER, description="of starting pose and swivel, mismatch and noise"
-    )
+        default=0, ge=0, le=LARGEST_INTEGER,
+        description="seed of the random starting pose and swivel, of the plant's mismatch and of its noise",
+    )  # fmt: skip
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -42,22 +43,28 @@ class Scenario(Settings):
     control: ControlSettings = ControlSettings()
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings.realistic()
-    duration_s: float | None = Field(default=None, gt=0.0, le=MOST_S, description="stop early; None: the whole path")
-    deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
+    duration_s: float | None = Field(
+        default=None, gt=0.0, le=MOST_S,
+        description="time after which the run stops early; None: it runs to the end of the path",
+    )  # fmt: skip
+    deadline_us: float = Field(
+        default=2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"
+    )
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(default=True, description="judge every answer after the run")
+    judge: bool = Field(default=True, description="whether every answer is judged after the run")
     metrics: tuple[Name, ...] = Field(
         default=(),
-        description="that `moc-opt run` prints, of those that `moc-opt metrics` lists; empty: those to look at first",
+        description="names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short "
+        "selection",
     )
     bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
+        default=25, ge=0, le=100_000, description="number of points of the path at which the largest mu is searched for"
     )
     best_courses: bool = Field(
         default=False,
-        description="plan the path's best courses after the run, which mu is then compared with; a second or more",
+        description="plan the best courses of the path after the run and compare mu with them; takes a second or more",
     )
 
     @field_validator("control", mode="before")
