@@ -149,9 +149,23 @@ def run(
     scenario: Scenario | str | os.PathLike[str], watch: Callable[[int], None] | None = None,
     to: str | os.PathLike[str] | None = None, *, solver: Solver | None = None,
 ) -> Trace:  # fmt: skip
-    """Run one scenario, or that of a file; arguments as `Setup` and `Setup.trace`.
+    """Run one scenario, or that of a file.
+
+    Args:
+        scenario: what to run, or the path of its file.
+        watch: called with the number of every tick before it.
+        to: a Parquet file that the trace goes into while it grows, for a run larger than the memory.
+        solver: in place of the one that the scenario names.
+
+    Returns:
+        one row a tick; ``meta["ended"]`` says how it ended.
 
     Raises:
         MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
+
+    Example:
+        >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0), solver=mo.solvers.create("exact"))
+        >>> trace.x_rad_per_s.shape, bool((trace.status == "solved").all())
+        ((50, 7), True)
     """
     return Setup(Scenario.given(scenario), solver).trace(watch, to)

@@ -17,6 +17,7 @@ from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
+from tests import first_screens
 
 CASE = Case("python", 500, "quiet")
 
@@ -78,6 +79,7 @@ def test_tables_and_headline_say_what_was_found():
     html = page.html()
     places = [html.index(f'id="{name}"') for name in ("wake-500", "cycles-and-stops", "control-500")]
     assert places == sorted(places), "pictures before what is folded"
+    first_screens.check(html, pictures=2)
 
 
 def test_what_harms_under_load_is_said_and_marked():
