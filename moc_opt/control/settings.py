@@ -125,9 +125,10 @@ class ControlSettings(Settings):
         ge=0.0,
         le=1.0,
         allow_inf_nan=False,
-        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip where it is does to "
-        "the shaft, over the square of the distance from wrist point to tip is below this, the climb leads away from "
-        "losing the shaft, and the box opens up to the joints' whole speed; 0 as in the paper",
+        description="where mu_shaft, what motion that leaves the tip where it is does to the shaft, over the square of "
+        "the distance from wrist point to tip is below this, the climb of third_level 'local' leads away from losing "
+        "the shaft, and the box opens up to the joints' whole speed; courses of the others do not go below half of "
+        "it where there is another way; 0 as in the paper",
     )
     ramp_s: NotNegative = Field(
         default=0.3, description="the third level fades in over this time [s]; the paper has 0"
