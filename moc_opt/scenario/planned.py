@@ -33,6 +33,7 @@ def plan(
     margin_m: float = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
+    shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
@@ -45,7 +46,7 @@ def plan(
         objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         margin_rad: that every joint keeps from its limits; margin_m: the same of one that slides.
-        swivels, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
+        swivels, speed_share, acceleration, shaft_margin, refined: as of `moc_opt.planning.plan.make_plan`.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
@@ -63,7 +64,7 @@ def plan(
     return make_plan(
         robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels,
         margin=margin_of(robot, margin_rad, margin_m), speed_share=speed_share, acceleration=acceleration,
-        refined=refined,
+        shaft_margin=shaft_margin, refined=refined,
     )  # fmt: skip
 
 
