@@ -112,9 +112,9 @@ class Run:
         settings = self._scenario.control
         try:
             self._native = embedded.native(self._robot, settings, self._period)
-            driver = ControllerAdapter(Setup(self._scenario).controller())
-            driver.start(*inputs[0])
-            found = {"difference_Nm": embedded.disagreement_Nm(self._native, driver, inputs[:200])}
+            adapter = ControllerAdapter(Setup(self._scenario).controller())
+            adapter.start(*inputs[0])
+            found = {"difference_Nm": embedded.disagreement_Nm(self._native, adapter, inputs[:200])}
         except MocOptError as error:
             self._missing["tick in C"] = str(error)
             return {}

@@ -140,7 +140,7 @@ def pictures(summary: Mapping[str, Any], rows: Sequence[Row], deadline_us: float
             ),
             "To the lower left is better: " + _front(points), "accuracy-against-time",
         ))  # fmt: skip
-    return [*found, *_closed_picture(summary, rows), *_deadline_picture(rows, deadline_us)]
+    return [*found, *_closed_picture(rows), *_deadline_picture(rows, deadline_us)]
 
 
 def _front(points: Mapping[str, tuple[float, float]]) -> str:
@@ -149,7 +149,7 @@ def _front(points: Mapping[str, tuple[float, float]]) -> str:
     return f"nothing beats {names} in both."
 
 
-def _closed_picture(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
+def _closed_picture(rows: Sequence[Row]) -> list[Picture]:
     gains: dict[str, tuple[float, float, float]] = {}
     for row in rows:
         ends = interval_of(row["closed"], "mu_gain_percent")
