@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -44,6 +44,7 @@ class TickMemory(NamedTuple):
     trocar: Array
     tau: Array
     report: Array
+    """the part of it that a trace keeps"""
     torque: Array
     """(n,) the one that the observer takes for applied [Nm]"""
     known: Array
@@ -79,11 +80,13 @@ class NativeController:
         self._tau = np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         state, self._state = _memory(plan.state)
-        self._fields = plan.report
         # q, v, report and a NaN in one piece, from which a state's record is taken at once.
         self._known = np.full(2 * robot.n + sum(field.length for field in plan.report) + 1, np.nan)
         self._q, self._v, report, _ = np.split(self._known, [robot.n, 2 * robot.n, -1])
-        self._whole_report, self._report = report, _named(report, plan.report)
+        self._report = _named(report, plan.report)
+        # The columns of a trace are the last fields: from the answer on.
+        self._fields = [field for field in plan.report if field.name in ("x", "dual", "subproblem")]
+        self._kept = report[report.size - sum(field.length for field in self._fields) :]
         self._in_state = _state_places(plan.report, robot.n)
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
         pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
@@ -92,7 +95,7 @@ class NativeController:
         self.memory = TickMemory(
             np.array([ctypes.cast(found.moc_tick, ctypes.c_void_p).value]),
             np.array([buffer.ctypes.data for buffer in buffers]), self._q, self._v, self._tip_ref, self._trocar,
-            self._tau, report, self._state["torque"], self._known, self._in_state,
+            self._tau, self._kept, self._state["torque"], self._known, self._in_state,
         )  # fmt: skip  # also keeps alive what the pointers point to
         self.reports = np.empty((0, 0))
         self._status, self._started = OK, False
@@ -178,8 +181,8 @@ class NativeController:
             "solve_us": np.full(ticks, np.nan),
         }
         if self.solver is not None:
-            # Whole reports, a row a tick: one copy a tick instead of one for each of these columns.
-            self.reports = np.full((ticks, self._whole_report.size), np.nan)
+            # All in one row a tick: one copy a tick instead of one for each of these columns.
+            self.reports = np.full((ticks, self._kept.size), np.nan)
             views = _views(self.reports, self._fields)
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": views["dual"],
@@ -191,7 +194,7 @@ class NativeController:
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's columns, those that ``columns`` gave last."""
         if self.solver is not None:
-            self.reports[row] = self._whole_report
+            self.reports[row] = self._kept
             self.took(np.array([self._status]), columns, row)
 
     def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
@@ -255,7 +258,7 @@ def _named(whole: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[
     return {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
 
 
-def _views(rows: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
+def _views(rows: NDArray[Any], fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     """Return a view (k, ...) of each member of the structs that are the k rows."""
     views, begin = {}, 0
     for field in fields:

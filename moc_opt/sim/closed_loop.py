@@ -104,7 +104,7 @@ class ClosedLoop:
         filtered = self._filtered
         if self._compiled is None or self._stopped_at >= 0 or not isinstance(filtered, FilteredController):
             return 0
-        if self._begun is not NOTHING:
+        if self.begun:
             return 0
         done = self._compiled(block, most, self.tau)
         self._begun = done.begun
@@ -139,6 +139,11 @@ class ClosedLoop:
         self.ticks += 1
         found, self._begun = self._begun.moved, NOTHING
         self._plant.step(tau, trocar, found)
+
+    @property
+    def begun(self) -> bool:
+        """Whether ``advance`` has done a part of the next period already; ``step`` does the rest."""
+        return self._begun is not NOTHING
 
     @property
     def stop_reason(self) -> str:

@@ -117,7 +117,8 @@ def simulate(
     try:
         with no_collector():
             for now, row in _rows(log, loop, watch):
-                plant.write_truth(now.truth[row])
+                if not loop.begun:  # if so, the row has its truth, and the arm may have moved since
+                    plant.write_truth(now.truth[row])
                 try:
                     loop.step(now.tip_refs[row], now.registered[row], now.trocars[row])
                 except PlantError as error:
