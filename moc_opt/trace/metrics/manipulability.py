@@ -22,7 +22,7 @@ def mu_final(trace: Trace) -> float:
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above that of the baseline [percent of the baseline's]; of two third levels compare `mu_mean`.
+    """Mean manipulability above that of the baseline [percent of it]; of two third levels compare `mu_mean`.
 
     The baseline of a run along a course has the course's observer gain, that of a climb the climb's.
     """
