@@ -1,14 +1,14 @@
-"""A solver in a process of its own: whatever it does there, the loop waits no longer than it was told to.
+"""A solver in its own process: whatever happens there, the loop waits only for a bounded time.
 
-The session of every other solver runs inside the loop; one that hangs, ends the process or keeps the interpreter's lock
-takes the loop with it. `Isolated` wraps any solver that pickle can copy. Its sessions hand each subproblem to a process
+Without isolation a session runs inside the loop: a solver that hangs, ends the process or keeps the interpreter's lock
+stops the loop too. `Isolated` wraps any solver that pickle can copy. Its sessions pass each subproblem to a process
 through shared memory (`moc_opt.control.exchange`), wait for the answer at most ``budget_us``, and kill and replace a
 process that hung, died or grew.
 
-How simulated ticks and the process's own time belong together: a tick waits for the answer to its own subproblem, so a
-solver that keeps its budget gives the same run as without isolation, however fast or slow the machine; the simulated
-time stands still meanwhile, and also while a process is replaced. Against a wall clock (``waits=False``) nothing stands
-still: a second process is kept ready, and a tick that finds none falls back.
+In simulated time a tick waits for the answer to its own subproblem, and simulated time stands still in the wait and
+while a process is replaced. So a solver that keeps its budget gives the same run as without isolation, on a fast or a
+slow machine. Against a wall clock (``waits=False``) nothing stands still: a second process is kept ready, and a tick
+without a process uses the fallback.
 """
 
 from __future__ import annotations
@@ -51,21 +51,21 @@ class ProcessSettings(Settings):
 
 
 class Restart(NamedTuple):
-    """A process that was replaced: how many answers had been asked for before, and why."""
+    """The replacement of a process: the number of answers requested before, and the reason."""
 
     tick: int
     reason: str
 
 
 class Isolated:
-    """A solver whose sessions run in processes of their own.
+    """A solver whose sessions run each in its own process.
 
     Args:
         inner: any solver that pickle can copy.
         settings: when a process is replaced.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
-        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it falls back,
-            and a second process is kept ready.
+        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it uses the
+            fallback, and a second process is kept ready.
 
     Raises:
         ControlError: the solver cannot be copied into another process, or this is no Linux.
@@ -91,11 +91,11 @@ class Isolated:
 
     @property
     def name(self) -> str:
-        """Of the solver inside."""
+        """Name of the wrapped solver."""
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None: the solver is asked where it runs, in ``start``."""
+        """Return None: ``start`` asks the solver in its process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -133,7 +133,7 @@ class IsolatedSession:
             cure = f"; raise [solver.process] start_s = {self._settings.start_s:g}" if wrong == STARTING else ""
             raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}{cure}")
         if self._workers[0].observes:
-            self.observe = self._observe  # the controller looks for it
+            self.observe = self._observe  # the controller calls ``observe`` if it exists
         self._keep_a_spare(qp)
 
     def _observe(self, v: Array) -> None:
@@ -163,7 +163,7 @@ class IsolatedSession:
             self._lose(f"it had {grown_MB:.0f} MB of memory, and {settings.memory_MB:g} MB are allowed")
         if found.kind == ANSWERED:
             return found.solution
-        if found.kind == MALFORMED:  # the claim stands, as without a process: an answer of no form is no optimum
+        if found.kind == MALFORMED:  # the claim is kept, as without a process: a malformed answer is no optimum
             raise Unanswered(Fault.MALFORMED, found.text, found.solution.status)
         raise Unanswered(Fault.RAISED, found.text)
 

@@ -1,4 +1,4 @@
-"""What a controller can be told. Gains that are left out come from the robot's own table."""
+"""The settings of a controller. Gains that are left out come from the robot's own table."""
 
 from __future__ import annotations
 

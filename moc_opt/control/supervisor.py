@@ -5,7 +5,7 @@ too late, or is claimed to be optimal and is not, is replaced: by the last good 
 then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each
 kind is kept in words.
 
-A solver sees a copy of the subproblem, and what it hands back is copied before it is looked at: what it writes into
+A solver gets a copy of the subproblem, and its answer is copied before the check: what it writes into
 either afterwards reaches neither the check nor the torque.
 """
 
@@ -31,7 +31,7 @@ from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, n
 
 
 class Fault(Enum):
-    """What was wrong with an answer; the text is what it means."""
+    """The fault of an answer; the text is its meaning."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"
@@ -53,9 +53,9 @@ class Fault(Enum):
 
 
 class Unanswered(Exception):
-    """Raised by a session in another process that has no answer: which fault that is, and what is known of it.
+    """Raised by a session in another process that has no answer; holds the fault and a message.
 
-    ``status`` is what the solver claimed, where it claimed anything.
+    ``status`` is the solver's claim, if there was one.
     """
 
     def __init__(self, fault: Fault, text: str, status: Status | None = None) -> None:
@@ -65,7 +65,7 @@ class Unanswered(Exception):
 
 
 def _raise_interrupt(error: BaseException) -> None:
-    """Raise a user's Ctrl-C again where it is behind the error: a library may put one of its own over it."""
+    """Raise KeyboardInterrupt again if it caused the error: a library may wrap it in its own exception."""
     found: BaseException | None = error
     for _ in range(10):  # no chain is as long, but foreign code may close one to a ring
         if found is None or isinstance(found, KeyboardInterrupt):
@@ -76,7 +76,7 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class First(NamedTuple):
-    """The first fault of a kind: how many answers had been asked for before, and what it was."""
+    """The first fault of a kind: the number of answers requested before, and the message."""
 
     tick: int
     text: str
@@ -119,22 +119,22 @@ class SupervisorSettings(Settings):
 
 
 ANSWER_EVERY = 500
-"""Answers after which Ctrl-C and its like are made sure to reach the run again, whatever a solver did to them."""
+"""Answers after which the handlers of Ctrl-C and similar signals are restored, since a solver may change them."""
 
 _SOLVED, _NO_FAULT = Status.SOLVED, Fault.NONE
 
 
 class Supervisor:
-    """Stands between a session and the torque.
+    """Check the answers of a session, and replace those that are refused.
 
     Args:
-        settings: what is refused.
-        fallback: what follows an infeasible subproblem: "damping", "hold" or "least-violation".
+        settings: limits of the check, and the replacement.
+        fallback: replaces the answer to an infeasible subproblem: "damping", "hold" or "least-violation".
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
-            repeated exactly; None: the clock decides. One that ends leaves the rest to the clock.
+            repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
 
-    Since the start, by a fault's label: ``counts`` says how often it occurred, and ``firsts`` when it first did and
-    in which words, those of the exception where the solver raised one.
+    Since the start, by a fault's label: ``counts`` holds the number of occurrences, ``firsts`` the first one and
+    its message (that of the exception, if the solver raised one).
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Supervisor:
         self.settings, self._fallback, self._times = settings, fallback, times_us
         self._rest = np.zeros(n)
         self._residuals = RESIDUALS.code
-        # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
+        # Read once: access to a setting costs as much as a comparison, and every tick needs it.
         self._check, self._stop_late = settings.check, settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
         self._limits = (
@@ -176,7 +176,7 @@ class Supervisor:
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
-            what the solver said, and the x (n,) that the arm follows.
+            the solver's answer, and the x (n,) that the arm follows.
         """
         solution, fault, text = self._ask(session, qp, v)
         self.fault = fault or self._fault_of(solution, qp, Z)
@@ -194,7 +194,7 @@ class Supervisor:
         return solution, self._replace(solution, qp, Z)
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
-        """Return the answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
+        """Return a private copy of the answer, and the fault known before the check, in words; set ``solve_us``."""
         shown, given, text = qp.copy(), None, ""
         fault: Fault | None = None
         status = Status.NUMERICAL
@@ -251,9 +251,9 @@ class Supervisor:
         return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
-        """Return what the solver has when its budget ends: its iterations are taken to last equally long.
+        """Return the iterate at the end of the budget; all iterations are assumed to last equally long.
 
-        One that cannot be stopped is waited for, and its whole answer taken.
+        A solver that cannot be stopped is waited for, and its whole answer is used.
         """
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:
             return solution

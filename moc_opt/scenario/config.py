@@ -1,4 +1,4 @@
-"""What a run is, as a validated table: every key of a scenario's TOML."""
+"""The validated table of a run: every key of a scenario's TOML."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class Scenario(Settings):
         raise ScenarioError(f"scenario = {shown(scenario)}: give a Scenario, or the path of a scenario's file")
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the TOML that `load` reads as this scenario: what differs from the defaults.
+        """Write the TOML that `load` reads as this scenario: only values that differ from the defaults.
 
         A robot's own file is named by its absolute path.
 
@@ -188,7 +188,7 @@ class Scenario(Settings):
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
+        """Return HTML for a notebook."""
         return table_html("Scenario, where it differs from the default", saving.changes(self) or {"nowhere": ""})
 
     def change(self, **tables: Any) -> Self:
@@ -212,7 +212,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        """``[guard]``, with levels computed from the encoders' settings where it leaves them out."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:

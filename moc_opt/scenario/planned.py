@@ -42,8 +42,8 @@ def plan(
     tick to the last. A random start is drawn as the run draws it.
 
     Args:
-        scenario: what would be run, or the path of its file.
-        objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
+        scenario: of the run, or the path of its file.
+        objective: maximised by the best course: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         margin_rad: that every joint keeps from its limits; margin_m: the same of one that slides.
         swivels: samples of one turn of the elbow, on an arm with a closed form.

@@ -1,4 +1,4 @@
-"""What can go wrong, seeded and as settings: sensors, packets, bumps, the trocar, the solver."""
+"""Faults, seeded and as settings: of sensors, packets, bumps, the trocar, the solver."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Faults:
     """The faults of one run: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     Args:
-        settings: what goes wrong.
+        settings: the faults.
         n: joints.
         period: control period [s].
         seed: of signs, noise, drops and directions.
@@ -83,7 +83,7 @@ class Faults:
         self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """Return what arrives of a measurement."""
+        """Return the measurement with its faults, as it arrives."""
         s, t = self.settings, tick * self._period
         q, v = seen.q + self._bias, seen.v
         if s.encoder_noise_rad > 0.0:

@@ -1,4 +1,4 @@
-"""What goes wrong on the way from the encoders to the controller: frozen, late, repeated and drifting measurements.
+"""Faults between the encoders and the controller: frozen, late, repeated and drifting measurements.
 
 Each packet carries the number of the control period in which it was taken. A sensor or a buffer may give a wrong one
 (``forged_stamps``): old readings then come with numbers that are up to date.
@@ -65,7 +65,7 @@ class Packets:
     """The faults of one run's packets.
 
     Args:
-        settings: what goes wrong.
+        settings: the faults.
         n: joints.
         period: control period [s].
         drops: draws the packets that are lost.
@@ -93,7 +93,7 @@ class Packets:
         self._tape: list[Measurement] = []
 
     def arrive(self, taken: Measurement, tick: int) -> Measurement:
-        """Return what the controller gets at this tick, where ``taken`` is what the sensors show."""
+        """Return the measurement that arrives at this tick; ``taken`` is the sensors' own."""
         s = self.settings
         since = tick * self._period - s.drift_at_s
         if s.drift_rad_per_s != 0.0 and since > 0.0:

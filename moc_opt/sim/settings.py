@@ -1,4 +1,4 @@
-"""What a plant is made of: every way in which it differs from the controller's model, in one record."""
+"""The settings of a plant: every difference from the controller's model, in one record."""
 
 from __future__ import annotations
 
