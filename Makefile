@@ -33,7 +33,9 @@ kernels: kernels.exact kernels.rnn
 kernels.%: setup
 	$(RUN) -m benchmarks.common.preload $*
 
+# Pages of sources are written anew: one that is older than a change of the reference links to where its names were.
 docs: setup
+	rm -rf build/docs/_modules
 	$(RUN) -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo written: build/docs/index.html
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import plotly.graph_objects as go
 
-from moc_opt.figures.notation import Mark
+from moc_opt.figures.notation import Mark, pretty_units
 from moc_opt.figures.style import figure, label, log_axis, rule
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -137,7 +137,7 @@ def interval_picture(
     if log:
         log_axis(drawn, "x", x_label, [*chain(*intervals.values()), *limits.values()])
     else:
-        drawn.update_xaxes(title_text=x_label)
+        drawn.update_xaxes(title_text=pretty_units(x_label))
     for words, at in limits.items():
         rule(drawn, "x", at, words)
     drawn.update_yaxes(type="category", automargin=True)
