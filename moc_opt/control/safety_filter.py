@@ -1,10 +1,10 @@
-"""The safety filter: limits on torque and motion that hold whatever the levels ask for, and the request to stop.
+"""The safety filter: limits of torque and motion that act on every output of the levels, and the request to stop.
 
 Limits: torque and torque rate are cut; a joint near its limit or above its speed limit is braked.
 
-Reasons to stop: a measurement that cannot be true (NaN, or a jump that no motion explains) for too long, a torque
-that is not finite, a controller that fails, a tip far off its reference, a shaft far from the registered trocar, a
-trocar that is pressed hard, and motion that the torque does not explain. In a stop the drives brake, and the torque
+Reasons to stop: an impossible measurement (NaN, or a jump that no motion explains) for too long, a torque
+that is not finite, a controller that fails, a tip far from its reference, a shaft far from the registered trocar, a
+large force on the trocar, and motion that the torque does not explain. In a stop the drives brake, and the torque
 carries the arm's weight in the last pose that passed the checks.
 """
 
@@ -125,7 +125,7 @@ class SafetyFilter:
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
-        # A joint that begins inside its wall is not thrown out of it: the wall begins where the joint stands.
+        # A joint that starts inside its wall is not pushed out: its wall begins at the start position.
         self._limits[0], self._limits[1] = np.minimum(self._walls[0], q), np.maximum(self._walls[1], q)
         self._forget(q, v, stamp)
         self.check_measurement(q, v, stamp, self._rest, _NO_WRENCH, _NO_TROCAR)
@@ -137,11 +137,11 @@ class SafetyFilter:
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
         wrench: Array | None = None, trocar: Array | None = None, found: int | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Return the measurement, or the last accepted one extrapolated where this one is late or cannot be true.
+        """Return the measurement, or the last accepted one extrapolated if this one is late or impossible.
 
         Args:
             q, v: (n,) as measured [rad], [rad/s].
-            stamp: number of the control period in which it was taken; None: the arm counts none.
+            stamp: number of the control period in which it was taken; None: the arm does not count them.
             applied: (n,) torque that was applied before it [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes; None: not known.
             trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
@@ -188,7 +188,7 @@ class SafetyFilter:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What exceeded its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
         return self._incision.warnings(self._period)
 
     @property
@@ -218,9 +218,9 @@ class SafetyFilter:
             tau, before: (n,) as asked for, and as applied last [Nm].
             q, v: (n,) believed [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
-            state: of (q, v), where the controller shows it; None: it is computed.
-            tip: (3,) where the controller sees it [m]; None: where its state has it.
-            found: by ``safety_tick.after``, where it limited ``tau`` already; None: it is called here.
+            state: of (q, v), if the controller provides it; None: it is computed.
+            tip: (3,) as the controller computes it [m]; None: that of its state.
+            found: by ``safety_tick.after``, if it has limited ``tau`` already; None: it is called here.
         """
         parts, record = 0, _NONE if state is None else state.record
         if tip_ref is not None and not (tip is None and state is None):
@@ -249,22 +249,22 @@ class SafetyFilter:
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
 
-        The last torque itself would go on pushing wherever the levels pushed at that moment.
+        The last torque would continue the push of the levels at that moment.
         """
         self.limited = 0
         weight = self._weight(self._believed[0])
         if not np.isfinite(weight).all():
-            return self._rest  # the weight is not known: the brakes alone
+            return self._rest  # the weight is not known: only the brakes hold the arm
         wanted = np.clip(weight, -self._limits[3], self._limits[3])
         return before + np.clip(wanted - before, -self._step, self._step)
 
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
-        Closed brakes hold the arm against tissue that pushes it, and keep up the force; open ones let it sink under
-        any load that its model does not know of. So they open at ``stop_yield_N``, close again at half of it or after
-        ``stop_yield_s``, and open once more where the force has risen by as much again since. They stay closed where
-        the drives cannot carry the weight.
+        Closed brakes hold the arm against the tissue's push, so the force stays; with open brakes the arm sinks under
+        a load that is missing in its model. So they open at ``stop_yield_N``, close again at half of it or after
+        ``stop_yield_s``, and open once more if the force has risen by as much again since. They stay closed if the
+        drives cannot carry the weight.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.

@@ -1,4 +1,4 @@
-"""From commanded to acting torque: finite or refused, cut at the limits, some control periods late."""
+"""From commanded to acting torque: refused if it is not finite, cut at the limits, delayed by control periods."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from moc_opt.numerics.cache import njit
 
 @njit(cache=True, nogil=True)
 def admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) -> bool:
-    """Cut a command (n,) at the limits (n,) [Nm] and put the one that is due on the joints; False: not finite.
+    """Cut a command (n,) at the limits (n,) [Nm] and apply the one that is due; False: it is not finite.
 
-    ``queue`` (delay, n) holds those on their way, the one that is due in row ``slot``.
+    ``queue`` (delay, n) holds the delayed commands, the one that is due in row ``slot``.
     """
     for i in range(tau.size):
         if not np.isfinite(tau[i]):

@@ -22,7 +22,7 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Bindings:
-    """Views on MuJoCo's arrays, and what the kernels of a period are called with.
+    """Views on MuJoCo's arrays, and the arguments of a period's kernels.
 
     Attributes:
         joints, drives, pushes: the arm's joints, their drives, and external forces held on links.

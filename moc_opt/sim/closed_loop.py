@@ -21,8 +21,8 @@ from moc_opt.sim.sensors import Measurement
 class Stop:
     """How the arm is stopped: damping of the drives [Nm s/rad], and how long the stop is simulated at least [s].
 
-    It goes on until the arm is at rest, as while brakes that are open let the tissue push it, ``LONGEST`` times as long
-    at most.
+    It goes on until the arm is at rest, at most ``LONGEST`` times as long: with open brakes the tissue may push the
+    arm for a while.
     """
 
     damping: float = 15.0
@@ -68,7 +68,7 @@ class ClosedLoop:
         controller: computes the torque; one that is ``Filtered`` already has its safety filter with it.
         safety_filter: checks measurements and limits torques; None: neither.
         stop: how the arm is stopped once the safety filter has requested it.
-        faults: disturb sensors and arm; None: nothing does.
+        faults: disturb sensors and arm; None: no faults.
         compiled: takes several periods at once where it can, for ``advance``; None: Python takes each.
 
     Attributes:
@@ -119,8 +119,8 @@ class ClosedLoop:
 
         Args:
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
-            registered: (2, 3) rows P_t [m], dP_t [m/s], as the controller believes the trocar to be.
-            trocar: (2, 3) where it truly is; None: the arm is in no incision.
+            registered: (2, 3) rows P_t [m], dP_t [m/s] of the trocar, as registered.
+            trocar: (2, 3) the true one; None: the arm is in no incision.
 
         Raises:
             PlantError: the plant cannot go on; measurement and torque of this step are there all the same.
@@ -165,5 +165,5 @@ class ClosedLoop:
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What exceeded a warning level since the start, as JSON values."""
+        """Figures above their warning level since the start, as JSON values."""
         return self._filtered.warnings

@@ -133,7 +133,7 @@ class FilteredController(Filtered):
         self._applied, self._begun = tau, begun
 
     def _seen(self, tip_ref: Array) -> tuple[Array | None, Any, Array | None]:
-        """Return where the tip has to be, and what the controller shows of its tick: a state, or the tip alone."""
+        """Return the tip's reference, and the state or the tip of the tick, if the controller provides one."""
         controller: Any = self._controller
         if self._shows_state:
             return tip_ref if self._shows_tip else None, controller.state, None

@@ -1,4 +1,4 @@
-"""What the closed loop writes down, a block of ticks at a time."""
+"""The record of the closed loop, a block of ticks at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Sink = Callable[[int, Columns], None]
 
 
 class Trajectory(Protocol):
-    """A reference of every tick: an array (N, rows, 3), or what makes the part that is asked for."""
+    """A reference of every tick: an array (N, rows, 3), or a function that makes a part of it."""
 
     def __len__(self) -> int:
         """Number of ticks, N."""

@@ -83,7 +83,7 @@ def simulate(
         controller: computes the torque, and may add columns.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars: (N, 2, 3) rows P_t, dP_t: where the trocar really is.
-        registered: (N, 2, 3) where the controller believes it to be.
+        registered: (N, 2, 3) the registered trocar.
         safety_filter: checks measurements and limits torques; None: neither.
         faults: disturb sensors and arm; None: nothing does.
         stop: how the arm is stopped once the safety filter has requested it.
@@ -139,7 +139,7 @@ def simulate(
                     found["ended"] = f"ran away at t = {now.kept['t_s'][row]:.3f} s"
                     break
     except BaseException:
-        log.close()  # what was measured is not lost, whatever ends the loop
+        log.close()  # the measurements are kept, however the loop ends
         raise
     columns = log.close()
     found |= {"ticks": loop.ticks, "ticks_planned": ticks}

@@ -1,4 +1,4 @@
-"""One control period of the plant, compiled whole: from a commanded torque to what the sensors show.
+"""One control period of the plant as one kernel: from a commanded torque to the sensors' readings.
 
 MuJoCo's two halves of a step are called at their addresses in its library: through its Python binding each call costs
 as much as all of the plant's own arithmetic. An error inside MuJoCo's C code, which its binding would raise as
@@ -27,7 +27,7 @@ from moc_opt.sim.sensors import sample
 Indices = NDArray[np.int64]
 
 DONE, NO_TROCAR, AWAY, NO_TORQUE, RAN_AWAY = range(5)
-"""What came of a period; the arm has not moved in the three after ``DONE``."""
+"""Results of a period; in the three after ``DONE`` the arm has not moved."""
 _RUNAWAY_RAD_PER_S = 1e3
 
 
@@ -122,13 +122,13 @@ def advance(
     at: PlantMemory, tau: Array, slot: int, told: Array, tissue: Array, pushed: Indices, pushes: Array, noise: Array,
     wrench_noise: Array, reading: Array,
 ) -> int:  # fmt: skip
-    """Advance the arm by one control period, and read its sensors; return what came of it.
+    """Advance the arm by one control period, and read its sensors; return the result, ``DONE`` or another.
 
     Args:
         at: changed in place.
         tau: (n,) commanded torque [Nm]; slot: its place in the queue.
-        told: (2, 3) the trocar of this period; of no account where tissue (2,), stiffness [N/m] and damping [N s/m],
-            is zero.
+        told: (2, 3) the trocar of this period; not used if tissue (2,), stiffness [N/m] and damping [N s/m], is
+            zero.
         pushed, pushes: as for ``load_bodies``.
         noise, wrench_noise: (n,) [rad], (6,) [N, Nm].
         reading: (2 n + 6,) written: positions, velocities, wrench of the tool on its mount.

@@ -21,8 +21,8 @@ from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
-    # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm
-    # runs away, and raises.
+    # MuJoCo's own handler writes a log file into the current folder; the plant itself detects an arm that runs away,
+    # and raises an error.
     mujoco.set_mju_user_warning(lambda message: None)
 
 
@@ -43,8 +43,8 @@ class Ahead(NamedTuple):
 class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
-    What a run gives depends on (data, settings, seed), the start and the torques alone, to the bit: `reset`
-    takes the noise back to its beginning. Plants share nothing, so each thread can have its own. The drives
+    The results of a run depend only on (data, settings, seed), the start and the torques, to the last bit: `reset`
+    restarts the noise. Plants share no state, so each thread can have its own. The drives
     have no dynamics; they cut torques at `data.tau_max`.
 
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
@@ -55,7 +55,7 @@ class Plant:
         """Build the arm and put it at rest at `data.q_home`.
 
         Args:
-            data: the robot, as the controller knows it.
+            data: the robot, as in the controller's model.
             settings: how the plant differs from it; None is `PlantSettings.realistic()`.
             seed: of the mismatch and of the noise, 0 or more.
 
@@ -199,10 +199,10 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Close the brakes: more damping and dry friction in every joint, whatever is commanded, until reset.
+        """Close the brakes until reset: more damping and dry friction in every joint, under any command.
 
-        Both act on the true motion, as a real arm's brakes do: no sensor is needed. Damping alone holds nothing: under
-        a load that the torque does not carry the arm sinks.
+        Both act on the true motion, as a real arm's brakes do: no sensor is needed. With damping alone the arm sinks
+        under a load that the torque does not carry.
 
         Args:
             damping_Nm_s_per_rad: of the drives, short-circuited.
@@ -235,7 +235,7 @@ class Plant:
         self._at.pushes.hold(body, force, point)
 
     def clear_pushes(self, body: str | None = None) -> None:
-        """Let go of one link, or of all."""
+        """Remove the force on one link, or on all."""
         self._at.pushes.clear(body)
 
     @property

@@ -1,4 +1,4 @@
-"""What the controller gets to see: joint encoders, and the six-axis force/torque sensor at the tool mount."""
+"""The controller's sensors: joint encoders, and the six-axis force/torque sensor at the tool mount."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Measurement(NamedTuple):
-    """What the controller sees; read-only arrays."""
+    """The readings that the controller gets; read-only arrays."""
 
     q: Array
     """(n,) joint positions [rad]."""
@@ -22,7 +22,7 @@ class Measurement(NamedTuple):
     force: Array
     """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
     stamp: int = 0
-    """Number of the control period in which it was taken, counted by the arm: what was seen has an age."""
+    """Number of the control period in which it was taken, counted by the arm, which gives the reading's age."""
 
 
 _NOISE_ROWS = 256
@@ -180,7 +180,7 @@ _DEAD = 600.0
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Say whether an encoder never repeats position and velocity together, to the last bit.
+    """Decide whether an encoder never repeats position and velocity together, to the last bit.
 
     While the position repeats itself the filtered velocity dies out, and each value differs from the last one; noise
     ends that long before it is too small a number to change.

@@ -79,7 +79,7 @@ def sampled(
 ) -> Vector:
     """Evaluate `rows` at one number or at each of a vector of them.
 
-    Both forms go through the same arithmetic: what a controller saw at a tick and what a report computes
+    Both forms go through the same arithmetic: the value of a controller at a tick and that of a report
     afterwards for the whole run are then the same to the last bit. numpy's vector sine does not promise that.
 
     Args:
