@@ -97,11 +97,14 @@ class SafetyFilter:
         bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
         joints, mount, tip = self._place or (np.zeros((0, 16)), np.zeros((0, 3)), np.zeros(3))
         self.memory = tick.SafetyMemory(
-            settings.jump_rad, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
-            settings.tip_error_m**2, motion.settling, bounds, self._limits, self._wall, motion.levels, motion.held,
-            motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory, motion.still, motion.tip,
-            self._square, motion.seen, motion.count, motion.joints_seen, motion.joints_count, joints, mount,
-            np.array(tip), inside.tool, inside.lowest, inside.means, inside.point,
+            jump=settings.jump_rad, period=period, patience=settings.patience_ticks, step=self._step,
+            share=min(1.0, period / settings.tip_error_s), most=settings.tip_error_m**2, settling=motion.settling,
+            bounds=bounds, limits=self._limits, wall=self._wall, levels=motion.levels, held=motion.held,
+            most_replayed=motion.most_replayed, clock=motion.clock, counts=self._counts, believed=self._believed,
+            memory=motion.memory, still=motion.still, told=motion.tip, square=self._square, readings=motion.seen,
+            readings_count=motion.count, joints_seen=motion.joints_seen, joints_count=motion.joints_count,
+            joints=joints, mount=mount, tip=np.array(tip), tool=inside.tool, lowest=inside.lowest, means=inside.means,
+            point=inside.point,
         )  # fmt: skip
         self._before = partial(tick.BEFORE.code, self.memory)
         self._after = partial(tick.AFTER.code, self.memory, _NONE)

@@ -93,10 +93,12 @@ class NativeController:
         self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
         self._tick = partial(found.moc_tick, *pointers)
         self.memory = TickMemory(
-            np.array([ctypes.cast(found.moc_tick, ctypes.c_void_p).value]),
-            np.array([buffer.ctypes.data for buffer in buffers]), self._q, self._v, self._tip_ref, self._trocar,
-            self._tau, self._kept, self._state["torque"], self._known, self._in_state,
-        )  # fmt: skip  # also keeps alive what the pointers point to
+            function=np.array([ctypes.cast(found.moc_tick, ctypes.c_void_p).value]),
+            pointers=np.array([buffer.ctypes.data for buffer in buffers]), q=self._q, v=self._v,
+            tip_ref=self._tip_ref, trocar=self._trocar, tau=self._tau, report=self._kept,
+            torque=self._state["torque"], known=self._known, places=self._in_state,
+        )  # fmt: skip
+        self._buffers = buffers  # the pointers do not keep them alive
         self.reports = np.empty((0, 0))
         self._status, self._started = OK, False
 

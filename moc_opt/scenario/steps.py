@@ -172,17 +172,19 @@ class CompiledSteps:
         plant, tick, n = self._plant, self._controller.memory, applied.size
         if block is not self._block:
             self._block = block
-            tip_refs, *trocars = (
+            tip_refs, trocars, registered = (
                 np.ascontiguousarray(told) for told in (block.tip_refs, block.trocars, block.registered)
             )
             self._rows = Rows(
-                tip_refs, trocars[0], trocars[1], block.truth, block.wrench, block.tau, block.tick_us, block.limited,
-                self._controller.reports, np.zeros(block.ticks, dtype=np.int64),
+                tip_refs=tip_refs, trocars=trocars, registered=registered, truth=block.truth, wrench=block.wrench,
+                tau=block.tau, tick_us=block.tick_us, limited=block.limited, reports=self._controller.reports,
+                codes=np.zeros(block.ticks, dtype=np.int64),
             )  # fmt: skip
         seen, ahead, first = plant.measure(), plant.ahead(), block.done
         now = Now(
-            np.array([first, ALL, 0, seen.stamp, ahead.slot, 0]), np.concatenate(seen[:3]), np.empty(2 * n + 6),
-            np.array(applied), np.empty(n), np.empty(tick.places.size), np.zeros(2, dtype=np.int64),
+            at=np.array([first, ALL, 0, seen.stamp, ahead.slot, 0]), reading=np.concatenate(seen[:3]),
+            seen=np.empty(2 * n + 6), applied=np.array(applied), sent=np.empty(n), record=np.empty(tick.places.size),
+            clock=np.zeros(2, dtype=np.int64),
         )  # fmt: skip
         _STEPS.code(
             plant.memory, self._filter.memory, tick, self._rows, now,

@@ -160,8 +160,8 @@ class Plant:
         self._insert(True)
         at = self._at
         return Ahead(
-            at.drives.slot, at.drives.turns, at.tissue, at.pushes.bodies, at.pushes.rows, self._encoder_noise.ahead,
-            self._wrench_noise.ahead,
+            slot=at.drives.slot, turns=at.drives.turns, tissue=at.tissue, pushed=at.pushes.bodies,
+            pushes=at.pushes.rows, noise=self._encoder_noise.ahead, wrench_noise=self._wrench_noise.ahead,
         )  # fmt: skip
 
     def took(self, periods: int, reading: Array) -> None:
