@@ -31,7 +31,7 @@ lint: setup
 kernels: kernels.exact kernels.rnn
 
 kernels.%: setup
-	$(RUN) -m benchmarks.preload $*
+	$(RUN) -m benchmarks.common.preload $*
 
 # Pages of sources are written anew: one that is older than a change of the reference links to where its names were.
 docs: setup

@@ -18,8 +18,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field
 
-from benchmarks import cli
-from benchmarks.config import Configuration
+from benchmarks.common import cli
+from benchmarks.common.config import Configuration
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.goals import Goal, goal_verdicts

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import cli
+from benchmarks.common import cli
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Work, execute, run_all

@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from benchmarks import baselines as peers
-from benchmarks.answer import Answer, Picture, goals_answer, interval_picture
+from benchmarks.common.answer import Answer, Picture, goals_answer, interval_picture
 from benchmarks.latency.goals import Summary, reason
 from benchmarks.latency.tick import PARTS
 from moc_opt import figures

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cli
+from benchmarks.common import cli
+from benchmarks.common.markdown import fill_section, of_columns, table
+from benchmarks.common.output import write_atomically
 from benchmarks.latency.goals import GOALS, reason
-from benchmarks.markdown import fill_section, of_columns, table
-from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.comparison.statistics import spread

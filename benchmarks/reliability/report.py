@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.answer import Answer, Picture, goals_answer, interval_picture
+from benchmarks.common.answer import Answer, Picture, goals_answer, interval_picture
 from benchmarks.reliability.summary import Summary, outcome
 from moc_opt import figures
 from moc_opt.figures.notation import Notation

@@ -8,7 +8,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, marked_answer
+from benchmarks.common.answer import Answer, Picture, marked_answer
 from moc_opt.figures.style import Styles, figure
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table

@@ -128,15 +128,6 @@ class Solver(Protocol):
 
 
 @runtime_checkable
-class UpdatingSession(Protocol):
-    """A session whose ``solve`` begins with ``update``: the two can be timed apart."""
-
-    def update(self, qp: NullSpaceQP) -> None:
-        """Hand a subproblem to the library without solving it."""
-        ...
-
-
-@runtime_checkable
 class TruncatingSession(Protocol):
     """A session that can be stopped in the middle of a solve, as by a deadline; its iterations are counted."""
 

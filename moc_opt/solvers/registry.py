@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import MISSING, fields, is_dataclass
 from functools import partial
 from importlib.util import find_spec
+from types import ModuleType
 from typing import Any
 
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError, describe, shown
@@ -29,10 +30,10 @@ BUILT_IN: dict[str, tuple[str, str, str]] = {
     "nlp-ipopt": ("moc_opt.solvers.nlp.nlp", "Ipopt", "casadi"),
     "nlp-fatrop": ("moc_opt.solvers.nlp.nlp", "Fatrop", "casadi"),
 }
-# prefix -> (package, module): one adapter for all solvers that a library finds
-FAMILIES: dict[str, tuple[str, str]] = {
-    "qpsolvers:": ("qpsolvers", "moc_opt.solvers.backends.qpsolvers"),
-    "casadi:": ("casadi", "moc_opt.solvers.backends.casadi_conic"),
+# prefix -> (package, module, class): one adapter for all solvers that a library finds
+FAMILIES: dict[str, tuple[str, str, str]] = {
+    "qpsolvers:": ("qpsolvers", "moc_opt.solvers.backends.qpsolvers", "QPSolver"),
+    "casadi:": ("casadi", "moc_opt.solvers.backends.casadi_conic", "CasadiConic"),
 }
 
 
@@ -52,7 +53,7 @@ def available() -> dict[str, str | None]:
     for name, (_, _, package) in BUILT_IN.items():
         missing = package and find_spec(package) is None
         found[name] = f"package {package!r} is not installed: pip install {package}" if missing else None
-    for prefix, (package, module) in FAMILIES.items():
+    for prefix, (package, module, _) in FAMILIES.items():
         if find_spec(package) is None:
             found[prefix + "NAME"] = f"package {package!r} is not installed: pip install {package}"
         else:
@@ -93,12 +94,21 @@ def _factory(name: str) -> Callable[..., Solver]:
             return getattr(importlib.import_module(module), attribute)  # type: ignore[no-any-return]
         except ImportError as error:
             raise SolverError(f"solver {name!r}: {describe(error)}: reinstall {package or 'moc_opt'}") from error
-    for prefix, (package, module) in FAMILIES.items():
+    for prefix, (package, module, adapter) in FAMILIES.items():
         if name.startswith(prefix) and find_spec(package) is not None:
-            return importlib.import_module(module).factory(name.removeprefix(prefix))
+            return _of_family(importlib.import_module(module), adapter, prefix, name)
     if claimed:
         return plugins.factory_of(name, claimed)
     raise UnknownNameError("solver", name, available(), "moc-opt solvers --list")
+
+
+def _of_family(module: ModuleType, adapter: str, prefix: str, name: str) -> Callable[..., Solver]:
+    short, reasons = name.removeprefix(prefix), module.reasons()
+    if short not in reasons:
+        raise UnknownNameError(f"{prefix} solver", short, reasons)
+    if reasons[short] is not None:
+        raise SolverError(f"solver {name!r} cannot run: {reasons[short]}")
+    return partial(getattr(module, adapter), short)
 
 
 def check_name(name: str) -> None:

@@ -12,7 +12,6 @@ from moc_opt.errors import TaskError
 from moc_opt.tasks.checks import TimeLike, Vector, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
-_PEAK_SPEED = 15.0 / 8.0
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 

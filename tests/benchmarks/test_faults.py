@@ -8,8 +8,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import faults
-from benchmarks.config import runnable
-from benchmarks.output import default_config
+from benchmarks.common.config import runnable
+from benchmarks.common.output import default_config
 from benchmarks.reliability import page
 from benchmarks.reliability.config import Case, Config
 from benchmarks.reliability.runs import Waited, detection, jobs, measure, recovery, run_case, smooth

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import paper
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.paper_experiment import figures, swivel, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import trials as paper_trials

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from benchmarks import plan
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.planning.first_screen import answer
 from benchmarks.planning.goals import goal_rows
 from benchmarks.planning.tables import summarise

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from benchmarks import robots
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.robots_study.first_screen import answer
 from benchmarks.robots_study.report import report
 from benchmarks.robots_study.tables import FINDINGS, summarise

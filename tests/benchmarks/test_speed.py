@@ -14,9 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import baselines as peers
-from benchmarks import output, speed
+from benchmarks import speed
 from benchmarks.baselines import check
 from benchmarks.baselines.base import TipGradient, wrist_reference
+from benchmarks.common import output
 from benchmarks.latency import goals, limit
 from benchmarks.latency import setup as speed_setup
 from benchmarks.latency import solve as speed_solve

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import sweep
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.fields import check_path, paths, random_draws
 from benchmarks.sweeps.plan import Plan
@@ -88,7 +88,7 @@ def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "benchmarks.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
+        "benchmarks.common.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
         Plan(config(solvers=["osqp"]))

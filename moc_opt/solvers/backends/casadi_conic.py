@@ -6,15 +6,14 @@ reads and writes fixed arrays and costs ten.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from moc_opt.errors import SolverError, UnknownNameError
+from moc_opt.errors import SolverError
 from moc_opt.solvers.backends.session import Adapter, LibrarySession, Outcome
 from moc_opt.solvers.base import Status
 from moc_opt.solvers.options import checked
@@ -37,21 +36,6 @@ def reasons() -> dict[str, str | None]:
         name: None if ca.has_conic(name) else f"this CasADi was built without the plug-in {name!r}"
         for name in PLUGINS
     }
-
-
-def factory(name: str) -> Callable[..., CasadiConic]:
-    """Return the settings of one plug-in, still to be called with them.
-
-    Raises:
-        UnknownNameError: there is no such plug-in here.
-        SolverError: CasADi was built without it.
-    """
-    found = reasons()
-    if name not in found:
-        raise UnknownNameError("casadi plug-in", name, found)
-    if found[name] is not None:
-        raise SolverError(f"solver {PREFIX + name!r} cannot run: {found[name]}")
-    return partial(CasadiConic, name)
 
 
 class CasadiSession(LibrarySession):

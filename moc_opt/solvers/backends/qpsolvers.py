@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import pkgutil
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import qpsolvers
 from qpsolvers.exceptions import QPError
 
-from moc_opt.errors import SolverError, UnknownNameError, describe
+from moc_opt.errors import SolverError, describe
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.equalities import ROWS, assembled
 from moc_opt.qp.problem import NullSpaceQP
@@ -67,21 +66,6 @@ def reasons() -> dict[str, str | None]:
         name: None if name in here else f"qpsolvers does not find it here: pip install qpsolvers[{name}]"
         for name in sorted(known | here)
     }
-
-
-def factory(name: str) -> Callable[..., QPSolver]:
-    """Return the settings of one library, still to be called with them: ``factory("daqp")(rows=6)``.
-
-    Raises:
-        UnknownNameError: qpsolvers does not know the name.
-        SolverError: qpsolvers knows it, but it is not installed.
-    """
-    found = reasons()
-    if name not in found:
-        raise UnknownNameError("qpsolvers library", name, found)
-    if found[name] is not None:
-        raise SolverError(f"solver {PREFIX + name!r} cannot run: {found[name]}")
-    return partial(QPSolver, name)
 
 
 @dataclass(frozen=True)

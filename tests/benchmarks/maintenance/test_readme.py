@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.common.markdown import fill_section
 from benchmarks.maintenance import readme
-from benchmarks.markdown import fill_section
 
 NAMES = ("solvers", "paper", "speed")
 README = "before\n" + "between\n".join(f"<!-- {name} -->\nold\n<!-- /{name} -->\n" for name in NAMES) + "after\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import pickle
 import warnings
 
@@ -12,8 +11,9 @@ import qpsolvers
 
 from moc_opt.errors import SolverError, UnknownNameError
 from moc_opt.solvers import Status, create
-from moc_opt.solvers.backends.qpsolvers import ADVICE, QPSolver, factory, reasons
+from moc_opt.solvers.backends.qpsolvers import ADVICE, QPSolver, reasons
 from moc_opt.solvers.options import ALLOWED
+from moc_opt.solvers.registry import defaults
 from tests.problems import infeasible_problem, random_problem, smooth_sequence
 
 HERE = sorted(qpsolvers.available_solvers)
@@ -32,15 +32,14 @@ def test_reasons_name_what_is_here_and_what_is_not():
     assert all(f"pip install qpsolvers[{name}]" in reason for name, reason in missing.items())
 
 
-def test_factory():
-    build = factory(HERE[0])
-    assert {"rows", "cost_scale", "options", "warm"} <= set(inspect.signature(build).parameters)
-    assert build(rows=6) == QPSolver(HERE[0], rows=6)
-    with pytest.raises(UnknownNameError, match="quadprog"):
-        factory("qadprog")
+def test_a_library_is_made_by_its_name():
+    assert set(defaults(f"qpsolvers:{HERE[0]}")) == {"rows", "cost_scale", "options", "advised", "warm"}
+    assert create(f"qpsolvers:{HERE[0]}", rows=6) == QPSolver(HERE[0], rows=6)
+    with pytest.raises(UnknownNameError, match="qpsolvers: solver 'qadprog': did you mean 'quadprog'"):
+        create("qpsolvers:qadprog")
     absent = next(name for name, reason in reasons().items() if reason is not None)
-    with pytest.raises(SolverError, match=f"pip install qpsolvers.{absent}"):
-        factory(absent)
+    with pytest.raises(SolverError, match=rf"'qpsolvers:{absent}' cannot run: .*pip install qpsolvers.{absent}"):
+        create(f"qpsolvers:{absent}")
 
 
 @every_library

@@ -15,9 +15,9 @@ from typing import Any, Protocol
 
 from rich.console import Console
 
-from benchmarks.answer import Answer
-from benchmarks.index import write_index
-from benchmarks.output import save_page, write_json, write_rows
+from benchmarks.common.answer import Answer
+from benchmarks.common.index import write_index
+from benchmarks.common.output import save_page, write_json, write_rows
 from moc_opt.errors import MocOptError
 from moc_opt.report.console import console, progress
 from moc_opt.report.machine import busy

@@ -1,4 +1,4 @@
-"""Finished parts of the study in its folder: a second run goes on where the first one stopped.
+"""Finished parts of a benchmark in a folder: a second run goes on where the first one stopped.
 
 A part is a few arrays and some plain values in one .npz file, named by a digest of everything that decides what is
 in it: what was asked for, the data, the versions of the libraries and the source of this package.
@@ -19,16 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.output import PACKAGES, write_atomically
+from benchmarks.common.output import PACKAGES, write_atomically
 from moc_opt.errors import MocOptError
 from moc_opt.inputs.files import file_in, parse_json, read_arrays, read_bytes, to_json
 
 ROOT = Path(__file__).resolve().parents[2]
-# What decides a part's content, beside the package itself; reports and figures do not.
-SOURCES = (
-    "timing", "arms", "processes", "solver_study/cases", "solver_study/closed_loop", "solver_study/open_loop",
-    "solver_study/answers", "solver_study/solving", "solver_study/sweeps", "solver_study/growth",
-)  # fmt: skip
 META = "_meta"
 MOST_BYTES = 2**27
 
@@ -41,17 +36,21 @@ class Part(NamedTuple):
 
 
 class Store:
-    """Parts in ``folder``; None keeps nothing."""
+    """Parts in ``folder``; None keeps nothing.
 
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
+    Args:
+        sources: files of benchmarks/, without ending, that a part depends on beside the package itself.
+    """
+
+    def __init__(self, folder: Path | None, sources: tuple[str, ...] = ()) -> None:
+        self.folder, self._sources = folder, sources
         self._before = set() if folder is None else {path.name for path in folder.glob("*.npz")}
         self.reused = 0  # parts of an earlier run
 
     def key(self, **what: Any) -> str:
         """Return the digest of a description in plain values; arrays in it count with their bytes."""
         text = json.dumps(_plain(what), sort_keys=True, allow_nan=False)
-        return hashlib.sha256(f"{text}\n{circumstances()}".encode()).hexdigest()[:24]
+        return hashlib.sha256(f"{text}\n{circumstances(self._sources)}".encode()).hexdigest()[:24]
 
     def get(self, key: str) -> Part | None:
         """Return the part, or None; a damaged one is set aside with a line on stderr."""
@@ -89,7 +88,7 @@ def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     Raises:
         MocOptError: damaged, or not written by ``put``.
     """
-    what = "part of the study"
+    what = "kept part"
     # The digest behind the archive also covers what the archive's own checksums leave out: names and types.
     data = read_bytes(path, what, MocOptError, MOST_BYTES)
     if hashlib.sha256(data[:-32]).digest() != data[-32:]:
@@ -103,8 +102,8 @@ def _opened(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 
 
 @functools.cache
-def circumstances() -> str:
-    """Return the versions of the libraries, and a digest of the sources that a part depends on."""
+def circumstances(sources: tuple[str, ...] = ()) -> str:
+    """Return the versions of the libraries, and a digest of the package's sources and of these of benchmarks/."""
     versions = []
     for name in PACKAGES:
         try:
@@ -113,9 +112,9 @@ def circumstances() -> str:
             continue
     digest = hashlib.sha256()
     files = [*sorted((ROOT / "moc_opt").rglob("*.py")), *sorted((ROOT / "moc_opt" / "robots").glob("*.[tu]*"))]
-    files += [ROOT / "benchmarks" / f"{name}.py" for name in SOURCES]
+    files += [ROOT / "benchmarks" / f"{name}.py" for name in sources]
     for file in files:
-        if not {"report", "figures"} & set(file.parts) and file.exists():
+        if not {"report", "figures"} & set(file.parts):
             digest.update(file.read_bytes())
     return f"{' '.join(versions)} {digest.hexdigest()}"
 

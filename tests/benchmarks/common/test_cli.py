@@ -6,7 +6,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import cli
+from benchmarks.common import cli
 from moc_opt import figures
 from moc_opt.errors import ScenarioError
 from moc_opt.report import export

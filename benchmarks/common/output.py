@@ -41,7 +41,7 @@ def save_page(page: Page, path: Path, *, figures: bool = False) -> None:
 
 def default_config(name: str) -> Path:
     """Return the configuration that ships with a benchmark."""
-    return Path(__file__).parent / "configs" / f"{name}.toml"
+    return Path(__file__).parents[1] / "configs" / f"{name}.toml"
 
 
 def write_atomically(path: Path, data: bytes) -> None:

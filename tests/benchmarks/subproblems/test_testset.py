@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks import testsets
-from benchmarks.testsets import RECIPES, CertificateError, TestSet, straightened
+from benchmarks.subproblems import certify, testset
+from benchmarks.subproblems.recipes import RECIPES
+from benchmarks.subproblems.testset import CertificateError, TestSet, straightened
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 
 every_set = pytest.mark.parametrize("name", RECIPES)
@@ -28,7 +29,7 @@ def test_the_judge_would_see_a_wrong_answer(name):
 
 @pytest.mark.parametrize("name", ["random", "joint-limits", "jumps", "inconsistent-1e-6"])
 def test_a_set_is_made_again_as_it_is(name, robot):
-    made, kept = testsets.make(name, robot), TestSet.load(name)
+    made, kept = certify.make(name, robot), TestSet.load(name)
     np.testing.assert_allclose(made.rows, kept.rows, rtol=1e-9, atol=1e-12, equal_nan=True)
     np.testing.assert_array_equal(made.feasible, kept.feasible)
 
@@ -37,10 +38,10 @@ def test_a_set_is_made_again_as_it_is(name, robot):
 def test_inconsistent_references_differ_along_the_shaft(power):
     kept = TestSet.load(f"inconsistent-1e{power}")
     for qp in kept.problems()[:8]:
-        gap = testsets.five_row_gap(qp, qp.b)
+        gap = testset.five_row_gap(qp, qp.b)
         assert np.linalg.norm(gap) == pytest.approx(10.0**power, rel=1e-2)
         straight = straightened(qp)
-        assert np.linalg.norm(testsets.five_row_gap(straight, straight.b)) < 1e-15
+        assert np.linalg.norm(testset.five_row_gap(straight, straight.b)) < 1e-15
         np.testing.assert_allclose(straight.reduced().b, qp.reduced().b, atol=1e-15)
 
 
@@ -77,6 +78,6 @@ def test_a_wrong_certificate_is_refused(monkeypatch):
             return found._replace(x=found.x * 0.5)
 
     problems = [NullSpaceQP.from_row(np.array(row)) for row in TestSet.load("circle").rows[:2]]
-    monkeypatch.setattr(testsets, "Exact", Short)
+    monkeypatch.setattr(certify, "Exact", Short)
     with pytest.raises(CertificateError, match="residuals"):
-        testsets.certify("short", problems)
+        certify.certify("short", problems)

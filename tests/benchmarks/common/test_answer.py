@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from benchmarks.answer import (
+from benchmarks.common.answer import (
     MOST_COLUMNS,
     Answer,
     Picture,

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from queue import SimpleQueue
 from typing import Any, Self, TypeVar
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
-from benchmarks.output import default_config, environment
+from benchmarks.common.output import default_config, environment
 from moc_opt.errors import MocOptError, ScenarioError, SolverError, UnknownNameError
 from moc_opt.inputs.files import read_toml
 from moc_opt.inputs.settings import Settings

@@ -13,7 +13,7 @@ from moc_opt.errors import MocOptError
 from moc_opt.report.tables import Column, Table
 
 _TEMPLATES = Environment(
-    loader=FileSystemLoader(Path(__file__).with_name("templates")), undefined=StrictUndefined, trim_blocks=True,
+    loader=FileSystemLoader(Path(__file__).parents[1] / "templates"), undefined=StrictUndefined, trim_blocks=True,
     keep_trailing_newline=True, autoescape=False,
 )  # fmt: skip
 

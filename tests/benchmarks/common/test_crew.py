@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from benchmarks.crew import Crew, run_parallel, spread
-from benchmarks.processes import Crashed, Worker
+from benchmarks.common.crew import Crew, run_parallel, spread
+from benchmarks.common.processes import Crashed, Worker
 from moc_opt.errors import UnknownNameError
-from tests.benchmarks.test_processes import gone, square
+from tests.benchmarks.common.test_processes import gone, square
 
 
 @pytest.mark.parametrize("processes", [1, 2])

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from benchmarks import export
-from benchmarks.export import ExportError, figures, problems, run_qpbenchmark, write_qpbenchmark
+from benchmarks.subproblems import qpbenchmark
+from benchmarks.subproblems.qpbenchmark import (
+    ExportError,
+    figures,
+    problems,
+    run_qpbenchmark,
+    write_qpbenchmark,
+)
 from moc_opt.errors import UnknownNameError
 from moc_opt.solvers import create
 
@@ -109,8 +116,8 @@ def test_wrong_input_is_refused(tmp_path, capsys, monkeypatch):
     assert "'circle'" in capsys.readouterr().err
     with pytest.raises(UnknownNameError):
         problems(["nothing"])
-    monkeypatch.setattr(export, "find_spec", lambda _: None)
+    monkeypatch.setattr(qpbenchmark, "find_spec", lambda _: None)
     with pytest.raises(ExportError, match="pip install"):
         run_qpbenchmark(tmp_path / "null_space.py", ["daqp"])
-    assert "pip install" in export.ranking(tmp_path, ["qpsolvers:daqp"], every=64)["none"]["reason"]
-    assert "through qpsolvers" in export.ranking(tmp_path, ["exact"])["none"]["reason"]
+    assert "pip install" in qpbenchmark.ranking(tmp_path, ["qpsolvers:daqp"], every=64)["none"]["reason"]
+    assert "through qpsolvers" in qpbenchmark.ranking(tmp_path, ["exact"])["none"]["reason"]

@@ -1,6 +1,7 @@
 """What every worker of the study needs: the server that workers are forked from imports and compiles it once.
 
-``python -m benchmarks.preload exact`` compiles that solver alone, ``rnn`` the loop: two processes share the work.
+``python -m benchmarks.common.preload exact`` compiles that solver alone, ``rnn`` the loop: two processes share
+the work.
 """
 
 import sys

@@ -6,7 +6,7 @@ import json
 import re
 from pathlib import Path
 
-from benchmarks import index
+from benchmarks.common import index
 from moc_opt.report.page import Page
 
 

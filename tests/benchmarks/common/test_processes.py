@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.processes import Crashed, Hung, Raised, Worker, beat
+from benchmarks.common.processes import Crashed, Hung, Raised, Worker, beat
 from moc_opt.errors import UnknownNameError
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def numbers(count):
@@ -189,7 +189,7 @@ def test_what_a_killed_worker_has_started_ends_with_it(worker):
 
 PARENT = """
 import os, sys, time
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
 if __name__ == "__main__":
     worker = Worker(fresh=sys.argv[1] == "fresh", preload=())
     print(worker.call(os.getpid), flush=True)

@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 START_S = 40.0
 """For the first result: the worker may still be importing and compiling."""
-PRELOAD = ("__main__", "benchmarks.preload")
+PRELOAD = ("__main__", "benchmarks.common.preload")
 
 _beat: Callable[[], None] | None = None  # set in a worker while it works
 

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from benchmarks import output
+from benchmarks.common import output
 
 
 def test_files_appear_whole(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 from jinja2 import UndefinedError
 
-from benchmarks import markdown
+from benchmarks.common import markdown
 from moc_opt.report.tables import Column
 
 

@@ -5,7 +5,7 @@ import gc
 import numpy as np
 import pytest
 
-from benchmarks.timing import (
+from benchmarks.common.timing import (
     Timed,
     clock_cost_us,
     each_us,
@@ -24,7 +24,7 @@ def spin(monkeypatch):
     def work(us):
         now[0] += us * 1000
 
-    monkeypatch.setattr("benchmarks.timing.perf_counter_ns", lambda: now[0])
+    monkeypatch.setattr("benchmarks.common.timing.perf_counter_ns", lambda: now[0])
     return work
 
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import moc_opt as mo
-from benchmarks import look
+from benchmarks.common import look
 from benchmarks.paper_experiment import look as paper_look
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Measurement, Outcome
 from benchmarks.solver_study import look as solvers_look
-from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.closed_loop import POSES_EVERY, Run, finish
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.errors import BrowserMissingError
 from moc_opt.figures.style import Styles
 from moc_opt.redundancy.map_analysis import End

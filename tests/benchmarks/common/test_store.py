@@ -1,9 +1,11 @@
 """Finished parts: they come back as they were, and only where nothing they depend on changed."""
 
 import numpy as np
+import pytest
 
-from benchmarks.solver_study import store as study_store
-from benchmarks.solver_study.store import Part, Store
+from benchmarks.common import store as part_store
+from benchmarks.common.store import Part, Store
+from benchmarks.solver_study.study import SOURCES
 
 
 def test_what_is_kept_comes_back(tmp_path):
@@ -33,7 +35,7 @@ def test_a_key_depends_on_everything_asked(tmp_path):
 def test_other_libraries_or_sources_ask_again(tmp_path, monkeypatch):
     store = Store(tmp_path)
     before = store.key(solver="osqp")
-    monkeypatch.setattr(study_store, "circumstances", lambda: "osqp=2.0")
+    monkeypatch.setattr(part_store, "circumstances", lambda _: "osqp=2.0")
     assert store.key(solver="osqp") != before
 
 
@@ -53,6 +55,8 @@ def test_without_a_folder_nothing_is_kept():
     assert store.get("k") is None
 
 
-def test_the_sources_that_decide_are_there():
-    root = study_store.ROOT / "benchmarks"
-    assert [name for name in study_store.SOURCES if not (root / f"{name}.py").exists()] == []
+def test_the_sources_decide_and_have_to_be_there():
+    assert Store(None, ("common/timing",)).key(a=1) != Store(None).key(a=1)
+    assert Store(None, SOURCES).key(a=1) != Store(None).key(a=1)
+    with pytest.raises(FileNotFoundError):
+        Store(None, ("common/gone",)).key(a=1)
