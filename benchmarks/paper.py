@@ -18,6 +18,7 @@ from typing import Any
 
 from benchmarks.common import cli
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
@@ -28,25 +29,27 @@ from moc_opt.errors import BrowserError
 from moc_opt.trace.ending import Ending
 
 
-def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:
+def run_swivel(config: Config, advance: Any, kept: Kept) -> list[dict[str, Any]]:
     """Run the study of the starting swivel."""
     base = config.base(config.swivel.group)
     [(_, trial)] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1))
     jobs = [(trial, start, config.best_solver) for start in paper_swivel.starts(trial, config.swivel.starts)]
-    return run_parallel(paper_swivel.gain, jobs, config.processes, advance)
+    return run_parallel(paper_swivel.gain, jobs, config.processes, advance, kept)
 
 
-def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def run_procedure(
+    config: Config, out: Path, advance: Any, kept: Kept
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return (one row a task, accuracy of single pictures)."""
-    rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance)
+    rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance, kept)
     accuracy = paper_procedure.accuracy(config.procedure, config.scenario.robot.name, config.seed)
     advance()
     return rows, accuracy
 
 
-def run_ablation(config: Config, advance: Any) -> tuple[list[Measurement], list[dict[str, Any]]]:
+def run_ablation(config: Config, advance: Any, kept: Kept) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return (every measurement, every run that broke off) of Table I with entries exchanged."""
-    done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance)
+    done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance, kept)
     return [m for found, _ in done for m in found], [entry for _, broken in done for entry in broken]
 
 
@@ -97,12 +100,13 @@ def experiment(given: Namespace) -> cli.Results:
     config, out = Config.chosen(given, "paper"), given.out
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
+    kept = Kept(out / "jobs", config.model_dump(mode="json"))
     total = len(jobs) + len(config.ablation_jobs()) + config.swivel.starts + 1 + len(config.tasks) + 2
     with cli.steps("trials", total) as step:
-        outcomes = run_parallel(run_job, jobs, config.processes, step)
-        exchanged, failed = run_ablation(config, step)
-        swivel = run_swivel(config, step)
-        procedure, accuracy = run_procedure(config, out, step)
+        outcomes = run_parallel(run_job, jobs, config.processes, step, kept)
+        exchanged, failed = run_ablation(config, step, kept)
+        swivel = run_swivel(config, step, kept)
+        procedure, accuracy = run_procedure(config, out, step, kept)
         looks = look.looks(config, outcomes)
         step()
     summary, found, broken = summarise(config, outcomes, swivel)
@@ -111,7 +115,8 @@ def experiment(given: Namespace) -> cli.Results:
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
     measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
-    environment = config.environment(given, timing=f"none: {config.processes} processes at a time shared the machine")
+    timing = f"none: {config.processes} processes at a time shared the machine"
+    environment = config.environment(given, timing=timing, jobs_of_an_earlier_run=kept.reused)
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     try:
         figures.save(drawn, out / "figures")
@@ -135,7 +140,7 @@ def experiment(given: Namespace) -> cli.Results:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; see `cli.run` for the exit status."""
     options = cli.parser("paper", "The paper's experiment, and which of its claims hold.")
-    return cli.run(options, experiment, arguments)
+    return cli.run(options, experiment, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -20,6 +21,7 @@ from pydantic import Field
 
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
+from benchmarks.common.kept import Kept
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.goals import Goal, goal_verdicts
@@ -93,6 +95,7 @@ def study(given: Namespace) -> cli.Results:
     each = min(config.cycles, config.run_cycles)
     runs: dict[Case, list[Found]] = {}
     cases = config.cases()
+    kept = Kept(given.out / "jobs", config.model_dump(mode="json"))
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, cli.steps("realtime", len(cases)) as step:
         for rate in config.rates_Hz:
             file, program = Path(folder, f"{rate}.toml"), None
@@ -103,7 +106,8 @@ def study(given: Namespace) -> cli.Results:
                 limit = each / rate + wire.SPARE_S
                 most = 3 * -(-config.cycles // each)
                 own = program if case.controller == "c" else None
-                runs[case] = wire.measure(case, file, own, config.cycles, most, limit)
+                measure = partial(wire.measure, case, file, own, config.cycles, most, limit)
+                runs[case] = kept.of(str(case), measure)
                 step(str(case))
     summary: dict[str, Any] = {"cases": {str(case): summarise(found) for case, found in runs.items()}}
     summary["goals"] = goal_verdicts(summary, GOALS)
@@ -114,7 +118,10 @@ def study(given: Namespace) -> cli.Results:
         for case, found in runs.items() for k, run in enumerate(found)
     ]  # fmt: skip
     system = {str(case): found[0].system for case, found in runs.items()}
-    environment = config.environment(given, system=system, collector="off inside both loops", cores=os.cpu_count())
+    environment = config.environment(
+        given, system=system, collector="off inside both loops", cores=os.cpu_count(),
+        jobs_of_an_earlier_run=kept.reused,
+    )  # fmt: skip
     first = answer(summary, runs)
     return cli.Results(summary, environment, rows, report(summary, runs, first, environment), answer=first)
 
@@ -123,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("realtime", "Measure plant and controller against the clock.")
     options.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
-    return cli.run(options, study, arguments)
+    return cli.run(options, study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":
