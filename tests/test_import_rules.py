@@ -38,10 +38,10 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
     "realtime": {"inputs", "qp.layout", "sim", "trace"},
     "vision": {"inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
-    "embedded": {"inputs", "qp", "robots", "model", "solvers", "control"},
+    "embedded": {"inputs", "numerics", "qp", "robots", "model", "solvers", "control"},
     "report": {"figures", "inputs", "trace", "model", "redundancy", "planning"},
     "scenario": {
-        "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
+        "inputs", "numerics", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
         "sim", "realtime", "procedure", "embedded",
     },
     "live": {"inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},

@@ -181,11 +181,11 @@ class NullSpaceQP:
         return self
 
     def copy(self) -> NullSpaceQP:
-        """Return the same subproblem in memory of its own: what is done to one leaves the other as it is."""
+        """Return a copy of the subproblem in its own memory."""
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code takes both for granted
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code requires both
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
         own = self.__dict__  # around our own __setattr__, which refuses everybody else

@@ -1,4 +1,4 @@
-"""What a solver is: frozen settings that start sessions; a session owns memory and answers ticks."""
+"""The interface of a solver: frozen settings that start sessions; a session owns memory and answers ticks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.qp.problem import NullSpaceQP
 
 
 class Status(Enum):
-    """What a solver says of its own answer. The text is the cure.
+    """A solver's claim about its own answer. The text is the cure.
 
     Example:
         >>> mo.solvers.Status.MAX_ITER.label, mo.solvers.Status.MAX_ITER.value
@@ -119,7 +119,7 @@ class Solver(Protocol):
         ...
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None when the problem can be taken, else the reason why not."""
+        """Return None if the solver can take the problem, else the reason why not."""
         ...
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -137,13 +137,13 @@ class TruncatingSession(Protocol):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a solution without an x: NaN, so that using it by mistake shows."""
+    """Return a solution without an answer: its x is NaN, so that a use by mistake is found."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that wants the measured velocity before each tick; the controller calls ``observe``."""
+    """A session that needs the measured velocity before each tick; the controller calls ``observe``."""
 
     def observe(self, v: Array) -> None:
         """Take the measured joint velocity v (n,) [rad/s]."""

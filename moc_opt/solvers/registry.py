@@ -112,7 +112,7 @@ def _of_family(module: ModuleType, adapter: str, prefix: str, name: str) -> Call
 
 
 def check_name(name: str) -> None:
-    """Check that there is a solver of that name, without importing it; whether it can run here, `create` finds.
+    """Check that there is a solver of that name, without importing it; `create` finds whether it can run here.
 
     Raises:
         UnknownNameError: with the nearest names.

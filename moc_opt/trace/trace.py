@@ -1,4 +1,4 @@
-"""What a run leaves behind: one row per control tick, saved as Parquet."""
+"""The record of a run: one row per control tick, saved as Parquet."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_
 
 
 class MissingDataError(TraceError, AttributeError):
-    """A trace lacks what was asked of it: a column, an entry of meta, a second tick."""
+    """A trace lacks a column, an entry of meta, or a second tick that a call needs."""
 
 
 class Trace:
@@ -107,7 +107,7 @@ class Trace:
         return f"Trace({', '.join(about)}: {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
+        """Return HTML for a notebook."""
         return views.html(self)
 
     def __dir__(self) -> Iterable[str]:
