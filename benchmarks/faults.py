@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from benchmarks.common import cli
 from benchmarks.common.config import runnable
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
 from benchmarks.reliability.report import answer, report
@@ -26,15 +27,16 @@ def inject(given: Namespace) -> cli.Results:
     config = Config.chosen(given, "faults")
     runnable(config.solvers)
     work = jobs(config)
+    kept = Kept(given.out / "jobs", config.model_dump(mode="json"))
     with cli.steps("faults", len(work)) as step:
-        outcomes = run_parallel(run_job, work, config.processes, step)
+        outcomes = run_parallel(run_job, work, config.processes, step, kept)
     rows = [row for outcome in outcomes for row in outcome.rows]
     traces = {name: trace for outcome in outcomes for name, trace in outcome.traces.items()}
     cases = summarise(rows)
     reached = goals(config, cases)
     shared = config.processes > 1
     timing = f"shared: {config.processes} processes at a time" if shared else "one process"
-    environment = config.environment(given, timing=timing)
+    environment = config.environment(given, timing=timing, jobs_of_an_earlier_run=kept.reused)
     if given.page:
         write_page({"cases": cases, "goals": reached, "environment": environment})
     first = answer(cases, reached, traces)
@@ -48,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("faults", "Inject every fault under every controller.")
     options.add_argument("--page", action="store_true", help=f"write {PAGE.parent.name}/{PAGE.name} as well")
-    return cli.run(options, inject, arguments)
+    return cli.run(options, inject, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

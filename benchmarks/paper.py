@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 from benchmarks.common import cli
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.paper_experiment import ablation, figures, look, report
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment.config import Config
@@ -30,12 +31,13 @@ def experiment(given: Namespace) -> cli.Results:
     config, out = Config.chosen(given, "paper"), given.out
     jobs = config.jobs()
     out.mkdir(parents=True, exist_ok=True)
+    kept = Kept(out / "jobs", config.model_dump(mode="json"))
     total = len(jobs) + len(config.ablation_jobs()) + config.swivel.starts + 1 + len(config.tasks) + 2
     with cli.steps("trials", total) as step:
-        outcomes = run_parallel(run_job, jobs, config.processes, step)
-        exchanged, failed = run_ablation(config, step)
-        swivel = run_swivel(config, step)
-        procedure, accuracy = run_procedure(config, out, step)
+        outcomes = run_parallel(run_job, jobs, config.processes, step, kept)
+        exchanged, failed = run_ablation(config, step, kept)
+        swivel = run_swivel(config, step, kept)
+        procedure, accuracy = run_procedure(config, out, step, kept)
         looks = look.looks(config, outcomes)
         step()
     summary, found, broken = summarise(config, outcomes, swivel)
@@ -44,7 +46,8 @@ def experiment(given: Namespace) -> cli.Results:
     summary["board_pictures"] = accuracy
     summary["courses"] = look.rows(looks)
     measured = [*(m.row() for m in found), *({**m.row(), "part": "ablation"} for m in exchanged)]
-    environment = config.environment(given, timing=f"none: {config.processes} processes at a time shared the machine")
+    timing = f"none: {config.processes} processes at a time shared the machine"
+    environment = config.environment(given, timing=timing, jobs_of_an_earlier_run=kept.reused)
     drawn = draw(config, outcomes, swivel) | look.map_figures(looks)
     try:
         figures.save(drawn, out / "figures")
@@ -68,7 +71,7 @@ def experiment(given: Namespace) -> cli.Results:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the experiment; see `cli.run` for the exit status."""
     options = cli.parser("paper", "The paper's experiment, and which of its claims hold.")
-    return cli.run(options, experiment, arguments)
+    return cli.run(options, experiment, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

@@ -107,7 +107,7 @@ def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("plan", "How much manipulability a path holds."), study, arguments)
+    return cli.run(cli.parser("plan", "How much manipulability a path holds."), study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

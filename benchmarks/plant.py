@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 from benchmarks.common import cli
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.plant_study.runs import Config, run_job
 from benchmarks.plant_study.tables import PAGE, page_text, summarise, tables, write_page
 
@@ -22,20 +23,22 @@ def study(given: Namespace) -> cli.Results:
     """Run every job; with ``--page`` write the tables into docs/plant.md."""
     config = Config.chosen(given, "plant")
     jobs = config.jobs()
+    kept = Kept(given.out / "jobs", config.model_dump(mode="json"))
     with cli.steps("plants", len(jobs)) as step:
-        parts = run_parallel(run_job, jobs, config.processes, step)
+        parts = run_parallel(run_job, jobs, config.processes, step, kept)
     rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
     if given.page:
         write_page(page_text(summary, config))
-    return cli.Results(summary, config.environment(given), rows, tables=tables(summary))
+    environment = config.environment(given, jobs_of_an_earlier_run=kept.reused)
+    return cli.Results(summary, environment, rows, tables=tables(summary))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("plant", "What each defect of the arm costs.")
     options.add_argument("--page", action="store_true", help=f"write the table into {PAGE.parent.name}/{PAGE.name}")
-    return cli.run(options, study, arguments)
+    return cli.run(options, study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from pydantic import Field
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.robots_study.first_screen import answer
 from benchmarks.robots_study.parts import Job, run_job
@@ -56,16 +57,17 @@ def study(given: Namespace) -> cli.Results:
     """Run every trial of every arm."""
     config = Config.chosen(given, "robots")
     jobs = config.jobs()
+    kept = Kept(given.out / "jobs", config.model_dump(mode="json"))
     with cli.steps("trials", len(jobs)) as step:
-        rows = [row for found in run_parallel(run_job, jobs, config.processes, step) for row in found]
-    summary, environment = summarise(rows), config.environment(given)
+        rows = [row for found in run_parallel(run_job, jobs, config.processes, step, kept) for row in found]
+    summary, environment = summarise(rows), config.environment(given, jobs_of_an_earlier_run=kept.reused)
     first = answer(summary)
     return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("robots", "What holds on every arm."), study, arguments)
+    return cli.run(cli.parser("robots", "What holds on every arm."), study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,9 @@ from moc_opt.report.tables import Table
 
 WRONG, INTERRUPTED = 2, 130
 """Exit status after an error that is the user's or the machine's, and after Ctrl-C."""
+BEGINS_ANEW = "stopped; nothing of it is kept: the same command begins anew"
+GOES_ON = "stopped; what is finished is in {out}/jobs: the same command goes on from there"
+"""Said after Ctrl-C."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def seed_number(text: str) -> int:
 
 def run(
     options: ArgumentParser, work: Callable[[Namespace], Results | int], arguments: Sequence[str] | None = None,
-    stopped: str = "stopped",
+    stopped: str = BEGINS_ANEW,
 ) -> int:  # fmt: skip
     """Parse the command line, work, write and print the results.
 

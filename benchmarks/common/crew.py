@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from queue import SimpleQueue
 from typing import Any, Self, TypeVar
 
+from benchmarks.common.kept import Kept
 from benchmarks.common.processes import Worker
 
 Item = TypeVar("Item")
@@ -60,26 +61,40 @@ def spread(items: Sequence[Item], work: Callable[[Worker, Item], Result], proces
 
 
 def run_parallel(
-    work: Callable[[Item], Result], items: Sequence[Item], processes: int, done: Callable[[], Any]
-) -> list[Result]:
+    work: Callable[[Item], Result], items: Sequence[Item], processes: int, done: Callable[[], Any],
+    kept: Kept | None = None,
+) -> list[Result]:  # fmt: skip
     """Return ``work(item)`` for every item, in order: for runs whose times are not what is measured.
 
     Args:
         work: a function of a module; items and results must pickle.
         processes: 1 works in this process.
+        kept: where results go as they come, and from where those of an earlier run are taken.
 
     Raises:
         Crashed: a process died.
     """
-    if processes < 2 or len(items) < 2:
-        results = []
-        for item in items:
-            results.append(work(item))
+    results: dict[int, Result] = {}
+
+    def name(k: int) -> str:
+        return f"{work.__module__}.{work.__qualname__}, {k + 1} of {len(items)}"
+
+    def keep(k: int, result: Result) -> None:
+        results[k] = result if kept is None else kept.put(name(k), result)
+        done()
+
+    for k in range(len(items) if kept is not None else 0):
+        if kept is not None and (found := kept.get(name(k))) is not None:
+            results[k] = found[0]
             done()
-        return results
-    with Crew(min(processes, len(items)), fresh=True) as crew:
-        futures = [crew.submit(Worker.call, work, item) for item in items]
-        for future in as_completed(futures):
-            future.result()
-            done()
-        return [future.result() for future in futures]
+
+    waiting = [k for k in range(len(items)) if k not in results]
+    if processes < 2 or len(waiting) < 2:
+        for k in waiting:
+            keep(k, work(items[k]))
+    else:
+        with Crew(min(processes, len(waiting)), fresh=True) as crew:
+            futures = {crew.submit(Worker.call, work, items[k]): k for k in waiting}
+            for future in as_completed(futures):
+                keep(futures[future], future.result())
+    return [results[k] for k in range(len(items))]

@@ -157,7 +157,12 @@ class Worker:
             if self._pipe is None:
                 mine, theirs = self._context.Pipe()
                 process = self._context.Process(target=serve, args=(theirs,), daemon=True)
-                process.start()
+                # The child inherits this thread's mask: Ctrl-C while it still imports would end it with a traceback.
+                masked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                try:
+                    process.start()
+                finally:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, masked)
                 self._process = process
                 theirs.close()
                 self._pipe = mine
@@ -180,6 +185,7 @@ def serve(pipe: Connection) -> None:
     """Run in the worker what is asked for, until the other side closes."""
     global _beat
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     os.setpgrp()  # so that what it starts can be killed with it
     threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:

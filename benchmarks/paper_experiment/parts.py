@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.kept import Kept
 from benchmarks.paper_experiment import ablation, figures, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel
@@ -15,25 +16,27 @@ from benchmarks.paper_experiment.trials import BASELINES, Measurement, Outcome, 
 from moc_opt.trace.ending import Ending
 
 
-def run_swivel(config: Config, advance: Any) -> list[dict[str, Any]]:
+def run_swivel(config: Config, advance: Any, kept: Kept) -> list[dict[str, Any]]:
     """Run the study of the starting swivel."""
     base = config.base(config.swivel.group)
     [(_, trial)] = trials(base, [config.swivel.task], seeds(config.seed, STREAM, 1))
     jobs = [(trial, start, config.best_solver) for start in paper_swivel.starts(trial, config.swivel.starts)]
-    return run_parallel(paper_swivel.gain, jobs, config.processes, advance)
+    return run_parallel(paper_swivel.gain, jobs, config.processes, advance, kept)
 
 
-def run_procedure(config: Config, out: Path, advance: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+def run_procedure(
+    config: Config, out: Path, advance: Any, kept: Kept
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Return (one row a task, accuracy of single pictures)."""
-    rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance)
+    rows = run_parallel(paper_procedure.perform, config.procedures(out), config.processes, advance, kept)
     accuracy = paper_procedure.accuracy(config.procedure, config.scenario.robot.name, config.seed)
     advance()
     return rows, accuracy
 
 
-def run_ablation(config: Config, advance: Any) -> tuple[list[Measurement], list[dict[str, Any]]]:
+def run_ablation(config: Config, advance: Any, kept: Kept) -> tuple[list[Measurement], list[dict[str, Any]]]:
     """Return (every measurement, every run that broke off) of Table I with entries exchanged."""
-    done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance)
+    done = run_parallel(ablation.measure, config.ablation_jobs(), config.processes, advance, kept)
     return [m for found, _ in done for m in found], [entry for _, broken in done for entry in broken]
 
 

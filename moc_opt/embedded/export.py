@@ -24,6 +24,9 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.solvers.base import Solver
 
+LICENCE = "/* SPDX-License-Identifier: Apache-2.0 */\n"
+"""Above every file in C: the folder leaves this package, and its LICENSE, behind."""
+
 
 def record(spec: TickSpec, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Recording:
     """Record the Python controller's answers to k consecutive ticks.
@@ -91,7 +94,8 @@ def export(
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             written.append(folder / name)
-            written[-1].write_text(text, encoding="utf-8")
+            headed = f"{LICENCE}{text}" if written[-1].suffix in (".c", ".h") else text
+            written[-1].write_text(headed, encoding="utf-8")
     except OSError as error:
         raise ControlError(f"out = {str(folder)!r} cannot be written: {error}") from error
     return written

@@ -12,7 +12,7 @@ from benchmarks.common.config import runnable
 from benchmarks.common.output import default_config
 from benchmarks.reliability import page
 from benchmarks.reliability.config import Case, Config
-from benchmarks.reliability.runs import Waited, detection, jobs, measure, recovery, run_case, smooth
+from benchmarks.reliability.runs import Waited, detection, jobs, measure, recovery, run_case, run_job, smooth
 from benchmarks.reliability.summary import goals, outcome, summarise
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup
@@ -232,6 +232,30 @@ def test_the_same_seed_gives_the_same_numbers(left, tmp_path):
     (tmp_path / "tiny.toml").write_text(TINY)
     assert faults.main([str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]) == 0
     assert (tmp_path / "out" / "summary.json").read_bytes() == (left / "summary.json").read_bytes()
+
+
+def test_what_ctrl_c_leaves_is_taken_up_again(tmp_path, monkeypatch, capsys):
+    (tmp_path / "tiny.toml").write_text(TINY.replace("0.4", "0.1"))
+    command = [str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "out"), "--seed", "3"]
+    controllers = []
+
+    def interrupted(job):
+        controllers.append(job.controller)
+        if len(controllers) == 2:
+            raise KeyboardInterrupt
+        return run_job(job)
+
+    interrupted.__qualname__, interrupted.__module__ = run_job.__qualname__, run_job.__module__
+    monkeypatch.setattr(faults, "run_job", interrupted)
+    assert faults.main(command) == 130
+    assert f"{tmp_path / 'out'}/jobs: the same command goes on from there" in capsys.readouterr().err
+    assert faults.main(command) == 0
+    assert controllers == ["dcac", "exact", "exact"]
+    assert json.loads((tmp_path / "out" / "environment.json").read_text())["jobs_of_an_earlier_run"] == 1
+    whole = [*command[:2], str(tmp_path / "at once"), *command[3:]]
+    assert faults.main(whole) == 0
+    summaries = [json.loads((tmp_path / name / "summary.json").read_text()) for name in ("out", "at once")]
+    assert summaries[0] == summaries[1]
 
 
 def test_json_is_the_summary(tmp_path, capsys):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tomllib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -421,6 +422,14 @@ def test_the_header_tells_all(exported: Path) -> None:
     ):
         assert words in header
     assert "backend" not in header
+
+
+def test_every_file_in_c_says_its_licence(exported: Path) -> None:
+    project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text("utf-8"))["project"]
+    files = [file for file in exported.iterdir() if file.suffix in (".c", ".h")]
+    assert len(files) > 10
+    for file in files:
+        assert file.read_text("utf-8").startswith(f"/* SPDX-License-Identifier: {project['license']} */\n"), file.name
 
 
 def test_the_same_law_gives_the_same_text(exported: Path, robot: RobotModel, tmp_path: Path) -> None:
