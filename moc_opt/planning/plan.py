@@ -39,7 +39,15 @@ class Blocked:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path planned from one start; k times, n joints."""
+    """A path planned from one start; k times, n joints.
+
+    Example:
+        >>> plan = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False)
+        >>> plan.executable, plan.course.q_rad.shape, plan.climbed_whole
+        (True, (20, 7), True)
+        >>> bool(plan.from_start.mu_mean <= plan.best.mu_mean <= plan.bound)
+        True
+    """
 
     objective: Objective
     """What the courses are best in: "mean" mu, "worst" mu, or the mean of "log" mu."""

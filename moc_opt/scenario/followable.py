@@ -1,4 +1,4 @@
-"""Whether the third level of a scenario can follow the course that was planned for it, and what is in its way."""
+"""Whether the third level of a scenario can follow the course planned for it, and the reason if not."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROUNDING = 1e-6
 
 
 class Within(TypedDict):
-    """What a plan was made within, as `moc_opt.scenario.planned.plan` takes it."""
+    """The limits of a plan, as arguments of `moc_opt.scenario.planned.plan`."""
 
     margin_rad: float
     margin_m: float
@@ -32,7 +32,7 @@ def followable_plan(
     """Plan within what the scenario's third level keeps to where it follows a course, else within the arm's own limits.
 
     Args:
-        scenario: what would be run.
+        scenario: of the run.
         margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
         objective, acceleration: as of `moc_opt.scenario.planned.plan`.
 

@@ -1,4 +1,4 @@
-"""What the third level of a scenario follows in place of the climb of mu: the guides of ``[control] third_level``."""
+"""The guides of ``[control] third_level``, which replace the climb of mu in the third level."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ without braking."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
+"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.refine`; it lowers tip and RCM errors."""
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
