@@ -7,9 +7,9 @@ The equations of `refine` at N evenly spaced times after the pose that was measu
          and no joint is `refine.too_fast`
 
 With a margin from losing the shaft one inequality more a time: its share of the squared lever (`shaft`), linear about
-the guess, is not below the margin nor below what it is at the guess. V is what the pose at the end is worth for the
-rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a course that is
-near; the answer is judged by the caller.
+the guess, is not below the margin, nor below what it is at a guess that is close to it. V is what the pose at the end
+is worth for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a
+course that is near; the answer is judged by the caller.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ OPTIONS: dict[str, Any] = {
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},
     },
 }  # fmt: skip
+LEFT = 0.95
+"""A guess below this share of the shaft's margin has no other way: there it is not asked for, V alone holds it."""
 
 
 class Horizon:
@@ -140,4 +142,5 @@ class Horizon:
         states = [self._robot.state(q) for q in guess]
         shares = np.array([state.mu_shaft / state.tool_span**2 for state in states])
         turns = np.array([state.grad_mu_shaft / state.tool_span**2 for state in states])
-        return turns, (turns * guess).sum(axis=1) + np.minimum(self._shaft_margin - shares, 0.0)
+        least = (turns * guess).sum(axis=1) + np.minimum(self._shaft_margin - shares, 0.0)
+        return turns, np.where(shares < LEFT * self._shaft_margin, -np.inf, least)

@@ -82,7 +82,7 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     limits = f"{kept} from the joint limits" if kept else "the joint limits"
     rows.append({"what": "planned within", "value": f"{limits}, {share:.3g} % of their speed limits"})
     if (shaft := within.get("shaft_margin", 0.0)) > 0.0:
-        rows.append({"what": "shaft", "value": f"kept at {shaft:.3g} of its lever's square, where there is a way"})
+        rows.append({"what": "margin from losing the shaft", "value": f"{shaft:.3g}, where there is a way"})
     rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
     rows.append({"what": "swivel of the best start", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
