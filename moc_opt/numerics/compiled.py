@@ -58,7 +58,7 @@ def borrowed(array: Lent) -> Lent:
     """Return the same array for use inside a kernel, without a share in its memory; in Python, the array itself.
 
     A kernel counts references to every array that it is given, views or hands on, each time with a locked
-    instruction, which costs more than most arithmetic there. What is borrowed, and every view of it, is not counted.
+    instruction, which costs more than most arithmetic there. A borrowed array, and every view of it, is not counted.
     Its owner has to outlive it: borrow arguments, which the caller holds, and never hand a borrowed array back.
     """
     return array

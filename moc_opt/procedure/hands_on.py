@@ -66,13 +66,13 @@ class HandsOnStatus(Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HandsOn:
-    """What the guiding left behind."""
+    """The result of the guiding."""
 
     status: HandsOnStatus
     trocar: Array
     """(3,) where the incision truly is [m]"""
     registered: Array | None
-    """(3,) where the robot believes it to be [m]; None if it was not registered"""
+    """(3,) the registered trocar [m]; None if it was not registered"""
     q: Array
     """(n,) the robot's measured pose at the end [rad]"""
     trace: Trace
@@ -95,7 +95,7 @@ def guide_to(
     Args:
         incision: (3,) where the trocar truly is, base frame [m].
         plant: the simulated arm, reset to its start.
-        robot: the model that the robot believes in.
+        robot: the robot's own model.
         seed: of the registration error.
 
     Raises:
