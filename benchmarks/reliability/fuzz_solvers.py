@@ -80,7 +80,7 @@ def as_it_is() -> dict[str, Any]:
     """Return all that `MEDDLING` changes, as it shows from outside."""
     mask = os.umask(0)
     os.umask(mask)
-    with open("/proc/self/status", encoding="ascii") as file:  # what the kernel knows of handlers, also of those in C
+    with open("/proc/self/status", encoding="ascii") as file:  # the system's own table of handlers, also of those in C
         signals = [line for line in file if line.startswith(("SigBlk", "SigIgn", "SigCgt"))]
     small = (2.0**-53, 2.0**-1074)
     return {

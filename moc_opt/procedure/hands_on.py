@@ -132,7 +132,7 @@ def guide_to(
 
 
 class _Guiding:
-    """Hand guiding as a loop with a safety filter asks for it; it has no reference.
+    """Hand guiding with the interface of a filtered controller; it has no reference.
 
     ``seen`` is the state at the last measurement that was believed. The filter is not shown it: it would take the
     hand's force for a motion that no torque explains.
