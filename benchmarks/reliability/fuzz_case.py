@@ -18,7 +18,6 @@ from hypothesis.strategies import SearchStrategy
 from moc_opt.errors import MocOptError
 
 Verdict = Literal["accepted", "refused"]
-LIMIT_S = 20
 SHORTEST = 15
 """Characters of a message that says something."""
 
@@ -43,19 +42,27 @@ class Wrong(AssertionError):
 
 
 @contextmanager
-def time_limit(seconds: int = LIMIT_S) -> Iterator[None]:
-    """Raise Hang where the inside takes longer."""
+def time_limit(busy_s: float, wall_s: float) -> Iterator[None]:
+    """Raise Hang where the inside takes longer.
+
+    Args:
+        busy_s: of the processor, by all threads of this process: what a busy machine does not lengthen.
+        wall_s: by the clock, for what waits for ever.
+    """
 
     def ring(number: int, frame: FrameType | None) -> None:
-        raise Hang(f"more than {seconds} s")
+        raise Hang(f"more than {busy_s:g} s at work, or {wall_s:g} s by the clock")
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(seconds)
+    timers = {signal.SIGPROF: (signal.ITIMER_PROF, busy_s), signal.SIGALRM: (signal.ITIMER_REAL, wall_s)}
+    before = {number: signal.signal(number, ring) for number in timers}
+    for timer, seconds in timers.values():
+        signal.setitimer(timer, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for number, (timer, _) in timers.items():
+            signal.setitimer(timer, 0.0)
+            signal.signal(number, before[number])
 
 
 def refused(error: MocOptError, named: bool = True) -> Verdict:

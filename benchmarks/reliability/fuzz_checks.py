@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from typing import Any
 
 import numpy as np
@@ -9,11 +10,12 @@ import numpy as np
 from benchmarks.reliability import fuzz_c
 from benchmarks.reliability.fuzz_case import Kind, Verdict, Wrong, arm, file, refused
 from benchmarks.reliability.fuzz_inputs import TOML, edited, record_files, robot_files, scenarios, subproblems
-from benchmarks.reliability.fuzz_traces import good_trace, result_files
+from benchmarks.reliability.fuzz_traces import footers, good_trace, result_files
 from benchmarks.sweeps.record import opened
 from moc_opt.control.null_space import null_space
 from moc_opt.control.solution_check import answer_residuals
 from moc_opt.errors import MocOptError, SubproblemError
+from moc_opt.inputs.parquet_footer import demand_of
 from moc_opt.model.robot_model import load_robot
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals
 from moc_opt.scenario import Scenario, run
@@ -151,6 +153,19 @@ def result_file(data: bytes) -> Verdict:
     return "accepted"
 
 
+def parquet_footer(data: bytes) -> Verdict:
+    """Check a Parquet file with a damaged footer: read or refused; no library ends the process."""
+    with file("trace.parquet", data) as path:
+        try:
+            found = Trace.load(path)
+        except MocOptError as error:
+            return refused(error, any(name in str(error) for name in (path.name, "column", "meta")))
+    asked = demand_of(io.BytesIO(data), 2**26)
+    if {len(column) for column in found.columns.values()} != {asked.rows} or asked.columns < len(found.columns):
+        raise Wrong(f"a trace of other rows or columns than its footer's: {asked}")
+    return "accepted"
+
+
 def record_file(data: bytes) -> Verdict:
     """Check a sweep's record (JSON): what was sealed, or nothing."""
     with file("record.json", data) as path:
@@ -164,5 +179,6 @@ KINDS = {
     "scenario": Kind(scenario, scenarios()), "scenario_file": Kind(scenario_file, edited(TOML)),
     "robot_file": Kind(robot_file, robot_files()), "subproblem": Kind(subproblem, subproblems()),
     "result_file": Kind(result_file, result_files()), "record_file": Kind(record_file, record_files),
+    "parquet_footer": Kind(parquet_footer, footers()),
     "exported": Kind(fuzz_c.exported, fuzz_c.cases),
 }  # fmt: skip

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from benchmarks.reliability.fuzz_case import folder
 from benchmarks.reliability.fuzz_inputs import junk
+from moc_opt.trace.parquet import join
 from moc_opt.trace.trace import Trace
 
 
@@ -56,6 +57,59 @@ def result_files(draw: st.DrawFn) -> bytes:
                 del data[place:]
         return bytes(data)
     return draw(foreign_tables())
+
+
+@cache
+def _sound_files() -> list[tuple[bytes, bytes]]:
+    """Return what is before the footer and the footer: of traces of one and of four blocks, and of other writers."""
+    trace, data = good_trace()
+    with folder() as where:
+        types = {name: column.dtype for name, column in trace.columns.items()}
+        join(where / "four.parquet", [trace.columns] * 4, types, trace.meta)
+        table = pq.read_table(where / "four.parquet")
+        files = [data, (where / "four.parquet").read_bytes()]
+    for options in (
+        {"write_page_index": True, "data_page_version": "2.0"}, {"version": "1.0", "compression": "gzip"},
+        {"use_dictionary": False, "compression": None, "write_statistics": False}, {"store_schema": False},
+    ):  # fmt: skip
+        sink = io.BytesIO()
+        pq.write_table(table, sink, row_group_size=20, **options)  # type: ignore[arg-type]
+        files.append(sink.getvalue())
+    lengths = [int.from_bytes(file[-8:-4], "little") for file in files]
+    return [(file[: -8 - n], file[-8 - n : -8]) for file, n in zip(files, lengths, strict=True)]
+
+
+_ENDS = [
+    b"\x00", b"\x01", b"\x7f", b"\xff" * 9 + b"\x01", b"\xfe" + b"\xff" * 8 + b"\x01", b"\xff" * 4 + b"\x0f",
+    b"\x80" * 12,
+]  # fmt: skip
+_HEADS = [0x0C, 0x11, 0x12, 0x15, 0x16, 0x18, 0x19, 0x1A, 0x1B, 0x1C, 0x26, 0x2C, 0xFF]
+
+
+@st.composite
+def footers(draw: st.DrawFn) -> bytes:
+    """Draw a Parquet file whose footer is damaged and as long as it says.
+
+    Bits and bytes, heads of Thrift's fields, its numbers at their ends, and pieces taken from elsewhere in it.
+    """
+    before, sound = draw(st.sampled_from(_sound_files()))
+    footer = bytearray(sound)
+    for _ in range(draw(st.integers(1, 4))):
+        place, other = (draw(st.integers(0, len(footer))) for _ in range(2))
+        how, length = draw(st.integers(0, 6)), draw(st.integers(1, 60))
+        if how == 0 and place < len(footer):
+            footer[place] ^= 1 << draw(st.integers(0, 7))
+        elif how == 1:
+            footer[place : place + 1] = bytes([draw(st.integers(0, 255))])
+        elif how == 2:
+            footer[place : place + 1] = bytes([draw(st.sampled_from(_HEADS))])
+        elif how == 3:
+            del footer[place : place + length]
+        elif how == 4:
+            footer[place : place + draw(st.integers(0, 1))] = draw(st.sampled_from(_ENDS))
+        else:
+            footer[place : place + length * (how == 5)] = footer[other : other + length]
+    return before + bytes(footer) + len(footer).to_bytes(4, "little") + b"PAR1"
 
 
 @st.composite

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import secrets
@@ -17,12 +18,13 @@ import pyarrow.parquet as pq
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, canonical
 from moc_opt.inputs.files import plain, read_bytes
+from moc_opt.inputs.parquet_footer import demand_of
 
 BLOCK = 20_000
 """Rows of a row group of the final tables, whatever the pieces were: the bytes depend on it."""
 PLAN_KEY = b"moc_opt.sweep"
 MOST_BYTES = 2**28
-"""Of a shard."""
+"""Of a shard, packed and unpacked."""
 
 
 def is_clock(metric: str) -> bool:
@@ -160,6 +162,7 @@ def _read(path: Path) -> pa.Table:
     if not re.fullmatch(rf"[0-9]{{6,9}}-{zlib.crc32(data):08x}", path.stem):
         raise StoreError(f"{path}: damaged, or no part of a sweep; {again}")
     try:
+        demand_of(io.BytesIO(data), MOST_BYTES)
         table = pq.read_table(pa.BufferReader(data))
     except (OSError, ValueError, pa.ArrowException, MemoryError) as error:
         raise StoreError(f"{path}: no table of a sweep ({error}); {again}") from error

@@ -159,12 +159,17 @@ class Incision:
         """Return the trocar's force on the shaft [N] at the last registered place; NaN where it has no reading."""
         return float(trocar_force(pose, self.point, wrench, *self.tool[:3]))
 
+    def passed(self, ticks: int) -> None:
+        """Note ticks at which ``take`` found nothing."""
+        if ticks > 0:
+            self._tick, self._unread = self._tick + ticks, 0
+
     def reason(self, found: int) -> str:
         """Return the reason to stop after what ``take`` found at one tick, or ""."""
-        self._tick += 1
         if found == BELOW:
-            self._unread = 0
+            self.passed(1)
             return ""
+        self._tick += 1
         self._unread = self._unread + 1 if found == NO_READING else 0
         if self._unread > self._patience and np.isfinite(self.lowest[1]):
             return "the wrench sensor's readings are no numbers"

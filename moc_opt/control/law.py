@@ -16,7 +16,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
 DYNAMIC, STATIC, AS_PUBLISHED = range(len(PROJECTORS))
-_ROWS = 6
+_NUMBERS, _ROWS = 14, 6
 
 
 class Law(NamedTuple):
@@ -53,7 +53,7 @@ class Law(NamedTuple):
 @njit(cache=True, nogil=True)
 def law_views(law: Array, n: int) -> Law:
     """Name the parts of a packed law; for use inside other kernels, and in Python through `.py_func`."""
-    rows = law[14:].reshape((6, n))
+    rows = law[_NUMBERS:].reshape((_ROWS, n))
     return Law(
         law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7],
         law[8:12], law[12], law[13], rows[:3], rows[3], rows[4], rows[5],

@@ -179,7 +179,7 @@ class Supervisor:
             the solver's answer, and the x (n,) that the arm follows.
         """
         solution, fault, text = self._ask(session, qp, v)
-        self.fault = fault or self._judge(solution, qp, Z)
+        self.fault = fault or self._fault_of(solution, qp, Z)
         self._asked += 1
         if self._asked % ANSWER_EVERY == 0:
             self._interpreter.answer_signals()
@@ -225,7 +225,7 @@ class Supervisor:
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
 
-    def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
+    def _fault_of(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         status = solution.status
         if status is not _SOLVED:
             if status is Status.INFEASIBLE:

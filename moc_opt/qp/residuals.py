@@ -58,6 +58,12 @@ class Residuals(NamedTuple):
             worst is not known (see ``moc_opt.qp.extremes``) it may be too large.
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]; to the one nearest in the Euclidean norm where
             it is not unique. Infinite where no x* is found: the box leaves nothing of A x = b.
+
+    Example:
+        >>> from moc_opt.qp.residuals import Residuals
+        >>> near = Residuals(primal=1e-9, natural=1e-9, natural_best=1e-9, relative=1e-7, loss=0.0, distance=1e-8)
+        >>> bool(near.verified()), bool(near._replace(loss=0.2, distance=0.1).verified())
+        (True, False)
     """
 
     primal: Array

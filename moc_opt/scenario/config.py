@@ -28,7 +28,22 @@ _LAGS = 3.0
 
 
 class Scenario(Settings):
-    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
+    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
+
+    Every key of the TOML is a field, a table a nested one; each is checked, and a frozen one at that.
+
+    Raises:
+        ScenarioError: a value out of range, or fields that contradict each other; names the field.
+        UnknownNameError: a key, preset, solver or path that does not exist.
+
+    Example:
+        >>> scenario = mo.Scenario(seed=3, task={"path": "spiral"}, solver={"name": "rnn"})
+        >>> scenario.task.path, scenario.control.law
+        ('spiral', 'moc')
+        >>> mo.Scenario(seed=-1)
+        Traceback (most recent call last):
+        moc_opt.errors.ScenarioError: ...
+    """
 
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field(default="circle", description="title of the run")
@@ -122,6 +137,11 @@ class Scenario(Settings):
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
+
+        Example:
+            >>> mo.Scenario(seed=3).save("scenario.toml")
+            >>> mo.Scenario.load("scenario.toml").seed
+            3
         """
         file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
@@ -153,6 +173,12 @@ class Scenario(Settings):
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
+
+        Example:
+            >>> scenario = mo.Scenario(duration_s=2.0)
+            >>> scenario.save("scenario.toml")
+            >>> mo.Scenario.load("scenario.toml") == scenario
+            True
         """
         saving.save(self, path)
 
@@ -166,7 +192,15 @@ class Scenario(Settings):
         return table_html("Scenario, where it differs from the default", saving.changes(self) or {"nowhere": ""})
 
     def change(self, **tables: Any) -> Self:
-        """Copy the scenario with some fields changed; a mapping changes fields inside a table."""
+        """Copy the scenario with some fields changed; a mapping changes fields inside a table.
+
+        Raises:
+            ScenarioError, UnknownNameError: as for the constructor.
+
+        Example:
+            >>> mo.Scenario(seed=3).change(duration_s=1.0, plant={"friction": 0.0})
+            Scenario(seed=3, plant={'friction': 0.0}, duration_s=1.0)
+        """
         values: dict[str, Any] = {}
         for name in type(self).model_fields:
             old = getattr(self, name)

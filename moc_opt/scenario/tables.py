@@ -40,9 +40,10 @@ class RobotTable(Settings):
         """
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
-    def freedoms(self) -> Freedoms:
-        """Return what tip and shaft leave the arm, at the pose where that is most; raises as ``arm``."""
-        return best_freedoms(self.arm())
+    def arm_and_freedoms(self) -> tuple[RobotModel, Freedoms]:
+        """Return the arm, and what tip and shaft leave of it at the pose where that is most; raises as ``arm``."""
+        arm = self.arm()
+        return arm, best_freedoms(arm)
 
 
 class StartTable(Settings):

@@ -32,7 +32,7 @@ class Drives:
     """Torque drives without dynamics: saturation, and a delay of whole control periods as a ring buffer.
 
     Attributes:
-        limit, queue, slot, applied: as ``admit`` takes them.
+        limit, queue, slot, applied: as ``admit`` takes them; turns: how many slots there are.
     """
 
     def __init__(self, tau_max: Array, delay_ticks: int, applied: Array) -> None:
@@ -45,7 +45,7 @@ class Drives:
         """
         self.limit, self.applied = tau_max.copy(), applied
         self.queue, self.slot = np.zeros((delay_ticks, tau_max.size)), 0
-        self._turns, self._tau = max(1, delay_ticks), np.zeros(tau_max.size)
+        self.turns, self._tau = max(1, delay_ticks), np.zeros(tau_max.size)
 
     def start(self, tau: Array) -> None:
         """Fill the delay with one torque (n,), as if it had been commanded for long."""
@@ -64,9 +64,9 @@ class Drives:
         self._tau[:] = tau
         return self._tau
 
-    def admitted(self) -> None:
-        """Note that ``admit`` took the command."""
-        self.slot = (self.slot + 1) % self._turns
+    def admitted(self, commands: int = 1) -> None:
+        """Note that ``admit`` took so many commands."""
+        self.slot = (self.slot + commands) % self.turns
 
     def refusal(self) -> PlantError:
         """Make the error of a command that ``admit`` refused."""

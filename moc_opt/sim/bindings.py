@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import mujoco
@@ -76,11 +75,9 @@ class Bindings:
             joints.ripple, drives.limit, drives.queue,
         )  # fmt: skip
 
-    def advance(self, encoders: Encoders) -> Callable[..., int]:
-        """Return ``period.advance`` with all that stays the same until the next reset."""
-        return partial(
-            period.ADVANCE.code, *self._before, encoders.memory, encoders.conversion, self.wrench, self.truth
-        )
+    def memory(self, encoders: Encoders) -> period.PlantMemory:
+        """Return what a period works on until the next reset."""
+        return period.PlantMemory(*self._before, encoders.memory, encoders.conversion, self.wrench, self.truth)
 
     def told(self, trocar: ArrayLike | None) -> Array:
         """Return the trocar (2, 3) as contiguous numbers, zeros for none.

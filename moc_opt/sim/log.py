@@ -120,16 +120,14 @@ class Log:
     def _open(self, first: int) -> Block:
         return self._make(first, min(self._most, self.total - first), self._begin_s)
 
-    def rows(self) -> Iterator[tuple[Block, int, Array, Array, Array]]:
-        """Go through all ticks: the block and the row to fill, and tip reference, trocar and registered trocar."""
+    def blocks(self) -> Iterator[Block]:
+        """Go through the blocks; the next one is made when the one before is full."""
         while True:
-            now = self.block
-            for row, told in enumerate(zip(now.tip_refs, now.trocars, now.registered, strict=True)):
-                yield now, row, *told
-            if now.first + now.ticks >= self.total:
+            yield self.block
+            if self.block.first + self.block.ticks >= self.total:
                 return
             self._hand_over()
-            self.block = self._open(now.first + now.ticks)
+            self.block = self._open(self.block.first + self.block.ticks)
 
     def close(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns so far; none where a sink has them all."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from functools import partial
+from typing import NamedTuple, NoReturn
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
-from moc_opt.sim.period import AWAY, DONE, NO_TORQUE, NO_TROCAR
+from moc_opt.sim.period import ADVANCE, AWAY, DONE, NO_TORQUE, NO_TROCAR, Indices
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
 
@@ -23,6 +24,20 @@ if mujoco.get_mju_user_warning() is None:
     # MuJoCo's own handler writes a log file into the current folder; the plant itself detects an arm that runs away,
     # and raises an error.
     mujoco.set_mju_user_warning(lambda message: None)
+
+
+class Ahead(NamedTuple):
+    """What compiled steps need beside the plant's memory; as for ``period.advance``."""
+
+    slot: int
+    turns: int
+    """slots of the drives' queue"""
+    tissue: Array
+    pushed: Indices
+    pushes: Array
+    noise: Array
+    """(k, n) of the next periods, as many as are drawn"""
+    wrench_noise: Array
 
 
 class Plant:
@@ -105,37 +120,58 @@ class Plant:
         self._at.drives.start(self._at.joints.bias)
         self._at.joints.start(speed)
         self._at.tell()
-        self._advance = self._at.advance(encoders)
+        self.memory = self._at.memory(encoders)
+        self._advance = partial(ADVANCE.code, self.memory)
         q, v = encoders.start(*self._at.joints.shown)
         self._measurement = Measurement(q, v, sensor.read(self._at.wrench), self._ticks)
 
-    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
+    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None, found: int | None = None) -> None:
         """Advance one control period.
 
         Args:
             tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, cut at tau_max.
             trocar: (2, 3) rows: trocar point [m] and its velocity [m/s], which it keeps for the period; None:
                 no trocar in this period.
+            found: by ``period.advance``, which compiled steps called for this period already; not ``DONE``.
 
         Raises:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
         at = self._at
         told, asked = at.told(trocar), at.drives.command(tau)
-        if self._inserted is not (trocar is not None):
-            self._inserted = trocar is not None
-            at.tissue[:] = self._tissue if self._inserted else 0.0
+        self._insert(trocar is not None)
         reading = np.empty(self._shown)
-        found = self._advance(
-            asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
-            self._encoder_noise.row, self._wrench_noise.row, reading,
-        )  # fmt: skip
+        if found is None:
+            found = self._advance(
+                asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
+                self._encoder_noise.row, self._wrench_noise.row, reading,
+            )  # fmt: skip
         if found != DONE:
             self._refuse(found, trocar)
-        at.drives.admitted()
-        self._encoder_noise.take()
-        self._wrench_noise.take()
-        self._ticks += 1
+        self.took(1, reading)
+
+    def _insert(self, inserted: bool) -> None:
+        if self._inserted is not inserted:
+            self._inserted = inserted
+            self._at.tissue[:] = self._tissue if inserted else 0.0
+
+    def ahead(self) -> Ahead:
+        """Return what the next periods find, all of them with a trocar."""
+        self._insert(True)
+        at = self._at
+        return Ahead(
+            at.drives.slot, at.drives.turns, at.tissue, at.pushes.bodies, at.pushes.rows, self._encoder_noise.ahead,
+            self._wrench_noise.ahead,
+        )  # fmt: skip
+
+    def took(self, periods: int, reading: Array) -> None:
+        """Note periods that ``period.advance`` is through, and what the sensors show (2 n + 6,) after them."""
+        if periods == 0:
+            return
+        self._at.drives.admitted(periods)
+        self._encoder_noise.take(periods)
+        self._wrench_noise.take(periods)
+        self._ticks += periods
         reading.setflags(write=False)
         n = self.data.n
         self._measurement = Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)

@@ -59,20 +59,22 @@ class SafetyFilter(Protocol):
 
     def check_measurement(
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
-        wrench: Array | None = None, trocar: Array | None = None,
+        wrench: Array | None = None, trocar: Array | None = None, found: int | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible.
 
-        With the registered trocar (2, 3), RCM error and trocar force are checked too.
+        With the registered trocar (2, 3), RCM error and trocar force are checked too. ``found``: by compiled steps,
+        which looked at it already.
         """
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
-        tip: Array | None = None,
+        tip: Array | None = None, found: int | None = None,
     ) -> Array:  # fmt: skip
         """Return the torque within its limits; ``limited`` is the number of joints that were changed.
 
         The tip is also compared with its reference (3, 3), and the motion at (q, v) with the torque ``before``.
+        ``found``: by compiled steps, if they have limited it already.
         """
 
     def stop_torque(self, before: Array) -> Array:

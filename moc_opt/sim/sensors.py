@@ -25,7 +25,7 @@ class Measurement(NamedTuple):
     """Number of the control period in which it was taken, counted by the arm, which gives the reading's age."""
 
 
-_NOISE_ROWS = 64
+_NOISE_ROWS = 256
 
 
 class _Noise:
@@ -44,10 +44,16 @@ class _Noise:
         self.row = self._rows[0]
         self.take()
 
-    def take(self) -> None:
-        """Move on to the next row."""
-        if self._quiet:
+    @property
+    def ahead(self) -> Array:
+        """(k, m) of the next readings, ``row`` first: as many as are drawn."""
+        return self._block if self._quiet else self._block[self._next - 1 :]
+
+    def take(self, rows: int = 1) -> None:
+        """Move on by so many rows, of those ``ahead`` at most."""
+        if self._quiet or rows == 0:
             return
+        self._next += rows - 1
         if self._next == _NOISE_ROWS:
             self._rng.standard_normal(out=self._block)
             self._block *= self._deviation

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from moc_opt.errors import TraceError, describe
 from moc_opt.inputs.files import MOST_TEXT, check_regular, parse_json
+from moc_opt.inputs.parquet_footer import demand_of
 
 Types = dict[str, np.dtype[Any]]
 
@@ -25,23 +26,31 @@ MOST_ROWS = 20_000_000
 VERSION = "1"
 VERSION_KEY, META_KEY, TYPES_KEY = b"moc_opt.trace.trace", b"moc_opt.meta", b"moc_opt.types"
 _MOST_BYTES = 2**33
-# Noise does not shrink, a constant does, by this much at most: beyond it a file is made to fill the memory.
-_SHRINKS, _SMALL = 2000, 2**26
 
 
 @contextmanager
 def _opened(path: str | os.PathLike[str], **options: Any) -> Iterator[Any]:
     """Yield a Parquet file that was looked at before; what its reader says is turned into TraceError."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    with (
+        _told(path),
+        pq.ParquetFile(
+            path, page_checksum_verification=True, thrift_string_size_limit=MOST_TEXT,
+            thrift_container_size_limit=1_000_000, **options,
+        ) as file,
+    ):  # fmt: skip
+        yield file
+
+
+@contextmanager
+def _told(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what a reader says of a damaged file into TraceError."""
+    import pyarrow as pa
 
     check_regular(path, "trace", TraceError)
     try:
-        with pq.ParquetFile(
-            path, page_checksum_verification=True, thrift_string_size_limit=MOST_TEXT,
-            thrift_container_size_limit=1_000_000, **options,
-        ) as file:  # fmt: skip
-            yield file
+        yield
     except TraceError:
         raise
     except (OSError, ValueError, KeyError, MemoryError, pa.ArrowException) as error:
@@ -56,9 +65,9 @@ def described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int |
     import pyarrow as pa
 
     name = str(path)
+    rows = _checked_rows(path)
     with _opened(path) as file:
-        rows, schema = file.metadata.num_rows, file.schema_arrow
-        _check_size(name, file.metadata, os.path.getsize(path))
+        schema = file.schema_arrow
         metadata = schema.metadata or {}
     version = metadata.get(VERSION_KEY, b"").decode(errors="replace")
     if version != VERSION:
@@ -84,18 +93,13 @@ def described(path: str | os.PathLike[str]) -> tuple[int, Types, dict[str, int |
     return rows, kinds, widths, meta
 
 
-def _check_size(name: str, found: Any, size: int) -> None:
-    """Refuse a file that is made to fill the memory: a few bytes of a repeated value can stand for terabytes."""
-    if found.num_rows > MOST_ROWS:
-        raise TraceError(f"{name!r} is damaged or no trace: {found.num_rows} rows, {MOST_ROWS} at most")
-    asked = 0
-    for group in range(found.num_row_groups):
-        part = found.row_group(group)
-        for i in range(part.num_columns):
-            chunk = part.column(i)
-            asked += max(8 * chunk.num_values, chunk.total_uncompressed_size)
-    if asked > min(_MOST_BYTES, max(_SMALL, _SHRINKS * size)):
-        raise TraceError(f"{name!r} is damaged or no trace: {size} bytes that ask for {asked}")
+def _checked_rows(path: str | os.PathLike[str]) -> int:
+    """Count the rows of a file that asks for no more than a trace may, before pyarrow is given it."""
+    with _told(path), open(path, "rb") as file:
+        rows = demand_of(file, _MOST_BYTES).rows
+    if rows > MOST_ROWS:
+        raise TraceError(f"{str(path)!r} is damaged or no trace: {rows} rows, {MOST_ROWS} at most")
+    return rows
 
 
 def read_column(path: str | os.PathLike[str], name: str, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -37,7 +37,8 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
      ("record_file", 40), ("exported", 60), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
      ("extreme_number", 80), ("sweep_folder", 40), ("study_folder", 40), ("trace_folder", 40),
-     ("faulty_run", 25), ("hostile_solver", 30), ("foreign_trace", 80), ("wire_packet", 60)],
+     ("faulty_run", 25), ("hostile_solver", 30), ("foreign_trace", 80), ("wire_packet", 60),
+     ("parquet_footer", 300)],
 )  # fmt: skip
 def test_bad_input_ends_well(kind, cases):
     if kind == "exported" and not fuzz.has_compiler():
@@ -106,9 +107,10 @@ def test_a_wrong_torque_in_c_is_found(monkeypatch):
         fuzz_c.exported({"law": 0, "seed": 1, "speed": 0.5, "events": []})
 
 
-def test_a_hang_is_found():
+@pytest.mark.parametrize(("busy_s", "wall_s"), [(0.5, 600.0), (600.0, 0.5)])
+def test_a_hang_is_found(busy_s, wall_s):
     def stubborn():
-        with fuzz_case.time_limit(1):
+        with fuzz_case.time_limit(busy_s, wall_s):
             while True:
                 with contextlib.suppress(Exception):  # nothing that catches exceptions may swallow it
                     while True:
@@ -116,7 +118,15 @@ def test_a_hang_is_found():
 
     with pytest.raises(fuzz_case.Hang):
         stubborn()
-    assert signal.alarm(0) == 0
+    assert signal.getitimer(signal.ITIMER_PROF) == signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+def test_waiting_is_no_hang_until_the_clock_says_so():
+    """A busy machine lengthens the time by the clock alone."""
+    with fuzz_case.time_limit(0.2, 600.0):
+        time.sleep(0.5)
+    with pytest.raises(fuzz_case.Hang), fuzz_case.time_limit(600.0, 0.2):
+        time.sleep(600.0)
 
 
 def test_the_command(tmp_path, capsys, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -303,3 +304,25 @@ def test_every_documented_column_says_its_unit_and_shape() -> None:
         suffix = max((end for end in units if name.endswith(end)), key=len, default=None)
         if suffix is not None:
             assert column.unit == units[suffix], name
+
+
+def test_a_footer_whose_sizes_do_not_fit_each_other_does_not_end_the_process(tmp_path):
+    """A histogram of one entry more than its column has levels, in turn for every one; pyarrow may abort on such."""
+    example(rows=20).save(tmp_path / "sound")
+    data = (tmp_path / "sound").read_bytes()
+    length = int.from_bytes(data[-8:-4], "little")
+    footer = data[-8 - length : -8]
+    for head in re.finditer(rb"[\x19\x29]([\x16\x26\x36\x46])", footer):
+        longer = footer[: head.start(1)] + bytes([head[1][0] + 16, 0]) + footer[head.end() :]
+        size = len(longer).to_bytes(4, "little")
+        (tmp_path / f"{head.start()}.parquet").write_bytes(data[: -8 - length] + longer + size + b"PAR1")
+    code = (
+        "import sys\nfrom moc_opt.errors import TraceError\nfrom moc_opt.trace.trace import Trace\n"
+        "for path in sys.argv[1:]:\n try: print(len(Trace.load(path)))\n except TraceError: print('refused')\n"
+    )
+    files = [str(path) for path in sorted(tmp_path.glob("*.parquet"))]
+    assert len(files) > 5
+    done = subprocess.run([sys.executable, "-c", code, *files], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert set(done.stdout.split()) <= {"20", "refused"}
+    assert len(done.stdout.split()) == len(files)

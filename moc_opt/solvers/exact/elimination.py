@@ -157,7 +157,7 @@ def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
 
 
 @inlined
-def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
+def swivel(V: Array, row: Array, n: int, tolerance: float) -> int:
     """Solve one freedom: x + s z; the ratio test gives the interval of s, then its best point.
 
     Args:

@@ -106,7 +106,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, work: Array, 
     status = OK
     if freedoms == 1:
         direction(plane, rank, plane.order[rank], V, Z)
-        status = elimination.swivel(V, row, n, m, tolerance)
+        status = elimination.swivel(V, row, n, tolerance)
     elif freedoms > 1:
         status = maximise_over_box(plane, rank, freedoms, V, row, tolerance)
     beyond = answer(plane, rank, V, row, x, y)
