@@ -1,4 +1,4 @@
-"""Every arm of the package under every controller on the paper's tasks: what holds on all of them, and what does not.
+"""Every arm of the package under every controller on the paper's tasks: the findings that hold on all, and the others.
 
 python -m benchmarks.robots [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
 

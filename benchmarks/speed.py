@@ -1,4 +1,4 @@
-"""What everything costs, side by side in one run: ticks, solvers, adapters, the loop, set-up, and other libraries.
+"""All times side by side in one run: ticks, solvers, adapters, the loop, set-up, and other libraries.
 
 python -m benchmarks.speed [CONFIG.toml] [--out DIR] [--seed N] [--quick]
 """

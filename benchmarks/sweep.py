@@ -39,7 +39,7 @@ def sweep(config: Config, out: Path, pool: Pool, work: Work = execute) -> dict[i
         index -> why there is no result, of the runs that took their worker down every time.
 
     Raises:
-        MocOptError: what is wrong with the configuration, the folder or the workers; what is finished stays.
+        MocOptError: an error of the configuration, the folder or the workers; finished runs stay.
     """
     plan = Plan(config)
     with progress("planning", plan.combinations) as bar:

@@ -1,4 +1,4 @@
-"""moc_opt: manipulability optimization control of a surgical arm, with every solver judged by one measure.
+"""moc_opt: manipulability optimization control of a surgical arm; one measure judges every solver.
 
 The public names load when they are first used: ``import moc_opt`` itself imports no solver, no
 simulator and no compiler.

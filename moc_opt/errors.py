@@ -71,8 +71,8 @@ class UnknownNameError(MocOptError, LookupError):
         """Build the message.
 
         Args:
-            kind: what was asked for, in the user's words ("solver", "robot").
-            name: what the user wrote.
+            kind: of the name, in the user's words ("solver", "robot").
+            name: as the user wrote it.
             valid: every name that would have worked.
             listed_by: the command that lists them; of a long list the message then names the nearest three alone.
         """
@@ -81,7 +81,7 @@ class UnknownNameError(MocOptError, LookupError):
         # a key without its table is looked for among the last parts of dotted ones
         ends = {one: one if "." in name else one.rpartition(".")[2] for one in names}
         close = difflib.get_close_matches(name[:100], set(ends.values()), n=3, cutoff=0.4 if short else 0.5)
-        if short:  # the low cutoff is for what has nothing nearer
+        if short:  # the low cutoff is for names without a nearer match
             close = [end for end in close if _likeness(name, end) > _likeness(name, close[0]) - 0.25]
         near = [one for end in close for one in names if ends[one] == end][:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
@@ -128,7 +128,7 @@ def printable(text: str) -> str:
 
 
 def _type_name(value: object) -> str:
-    # Not value's own word for it: a metaclass may answer anything, or raise.
+    # Not the value's own repr of its type: a metaclass may return anything, or raise.
     return str(type.__dict__["__name__"].__get__(type(value)))
 
 

@@ -1,7 +1,9 @@
-"""Docstrings of public functions begin with what the function does, in the imperative."""
+"""Rules of the prose that a machine can check: verbs first, no personification, no clause that is too long."""
 
 import ast
+import io
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,6 +31,41 @@ VERBS = re.compile(
 )
 NOUNS = ("property", "metric")
 """Decorators of what is told by a noun: attributes, and metrics, whose docstring is their description."""
+
+PERSONS = re.compile(
+    r"""
+    \b(solver|guard|controller|supervisor|arm|plant|law|loop|kernel|filter|encoder|sensor|robot|session|network|observer|
+    elbow|page|map|run|program|reader)s?\s
+    (knows?|knew|sees?|saw|believes?|believed|thinks?|thought|wants?|wanted|hopes?|trusts?|hears?|minds?|likes)\b
+    """,
+    re.VERBOSE | re.IGNORECASE,
+)
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+LONGEST_CLAUSE = 45
+"""Words between two of . : ; ? and !"""
+
+
+def prose(source: str) -> str:
+    """Docstrings, texts of attributes and comments of a module."""
+    nodes = [each.value for each in ast.walk(ast.parse(source)) if isinstance(each, ast.Expr)]
+    texts = [each.value for each in nodes if isinstance(each, ast.Constant) and isinstance(each.value, str)]
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    return "\n\n".join([*texts, *(each.string for each in tokens if each.type == tokenize.COMMENT)])
+
+
+def personified(text: str) -> list[str]:
+    """Things that are said to know, see or want something, each with its verb."""
+    return [found[0] for found in PERSONS.finditer(re.sub(r"\s+", " ", text))]
+
+
+def long_clauses(page: str) -> list[str]:
+    """Clauses of a page's own sentences: code, tables, headings and generated blocks are left out."""
+    text = re.sub(r"<!-- (\w+) -->.*?<!-- /\1 -->|^```.*?^```", "\n\n", page, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"^(\||#|    |:::|!).*$", "", text, flags=re.MULTILINE)
+    text = re.sub(r"`[^`]*`", "code", re.sub(r"\]\([^)]*\)", "]", text))
+    blocks = re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) ", text)
+    clauses = (clause for block in blocks for clause in re.split(r"[.:;?!][*\")]*\s", block))
+    return [clause for clause in clauses if len(re.findall(r"[A-Za-z][\w'-]*", clause)) > LONGEST_CLAUSE]
 
 
 def public(node: ast.AST) -> Iterator[ast.FunctionDef]:
@@ -74,3 +111,28 @@ def test_a_noun_is_seen(frame: str, line: str) -> None:
 )  # fmt: skip
 def test_what_is_right_or_hidden_passes(source: str) -> None:
     assert nouns(source) == []
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_nothing_is_personified(path: Path) -> None:
+    assert personified(prose(path.read_text(encoding="utf-8"))) == []
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_a_page_has_short_clauses_about_things(path: Path) -> None:
+    page = path.read_text(encoding="utf-8")
+    assert long_clauses(page) == []
+    assert personified(page) == []
+
+
+@pytest.mark.parametrize(
+    "source", ['"""The guard sees it."""', "x = 1  # the solver knows", 'x = 1\n"""What the\nencoders want."""']
+)
+def test_a_person_is_seen(source: str) -> None:
+    assert len(personified(prose(source))) == 1
+
+
+def test_only_the_words_of_a_page_count() -> None:
+    long = "word " * (LONGEST_CLAUSE + 1)
+    assert len(long_clauses(f"# Title\n\n{long}\nand more. Short.\n\n- one: {long}")) == 2
+    assert long_clauses(f"```\n{long}\n```\n\n| {long} |\n\n<!-- made -->\n{long}\n<!-- /made -->\n`{long}`") == []

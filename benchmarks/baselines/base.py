@@ -1,4 +1,4 @@
-"""What every peer is, and what the job asks of it beyond its own library."""
+"""The interface of a peer, and the parts of the job that its library lacks."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Peer(Protocol):
 
     @property
     def level(self) -> Literal["torque", "velocity"]:
-        """What a tick returns; a velocity still needs a servo."""
+        """The result of a tick; a velocity still needs a servo."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Return the joint torques (n,) [Nm] or velocities (n,) [rad/s].
@@ -50,7 +50,7 @@ def _gradient(axes: Array, rotation_t: Array, origin: Array, offsets: Array, mov
 
 
 class TipGradient:
-    """dmu/dq (n,) at a pose, as fast as we can: no peer shall wait for what its library lacks."""
+    """dmu/dq (n,) at a pose, compiled: no peer is slowed by a term that its library lacks."""
 
     def __init__(self, robot: RobotModel) -> None:
         self._model = pin.buildModelFromXML(robot.data.urdf)

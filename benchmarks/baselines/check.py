@@ -1,4 +1,4 @@
-"""Does a controller do the job? A second on an ideal arm says so: no friction, no noise, the model is the arm.
+"""Check that a controller does the job: a second on an ideal arm without friction, noise or model error.
 
 python -m benchmarks.baselines.check NAME   ends with status 0 when the peer does its job here
 """
@@ -45,7 +45,7 @@ class Verdict(NamedTuple):
 
     @property
     def failure(self) -> str | None:
-        """What it did not do; None where it did all."""
+        """The failed part of the job; None if there is none."""
         if not self.tip_error_max_mm <= TOLERANCE_MM:
             return f"the tip is {self.tip_error_max_mm:.3g} mm off its reference, {TOLERANCE_MM} are allowed"
         if not self.rcm_error_max_mm <= TOLERANCE_MM:
@@ -66,7 +66,7 @@ def job(robot: RobotModel, duration_s: float = 1.0, offset_m: float = 2e-4) -> J
 
 
 def perform(peer: Peer, robot: RobotModel, work: Job) -> tuple[Array, list[Inputs]]:
-    """Return the poses (N, n) of the ideal arm under the controller after each tick, and what each tick was given.
+    """Return the poses (N, n) of the ideal arm under the controller after each tick, and the inputs of each tick.
 
     No plant and no safety filter: most peers answer with velocities, which the closed loop's step does not take.
     """

@@ -1,4 +1,4 @@
-"""What the benchmarks share: command line, configuration, workers, clock, and how results are written and shown.
+"""The common parts of the benchmarks: command line, configuration, workers, clock, and the output of results.
 
 `cli` is the tail of every command: it parses, writes what was found and prints it. `config` is the base of every
 configuration; `processes` and `crew` are workers with a limit of time; `store` keeps finished parts and `kept` finished

@@ -70,7 +70,7 @@ def reached(value: object) -> Mark:
 
 
 def in_sentences(text: str, most: int = 3) -> list[str]:
-    """Split a text where a sentence ends; what is beyond ``most`` sentences stays with the last of them."""
+    """Split a text at the ends of sentences; those beyond ``most`` stay with the last part."""
     parts = re.split(r"(?<=\.) (?=[A-Z`])", text)
     return [*parts[: most - 1], " ".join(parts[most - 1 :])] if len(parts) > most else parts
 

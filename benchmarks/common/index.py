@@ -15,7 +15,7 @@ NAME, FOLDER = "index.html", "results"
 FIRST = ("solvers", "paper", "robots", "plan", "speed", "realtime", "faults")
 """Reports that come before all others, in this order."""
 HEAD_CHARACTERS = 20_000
-"""Of a report, in which its title and what it says first are found; what follows are figures."""
+"""Part of a report that is read for its title and first sentence; figures follow after it."""
 
 
 def write_index(folder: Path) -> Path | None:
@@ -34,7 +34,7 @@ def write_index(folder: Path) -> Path | None:
 
 
 def reports(folder: Path) -> list[dict[str, Any]]:
-    """Return one row for each report below a folder: where it is, its title, what it says first, when it was made."""
+    """Return one row per report below a folder: its path, title, first sentence and date."""
     found = []
     for page in sorted(folder.glob("*/report.html"), key=_place):
         with page.open(encoding="utf-8", errors="replace") as file:

@@ -1,4 +1,4 @@
-"""What a benchmark shows of one trial: where the elbows went on the manipulability map, and two arms to be watched."""
+"""Views of one trial for a benchmark: the elbows on the manipulability map, and a replay of two arms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every benchmark leaves behind: summary.json, rows.parquet, environment.json, and the report."""
+"""The files of every benchmark: summary.json, rows.parquet, environment.json, and the report."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def close_page(
         command: of ``python -m benchmarks.COMMAND``.
         environment: see `environment`.
         rows: of the benchmark; one that went wrong has a text as its ``error``.
-        keys: what tells a row from others.
+        keys: columns that identify a row.
     """
     failed = [row for row in rows if row["error"]]
     if failed:

@@ -1,4 +1,4 @@
-"""What every worker of the study needs: the server that workers are forked from imports and compiles it once.
+"""Imports and compiled kernels of every worker, made once in the server from which workers are forked.
 
 ``python -m benchmarks.common.preload exact`` compiles that solver alone, ``rnn`` the loop: two processes share
 the work.
@@ -22,7 +22,7 @@ def solve(name: str) -> None:
 
 
 def run(name: str) -> None:
-    """Compile the closed loop, and what judges it."""
+    """Compile the closed loop and the residuals."""
     scenario.run(
         scenario.Scenario(duration_s=0.004, bound_samples=2, solver={"name": name}, start={"swivel": "random"})
     )

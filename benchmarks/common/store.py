@@ -29,7 +29,7 @@ MOST_BYTES = 2**27
 
 
 class Part(NamedTuple):
-    """What was found out: plain values and arrays by name."""
+    """A finding: plain values and arrays by name."""
 
     values: dict[str, Any]
     arrays: dict[str, NDArray[Any]]

@@ -1,4 +1,4 @@
-"""The clock of every benchmark: what is timed, how, and which figures are quoted."""
+"""The clock of every benchmark: the timed calls, the method, and the figures that are quoted."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def each_us(
 
 
 class Timed(NamedTuple):
-    """One entry of `interleaved`: what is called, on which items, after which preparation."""
+    """One entry of `interleaved`: the call, its items, and their preparation."""
 
     call: Callable[[Any], Any]
     items: Sequence[Any]

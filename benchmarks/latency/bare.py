@@ -1,4 +1,4 @@
-"""The libraries behind our adapters, driven by hand: what a careful user would write without this package.
+"""The libraries behind our adapters, driven by hand, as a careful user would without this package.
 
 Each class takes the workspace that our adapter has set up, options and buffers included, so that both do the same
 work. ``load`` puts the numbers of a subproblem into the buffers with numpy alone, ``solve`` is the library's part alone

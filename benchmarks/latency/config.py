@@ -1,4 +1,4 @@
-"""benchmarks/configs/speed.toml: what is measured, and how long it may take."""
+"""benchmarks/configs/speed.toml: the measurements, and their time limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How near a run is to what cannot be saved: MuJoCo's own steps of the plant, and the exported tick in C.
+"""The time of a run over its lower limit: MuJoCo's own steps of the plant, and the exported tick in C.
 
 Times are those of runs that took turns, so that a slow moment of the machine hits all of them alike; each ratio is the
 median of the rounds' ratios.

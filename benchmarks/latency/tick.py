@@ -30,7 +30,7 @@ from moc_opt.trace.trace import Trace
 
 
 class Recording(NamedTuple):
-    """What a closed-loop run leaves for the clock."""
+    """The recording of a closed-loop run that is timed."""
 
     inputs: list[Inputs]
     problems: list[NullSpaceQP]
@@ -157,7 +157,7 @@ def parts(
 
 
 class PeerRun(NamedTuple):
-    """A peer that does its job: what is timed, and how well it did it."""
+    """A peer that does its job: the timed call, and its errors."""
 
     timed: Timed
     level: str

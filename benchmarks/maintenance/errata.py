@@ -1,4 +1,4 @@
-"""What the paper prints and what is computed here: every row of the table with the number that shows it.
+"""The paper's equations as printed and as computed here: every row of the table with the number that shows it.
 
     python -m benchmarks.errata [--out docs/errata.md] [--check]
 

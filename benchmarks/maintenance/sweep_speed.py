@@ -1,4 +1,4 @@
-"""What the engine of a sweep costs, and what more workers bring: the same runs bare, on one worker, on several.
+"""The cost of a sweep's engine, and the gain of more workers: the same runs bare, on one worker, on several.
 
 Other work on the machine spoils `over bare` and `speed-up`, which compare one time with another; `overhead` and
 `parent` compare times of the same seconds, as shares of the time in runs, and stand it better; `others` says how

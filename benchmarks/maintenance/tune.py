@@ -47,7 +47,7 @@ CALM = 1.5  # largest growth of the torque rate on the worse arm
 
 @dataclass(frozen=True)
 class Score:
-    """What a candidate achieved; ``reason`` says why it was refused."""
+    """The results of a candidate; ``reason`` says why it was refused."""
 
     candidate: Candidate
     objective: float
@@ -104,7 +104,7 @@ def jobs_of(config: Config, candidate: Candidate, stream: int, per_task: int, ha
 
 
 def score(candidate: Candidate, outcomes: Sequence[Outcome]) -> Score:
-    """Judge a candidate by what its jobs brought home."""
+    """Judge a candidate by the results of its jobs."""
     broken = [entry for outcome in outcomes for entry in outcome.broken]
     if broken:
         return Score(candidate, math.inf, {}, f"broke off: {broken[0]['error']:.120}")

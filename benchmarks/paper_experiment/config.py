@@ -1,4 +1,4 @@
-"""What the paper's experiment is told: benchmarks/configs/paper.toml, validated."""
+"""The configuration of the paper's experiment: benchmarks/configs/paper.toml, validated."""
 
 from __future__ import annotations
 

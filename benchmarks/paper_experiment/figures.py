@@ -26,7 +26,7 @@ PANELS = {
 
 
 def titles(controllers: Sequence[str]) -> dict[str, str]:
-    """Map each controller to what a reader calls it."""
+    """Map each controller to its name in figures."""
     return {name: BASELINES.get(name, f"MOC, {name}") for name in controllers}
 
 

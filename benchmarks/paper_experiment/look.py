@@ -60,7 +60,7 @@ def chosen(outcomes: Sequence[Outcome], group: str, solver: str) -> dict[str, tu
 
 
 def looks(config: Config, outcomes: Sequence[Outcome]) -> dict[str, Look]:
-    """Map task to what is to be seen of it."""
+    """Map each task to its views."""
     robot, found = config.scenario.robot.arm(), {}
     for task, (outcome, gain, of) in chosen(outcomes, config.best, config.best_solver).items():
         names = titles(list(outcome.traces))

@@ -177,5 +177,5 @@ def accuracy(settings: ProcedureSettings, robot_name: str, seed: int) -> dict[st
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Map task to what its procedure came to."""
+    """Map each task to the result of its procedure."""
     return {row["task"]: {name: value for name, value in row.items() if name not in ("part", "task")} for row in rows}

@@ -1,4 +1,4 @@
-"""What MOC gains depends on where the elbow starts: the same trial from every place of the feasible self-motion.
+"""The gain of MOC over the start of the elbow: the same trial from every place of the feasible self-motion.
 
 A start at the swivel of the largest mu gains next to nothing, so the mean gain of an experiment says as much about the
 draw of its starts as about the controller.

@@ -66,7 +66,7 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one job brings home: small enough to go between processes."""
+    """The result of one job, small enough to pass between processes."""
 
     measurements: list[Measurement]
     samples: dict[tuple[str, str], dict[str, Floats]]

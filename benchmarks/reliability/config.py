@@ -14,7 +14,7 @@ BASELINE = "dcac"
 
 
 class Case(Settings):
-    """One fault: what it changes in a scenario, and when it acts."""
+    """One fault: its changes of a scenario, and the time in which it acts."""
 
     KIND: ClassVar[str] = "[cases]"
     group: Literal["solver", "sensors", "plant", "contact", "camera"]

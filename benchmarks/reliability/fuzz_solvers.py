@@ -1,4 +1,4 @@
-"""Solvers from strangers: what they answer, raise, and change of the interpreter that the loop runs in."""
+"""Solvers from strangers: their answers, exceptions, and changes of the interpreter in which the loop runs."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ MEDDLING: Mapping[str, Deed] = {
     "alarm": _alarm,
     **({"flush to zero": _flush_to_zero} if _IS_X86 else {}),
 }  # fmt: skip
-"""What a solver may change of the interpreter, each by its name."""
+"""Changes of the interpreter that a solver may make, each by its name."""
 
 
 def as_it_is() -> dict[str, Any]:
     """Return all that `MEDDLING` changes, as it shows from outside."""
     mask = os.umask(0)
     os.umask(mask)
-    with open("/proc/self/status", encoding="ascii") as file:  # what the kernel knows of handlers, also of those in C
+    with open("/proc/self/status", encoding="ascii") as file:  # the system's own table of handlers, also of those in C
         signals = [line for line in file if line.startswith(("SigBlk", "SigIgn", "SigCgt"))]
     small = (2.0**-53, 2.0**-1074)
     return {
@@ -125,7 +125,7 @@ ANSWERS: Mapping[str, Callable[[NullSpaceQP, Solution], Any]] = {
     "no self-motion": lambda qp, good: good._replace(x=np.linalg.lstsq(qp.A, qp.b, rcond=None)[0]),
     "solved and infeasible": lambda qp, good: good._replace(status=Status.INFEASIBLE),
 }  # fmt: skip
-"""What is handed back in the place of a good answer."""
+"""Objects returned in place of a good answer."""
 
 RAISED: tuple[Callable[[], BaseException], ...] = (
     lambda: SystemExit(0), lambda: GeneratorExit(), lambda: StopIteration(), lambda: MemoryError(), _Unsayable,

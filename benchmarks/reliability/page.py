@@ -1,4 +1,4 @@
-"""docs/reliability.md: what is promised, how each promise is tested, and the figures that a run of this benchmark gave.
+"""docs/reliability.md: the promises, their tests, and the figures of a run of this benchmark.
 
 The page is made from benchmarks/templates/reliability.md and docs/reliability.json alone.
 `python -m benchmarks.faults --page` and `python -m benchmarks.fuzz --page` write both, each its own figures.
@@ -51,5 +51,5 @@ def write_page(found: Mapping[str, Any], path: Path = PAGE) -> None:
     if "cases" not in {**old, **found}:
         raise ScenarioError(f"{figures}: no figures yet; run python -m benchmarks.faults --page first")
     output.write_json(figures, {**old, **found})
-    # of the file, not of what it was written from: whoever reads it must come to the same page
+    # from the file, not from the values written to it: a later reader must make the same page
     output.write_atomically(path, page(json.loads(figures.read_text(encoding="utf-8"))).encode())

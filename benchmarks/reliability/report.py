@@ -64,7 +64,7 @@ def case_rows(summary: Summary) -> list[dict[str, Any]]:
 
 
 def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
-    """Make the tables: goals, every case, and what the supervisor saw."""
+    """Make the tables: goals, every case, and the faults that the supervisor detected."""
     rows = case_rows(summary)
     return [
         Table("Goals", GOALS, in_words(goals)),

@@ -42,7 +42,7 @@ class Job:
 
 @dataclass
 class Outcome:
-    """What a job found: one row per case, the run without a fault first."""
+    """The results of a job: one row per case, the run without a fault first."""
 
     rows: list[dict[str, Any]] = field(default_factory=list)
     traces: dict[str, Trace] = field(default_factory=dict)
@@ -66,7 +66,7 @@ def jobs(config: Config) -> list[Job]:
 
 
 class Waited:
-    """A reference whose path waits while the board is out of sight, as the loop asks for it."""
+    """A reference whose path waits while the board is out of sight, with the interface of the loop."""
 
     def __init__(self, reference: Reference, period: float, ticks: int, lost_s: tuple[float, float]) -> None:
         t = period * np.arange(ticks)
@@ -124,7 +124,7 @@ def measure(
     """Return the figures of one run beside the run without a fault."""
     if trace is None:
         return {"outcome": "refused"}
-    # A stopped arm does not follow its reference, and is not meant to: what counts then is how far it coasts.
+    # A stopped arm need not follow its reference: the way that it moves on counts.
     whole, stopped_at = trace, trace.meta.get("stopped_at_s")
     trace = trace if stopped_at is None else trace.select(trace.t_s <= stopped_at)
     tip, rcm = 1e3 * trace.tip_error_m, 1e3 * whole.rcm_error_m

@@ -57,7 +57,7 @@ def outcome(figures: Row) -> str:
 
 
 def goals(config: Config, summary: Summary) -> list[dict[str, Any]]:
-    """Return what was promised, what was found, and whether the one is the other; nothing on what was not run."""
+    """Return each goal, the figure found, and whether it is reached; cases that were not run are left out."""
     everything = [(case, name, f) for case, by in summary.items() for name, f in by.items()]
     solver = {name: case for name, case in config.cases.items() if case.group == "solver"}
     always = {name for name, case in solver.items() if case.faults.get("solver_share", 0.0) >= 1.0}

@@ -1,1 +1,1 @@
-"""The parts of python -m benchmarks.robots: runs of one trial, and what follows from the rows."""
+"""The parts of python -m benchmarks.robots: runs of one trial, and the evaluation of the rows."""

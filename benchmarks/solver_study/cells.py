@@ -1,4 +1,4 @@
-"""What answers and times mean: judged, counted, and summed up without a mean that hides a tail."""
+"""Evaluation of answers and times: judged, counted, and summed up without a mean that hides a tail."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same trials under every controller: what a solver's answers do to the robot."""
+"""The same trials under every controller: the effect of a solver's answers on the robot."""
 
 from __future__ import annotations
 

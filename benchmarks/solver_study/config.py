@@ -1,4 +1,4 @@
-"""benchmarks/configs/solvers.toml: what is compared, on what, and how long it may take."""
+"""benchmarks/configs/solvers.toml: the solvers, their problems, and the time limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded subproblems: what a closed-loop run asks, tick by tick, for all solvers to answer alike."""
+"""Recorded subproblems: those of a closed-loop run, tick by tick, the same for all solvers."""
 
 from __future__ import annotations
 

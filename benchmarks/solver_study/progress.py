@@ -1,4 +1,4 @@
-"""What is shown while the study runs: how far it is, and the answer as far as it is known."""
+"""The display while the study runs: its progress, and the answer so far."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The solver study: what is asked for, what is found, and the parts in the order in which they need each other."""
+"""The solver study: its request, its findings, and its parts in the order of their dependence."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Study:
     """What is asked for.
 
     Attributes:
-        config: what is compared.
+        config: of the comparison.
         names: of the solvers that can run here.
         out: folder of the results; finished parts are kept in ``out/parts``.
         advance: called with a few words after each step.
@@ -105,7 +105,7 @@ class Findings:
     sequence: list[NullSpaceQP] = field(default_factory=list)
 
     def add(self, other: Findings) -> None:
-        """Take in what one part found."""
+        """Add the findings of one part."""
         self.summary |= other.summary
         self.rows += other.rows
         self.samples |= other.samples
@@ -114,7 +114,7 @@ class Findings:
 
 
 Part = Callable[[Study, Findings], Findings]
-"""A part of the study: what it finds, given what was found before it."""
+"""A part of the study: a function from earlier findings to its own."""
 
 
 def record_sequence(config: Config) -> list[NullSpaceQP]:

@@ -1,4 +1,4 @@
-"""What inaccuracy, damping, a narrow box and missed deadlines do in closed loop: one setting is swept at a time."""
+"""Effects of inaccuracy, damping, a narrow box and missed deadlines in closed loop: one setting is swept at a time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario
 
-# Without the supervisor's residual check: what is swept is the effect of an answer, not of its replacement.
+# Without the supervisor's residual check: the sweep shows the effect of an answer, not of its replacement.
 UNCHECKED: dict[str, Any] = {"supervisor": {"check": False}}
 FALLBACKS = ("least-violation", "damping", "hold")  # of an infeasible subproblem; the default first
 LATE = ("hold", "zero", "iterate")  # what answers a solve that comes too late

@@ -1,4 +1,4 @@
-"""The TOML of a sweep: what is swept, over which solvers and seeds."""
+"""The TOML of a sweep: its fields, solvers and seeds."""
 
 from __future__ import annotations
 

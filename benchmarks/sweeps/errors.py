@@ -1,4 +1,4 @@
-"""What can go wrong with a sweep as a whole; a single run that fails is a row, not an error."""
+"""Errors of a whole sweep; a single run that fails is a row, not an error."""
 
 from __future__ import annotations
 

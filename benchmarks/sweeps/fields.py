@@ -1,4 +1,4 @@
-"""What a sweep may vary: every field of a scenario by its dotted path, over lists and random ranges."""
+"""The fields that a sweep may vary: those of a scenario by dotted path, over lists and random ranges."""
 
 from __future__ import annotations
 

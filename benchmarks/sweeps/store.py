@@ -1,4 +1,4 @@
-"""The folder of a sweep: what is finished stays finished, whenever the sweep is stopped.
+"""The folder of a sweep: finished runs stay, whenever the sweep is stopped.
 
     plan.json           which sweep this is
     runs/ID.json        one finished run each, written at once
@@ -38,7 +38,7 @@ SHARD = 1000
 
 
 class Store:
-    """What is finished. Use as a context: one process at a time owns the folder.
+    """The finished runs. Use as a context: one process at a time owns the folder.
 
     Args:
         folder: made where it is missing.

@@ -1,4 +1,4 @@
-"""The tables of a sweep: what stands in which column, and how the final ones become the same bytes every time."""
+"""The tables of a sweep: their columns, and the reproducible bytes of the final ones."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def rows_schema(plan: Plan) -> pa.Schema:
 
 
 def clock_schema(plan: Plan) -> pa.Schema:
-    """Describe clock.parquet: what a clock decided, row by row as in rows.parquet."""
+    """Describe clock.parquet: measured times, row by row as in rows.parquet."""
     figures = [(name, pa.float64()) for name in plan.metrics if is_clock(name)]
     head = [("index", pa.int64()), ("run", pa.string()), ("solver", pa.string()), ("timing_shared", pa.bool_())]
     return pa.schema([*head, ("wall_s", pa.float64()), *figures]).with_metadata({PLAN_KEY: plan.digest})

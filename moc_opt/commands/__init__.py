@@ -1,4 +1,4 @@
-"""What `moc-opt` does: one module a kind of command, imported when it is asked for.
+"""The commands of `moc-opt`: one module per kind, imported when one of its commands is run.
 
 ``running`` runs a scenario, ``ahead`` plans it, ``wire`` runs plant and controller as two processes, ``listing``
 prints names, ``reference`` every key of a scenario, ``studies`` compares solvers and starts the benchmarks,

@@ -1,4 +1,4 @@
-"""The command `plan`: what is known of a scenario before anything moves."""
+"""The command `plan`: plan a scenario before its run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The arguments of the commands that compare, report and list, and what no command may write over."""
+"""The arguments of the commands that compare, report and list, and the files that no command may overwrite."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def add_commands(commands: Any) -> None:
 
 
 def check_paths(given: argparse.Namespace) -> None:
-    """Refuse to write over what is read, and two results into one file.
+    """Refuse to overwrite an input, and to write two results into one file.
 
     Raises:
         TraceError: names the option and the file.
@@ -63,7 +63,7 @@ def check_paths(given: argparse.Namespace) -> None:
 
 
 def _place(path: Path | str) -> str:
-    """Return the path without links; one that leads nowhere (a loop, a NUL) as it is: its reader says what is wrong."""
+    """Return the path without links; an invalid one (a loop, a NUL) unchanged: its reader reports the error."""
     try:
         return os.path.realpath(path)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""moc-opt robots | tasks | metrics, and solvers --list: what a scenario may name."""
+"""moc-opt robots | tasks | metrics, and solvers --list: the names that a scenario may contain."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def here(found: Table) -> Table:
 
 
 def robots() -> Table:
-    """Return every arm of the package: its joints, what tip and shaft leave of them, and what it is."""
+    """Return every arm of the package: its joints, its freedoms beside tip and shaft, and its description."""
     from moc_opt.robots import about, available_robots
     from moc_opt.scenario.tables import RobotTable
 
@@ -90,7 +90,7 @@ def robots() -> Table:
 
 
 def tasks() -> Table:
-    """Return every path, its sizes with their defaults, and what it is."""
+    """Return every path, its sizes with their defaults, and its description."""
     from moc_opt.errors import MocOptError
     from moc_opt.scenario.tables import TaskTable
     from moc_opt.tasks.kinds import kinds, sizes

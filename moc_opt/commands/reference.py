@@ -85,7 +85,7 @@ def unit(name: str, meaning: str = "") -> str:
 
 
 def markdown(only: str | None = None) -> str:
-    """Write docs/scenario.md, or what it says of one table."""
+    """Write docs/scenario.md, or its part on one table."""
     parts = [_HEAD] if only is None else []
     for name, about, keys in tables():
         if only not in (None, name or "scenario"):

@@ -44,7 +44,7 @@ def run_scenario(given: argparse.Namespace) -> int:
 
 
 def read_scenario(path: Path | None) -> tuple[Scenario, str]:
-    """Return the scenario of a file, or the default one, and what to call it."""
+    """Return the scenario of a file, or the default one, and its name in messages."""
     from moc_opt.scenario import Scenario
 
     scenario = Scenario() if path is None else Scenario.load(path)
@@ -93,7 +93,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
 
 
 def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
-    """Return the scenario with what the options of ``run`` replace in it.
+    """Return the scenario with the options of ``run`` in place of its own values.
 
     Raises:
         MocOptError: there is no such path, metric or file of waypoints.

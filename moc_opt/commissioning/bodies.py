@@ -22,7 +22,7 @@ def mend(root: ET.Element, notes: list[str]) -> None:
     - An inertia that no body has: the smallest sphere's inertia that makes it possible is added.
 
     Args:
-        notes: what was done is appended.
+        notes: each change is appended.
     """
     frames = []
     for link in root.findall("link"):

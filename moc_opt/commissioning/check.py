@@ -1,4 +1,4 @@
-"""What holds for an arm: freedoms, home pose, reach, limits, gains and masses, each with a verdict and a cure."""
+"""The check of an arm: freedoms, home pose, reach, limits, gains and masses, each with a verdict and a cure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""moc-opt robot new | check: a vendor's URDF into use, and what holds for an arm."""
+"""moc-opt robot new | check: make a robot file from a vendor's URDF, and check an arm."""
 
 from __future__ import annotations
 

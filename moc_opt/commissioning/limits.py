@@ -39,7 +39,7 @@ TURNING, SLIDING = Unit("turning", "rad", "rad/s", "Nm"), Unit("sliding", "m", "
 
 
 def choose_limits(arm: VendorArm) -> list[str]:
-    """Give every joint of the chain a finite range, a speed and an effort, in place; what was changed is noted.
+    """Give every joint of the chain a finite range, a speed and an effort, in place; changes are noted.
 
     Raises:
         RobotError: a joint's lower limit lies above its upper one; which range is meant is not for us to choose.

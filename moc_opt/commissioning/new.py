@@ -29,14 +29,14 @@ _ROTOR, _SHARE, _MOST_FRICTION = 0.2, 0.008, 1.0
 
 @dataclass(frozen=True, eq=False)
 class NewRobot:
-    """What was written."""
+    """The files that were written."""
 
     toml: Path
     urdf: Path
     robot: RobotModel
     home: Home
     notes: tuple[str, ...]
-    """What was assumed or changed."""
+    """Assumptions and changes, one sentence each."""
 
 
 def new_robot(

@@ -75,7 +75,7 @@ def robot_toml(
 
 
 def _list(values: Sequence[float] | np.ndarray) -> str:
-    # Twelve decimals: what lies below is rounding, and a number below 1e-30 is refused when the file is read.
+    # Twelve decimals: smaller parts are rounding, and a number below 1e-30 is refused when the file is read.
     return f"[{', '.join(repr(round(float(value), 12) + 0.0) for value in values)}]"
 
 

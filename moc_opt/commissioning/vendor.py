@@ -41,7 +41,7 @@ class VendorArm:
     chain: list[str] = field(default_factory=list)
     """The moving joints from base to last link."""
     notes: list[str] = field(default_factory=list)
-    """What was assumed or changed, one sentence each."""
+    """Assumptions and changes, one sentence each."""
 
 
 def read_vendor(path: Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> VendorArm:

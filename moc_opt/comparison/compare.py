@@ -31,15 +31,15 @@ def compare(
 ) -> Comparison:  # fmt: skip
     """Run every solver, and DCAC with the same gains, on the same trials.
 
-    A solver that cannot be started, or that breaks a run off with an error, has rows that say so; the others go on.
-    Ctrl-C leaves the trials that are done, once there is one.
+    If a solver cannot be started or ends a run with an error, its rows hold the reason, and the others go on.
+    After Ctrl-C the finished trials are returned, if there is one.
 
     Args:
-        solvers: names, or solvers made by `solvers.create` or of one's own; a mapping gives them names of their own.
+        solvers: names, or solver objects (of `solvers.create` or your own); a mapping gives them other names.
         scenario: of every trial, or the path of its file; None: the default one.
         trials: how many; trial k has the seed ``seed + k``, which draws start, mismatch and noise.
         seed: of the first trial.
-        random_start: whether pose and swivel are drawn too, in place of the scenario's `[start]`; False keeps that.
+        random_start: whether pose and swivel are drawn too, in place of the scenario's `[start]`.
         watch: called with a few words before each run.
 
     Raises:
@@ -155,7 +155,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
     robot, chosen = base.robot.arm(), dict[str, str | Solver]({BASELINE: BASELINE})
     for name, solver in pairs:
         if name == solver == BASELINE:
-            continue  # it is compared anyhow
+            continue  # the baseline is always compared
         if name in chosen:
             raise SolverError(
                 f"two solvers are called {name!r}: name each once, or give a mapping, {{'one': ..., 'another': ...}}"

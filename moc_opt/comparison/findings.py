@@ -1,4 +1,4 @@
-"""What a comparison of solvers found: means, changes against DCAC, tables, a plot."""
+"""The results of a comparison of solvers: means, changes against DCAC, tables, a plot."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CHANGES = {"mu_mean": "gain", "tip_error_model_mean_mm": "tip_change", "rcm_erro
 
 FEW = 8
 TOO_SHORT = f"Of fewer than {FEW} trials the intervals are too short: of three they hold the true mean 7 times in 10."
-"""What bootstrap intervals of that few samples are worth; `moc_opt.comparison.statistics` has more of it."""
+"""The warning on bootstrap intervals of few samples; see `moc_opt.comparison.statistics`."""
 
 SOLVER, TRIALS, OSCILLATED = (Column(name, name) for name in ("solver", "trials", "oscillated"))
 VERIFIED, WRONG = Column("verified", "verified", "%", digits=4), Column("silently_wrong", "silently wrong")
@@ -49,7 +49,7 @@ class Comparison:
             that could not be made `ended` is "failed: " and why, and there is no metric.
         solvers: their names in the table, the baseline first.
         scenario: from which the trials were made.
-        note: from where the trials start, and that the machine was busy where it was.
+        note: where the trials start, and a remark if the machine was busy.
         complete: False where Ctrl-C ended it after some of the trials.
 
     Example:
@@ -73,7 +73,7 @@ class Comparison:
     complete: bool = True
 
     def values(self, solver: str, metric: str) -> dict[int, float]:
-        """Return seed -> value of a metric over those trials that the solver drove to their end.
+        """Return seed -> value of a metric, over the trials that the solver completed.
 
         Raises:
             UnknownNameError: no such solver, or no run has such a metric.
@@ -95,7 +95,7 @@ class Comparison:
         return mean(values) if values and np.isfinite(values).all() else None
 
     def change(self, solver: str, metric: str) -> Interval | None:
-        """Return the change of a mean against DCAC [percent], on the trials that both drove to their end; or None.
+        """Return the change of a mean against DCAC [percent], on the trials that both completed; or None.
 
         Raises:
             UnknownNameError: as for `values`.
@@ -132,14 +132,14 @@ class Comparison:
 
     @property
     def table(self) -> Table:
-        """One row a solver: trials, what its claims are worth, its times, and what its answers do to the arm."""
+        """One row per solver: trials, claims and verified answers, times, and the effect on the arm."""
         columns = [SOLVER, TRIALS, VERIFIED, WRONG, *TIMES, MU, GAIN, TIP, RCM, OSCILLATED]
         return self._table(columns, _words)
 
     def tables(self, width: int) -> list[RichTable]:
-        """Draw `table` for a terminal of this width [characters]; where it is too narrow, means and intervals apart.
+        """Draw `table` for a terminal of this width [characters]; if it is too narrow, means and intervals are split.
 
-        What is still too wide loses its last columns; `to_pandas` and `save_rows` have all.
+        A table that is still too wide loses its last columns; `to_pandas` and `save_rows` have all.
         """
         if self.table.fits(width):
             return self.table.fitted(width)

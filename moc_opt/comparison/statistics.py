@@ -1,9 +1,9 @@
-"""Means and changes with bootstrap intervals: what a handful of trials can say, and how surely.
+"""Means and changes over a few trials, with bootstrap intervals.
 
 Resampling is scipy's: bias-corrected and accelerated (Efron 1987), over trials, and over pairs where two controllers
 ran the same trials. Ticks of one trial are not independent, so they are never resampled.
 
-Of few trials the intervals are too short. Of 1000 sets of normal samples the interval for 95 % held the mean in 71 %
+With few trials the intervals are too short. Of 1000 sets of normal samples the interval for 95 % held the mean in 71 %
 with three samples, 82 % with five, 89 % with eight, 93 % with fifteen and 94 % with 45; of log-normal ones (sigma 0.5)
 in 70, 81, 87, 91 and 93 %.
 

@@ -163,7 +163,7 @@ def after(
         parts: what is to be checked beside the torque: TIP, MOMENTUM.
         q, v: (n,) believed; applied: (n,) torque that was applied before [Nm].
         record: state of (q, v); empty: not known.
-        tip: (3,) where the controller sees the tip [m]; empty: where the state has it.
+        tip: (3,) as the controller computes it [m]; empty: that of the state.
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         tau: (n,) changed in place [Nm].
     """

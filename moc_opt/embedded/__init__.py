@@ -4,7 +4,7 @@ Read first: ``export`` (which files a folder gets) and ``source`` (how the equat
 ``dynamics`` hold the equations. ``c/`` holds the files that are copied as they are, and the templates (``.in``);
 ``native`` loads the bare tick into Python, ``guarded`` the whole of it. ``support`` refuses settings that the C
 does not have.
-Imported by scenario; what users read is docs/embedded.md.
+Imported by scenario. For users: docs/embedded.md.
 """
 
 from moc_opt.embedded.compiler import CompilerError

@@ -1,4 +1,4 @@
-"""A serial arm as bare numbers: what the symbolic equations are filled with."""
+"""A serial arm as plain numbers, the constants of the symbolic equations."""
 
 from __future__ import annotations
 

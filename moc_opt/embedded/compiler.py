@@ -1,4 +1,4 @@
-"""The system's C compiler, and a cache of what it made, keyed by content."""
+"""The system's C compiler, and a cache of its output, keyed by content."""
 
 from __future__ import annotations
 

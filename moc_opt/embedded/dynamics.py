@@ -2,7 +2,7 @@
 
 Recursive Newton-Euler for h, composite rigid bodies for M and gravity, and momenta for the observer
 (Featherstone 2008, chapters 5 and 6, written with 3-vectors). Numbers that are zero or one drop out while
-the expressions are built, so that what is left is close to a hand-simplified model of this very arm.
+the expressions are built, so that the result is close to a hand-simplified model of this arm.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Frame(NamedTuple):
 
 
 class Points(NamedTuple):
-    """What the control laws know of the tool, in world axes."""
+    """The terms of the tool in the control laws, in world axes."""
 
     tip: SX
     """(3,) [m]"""

@@ -1,4 +1,4 @@
-"""The exported controller, compiled and called from Python: what tests and benchmarks compare with."""
+"""The exported controller, compiled and called from Python, for comparison in tests and benchmarks."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class GuardedController:
             tip_ref, trocar: as for `Controller.tick`.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
             stamp: number of the control period in which it was measured.
-            solve_us: what the clock says of the solver, where it has a time budget.
+            solve_us: measured time of the solver, if it has a time budget.
         """
         if self._has_clock:
             ctypes.c_double.in_dll(self.library, "moc_solve_us").value = solve_us
@@ -105,7 +105,7 @@ class GuardedController:
 
     @property
     def fault(self) -> str:
-        """Label of what was wrong with the third level's last answer."""
+        """Label of the fault of the third level's last answer."""
         return FAULTS[self.library.moc_fault(self._state, -1)]
 
     def count(self, fault: str) -> int:

@@ -1,4 +1,4 @@
-"""What goes into a generated tick and what comes out of it: names, sizes and meanings, said once.
+"""Inputs and outputs of a generated tick: names, sizes and meanings, defined once.
 
 The header's arguments and structs, the order of CasADi's inputs and outputs and the memory that Python
 shares with the compiled library are all read off these tables.
@@ -18,7 +18,7 @@ class Field(NamedTuple):
     name: str
     shape: tuple[int, ...]
     meaning: str
-    """what it is and its unit, for the reader of the header"""
+    """meaning and unit, for the reader of the header"""
 
     @property
     def length(self) -> int:

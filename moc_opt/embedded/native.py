@@ -143,7 +143,7 @@ class NativeController:
 
     @property
     def status(self) -> Status | None:
-        """What the solver said in the last tick; None under DCAC."""
+        """The solver's answer of the last tick; None under DCAC."""
         return _STATUS[self._status] if self.solver is not None else None
 
     @property
@@ -168,7 +168,7 @@ class NativeController:
 
     @property
     def external_torque(self) -> Array:
-        """What the observer makes of the torque from outside (n,) [Nm]; zero without one."""
+        """The observer's estimate of the external torque (n,) [Nm]; zero without an observer."""
         return self._state["external_torque"].copy()
 
     def terms(self) -> dict[str, NDArray[Any]]:
@@ -235,7 +235,7 @@ def _generated(pickled: bytes) -> tuple[Layout, dict[str, str]]:
 
 
 def _state_places(report: tuple[Field, ...], n: int) -> NDArray[np.intp]:
-    """Place of each number of a state's record in (q, v, report, NaN); the NaN for what the report lacks."""
+    """Place of each number of a state's record in (q, v, report, NaN); the NaN for numbers that the report lacks."""
     index = np.arange(record_size(n), dtype=np.float64)
     views = state_views.py_func(index, n)._asdict()
     length = sum(field.length for field in report)

@@ -3,7 +3,7 @@
 Every +, -, *, /, comparison and function of math.h on doubles counts as one. Of the generated equations CasADi's
 instructions are counted, all of which run at every tick. Of the hand-written files each function below is the longest
 way through the C function of the same name, its loops at their constant bounds; ``rows`` of the null space are taken
-as n, which no arm has. What runs at a tick in which everything is at its worst at once is then the sum.
+as n, which no arm has. The sum bounds a tick in which all parts take their longest way at once.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def straight_elbow(n: int) -> int:
 
 
 def guard(n: int, gravity: int, tool_pose: int) -> int:
-    """Count moc_guard, moc_motion, moc_replay, moc_incision, moc_safe_step's checks, and what only a stop needs."""
+    """Count moc_guard, moc_motion, moc_replay, moc_incision, moc_safe_step's checks, and the operations of a stop."""
     believed = 1 + n * 10
     incision = tool_pose + 2 * (9 + 2) + 1 + 9 + 32 + 2 * 3 + 4 + 2 * 6
     readings = 2 + 6 * 3 + n * 31 + 12 + 6 + 3 * n + 2 * (2 * n + 6) + 14 + n * 17 + 2

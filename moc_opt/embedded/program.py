@@ -7,10 +7,10 @@ from importlib.resources import files
 from moc_opt.embedded.symbolic import Tick
 
 TICK = ("moc_dense", "moc_level3")
-"""What the bare tick needs beside what is generated."""
+"""Files that the bare tick needs beside the generated ones."""
 GUARDED = ("moc_arm.h", "moc_guard", "moc_incision", "moc_motion", "moc_replay", "moc_safe")
 FALLBACK = ("moc_fallback", "moc_subproblem.h")
-"""What it needs beside that where it solves."""
+"""Files that it needs in addition if it solves."""
 SINGULAR = ("moc_null_space",)
 SOLVING = ("moc_supervisor", "moc_answer", "moc_singular")
 UDP = ("wire_check", "wire_link", "udp.c")
@@ -37,5 +37,5 @@ def bare(tick: Tick) -> dict[str, str]:
 
 
 def guarded(tick: Tick) -> dict[str, str]:
-    """Read supervisor, safety filter and what they need, for the law of this tick."""
+    """Read supervisor, safety filter and the files that they need, for the law of this tick."""
     return read(*GUARDED, *(SINGULAR if tick.rows else ()), *(SOLVING if solves(tick) else ()))

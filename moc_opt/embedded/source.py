@@ -16,11 +16,11 @@ from moc_opt.inputs.names import in_comment
 from moc_opt.numerics.arrays import Array
 
 BAD_INPUT = 3
-"""What moc_tick returns when an input is not finite; below it are the statuses of `solvers.exact`."""
+"""Result of moc_tick for an input that is not finite; smaller ones are the statuses of `solvers.exact`."""
 
 
 class Recording(NamedTuple):
-    """Consecutive ticks of a controller: what it saw, and the torque that it asked for."""
+    """Consecutive ticks of a controller: its inputs and its torque."""
 
     q: Array
     """(k,n) [rad]"""
@@ -111,7 +111,7 @@ def number(value: float | None) -> str:
 
 
 def render(name: str, **values: Any) -> str:
-    """Fill the template ``c/NAME.in``; a value that it asks for and is not given is an error."""
+    """Fill the template ``c/NAME.in``; a value of the template that is missing is an error."""
     return _environment().get_template(f"{name}.in").render(**values)
 
 

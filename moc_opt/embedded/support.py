@@ -1,4 +1,4 @@
-"""What the C code can do, and the refusal of everything else: a setting is never left out in silence."""
+"""The settings that the C code supports; all others are refused, never ignored."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from moc_opt.solvers.exact.solver import Exact
 
 
 class TickSpec(NamedTuple):
-    """What a compiled tick is made from: the arguments of `Controller`; C contains the solver ``exact`` only."""
+    """The source of a compiled tick, the arguments of `Controller`; C contains the solver ``exact`` only."""
 
     robot: RobotModel
     settings: ControlSettings

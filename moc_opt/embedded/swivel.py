@@ -3,7 +3,7 @@
 Householder reflections turn the five independent rows A x = b of the k = 6 joints that move the tool into a
 triangle: x = particular + w z, with z the unit null vector and `particular` the shortest solution. They need
 no pivoting and no square of A, so that the same fixed sequence of operations is accurate at every pose where
-A has its five ranks. What remains is the ratio test of `moc_opt.solvers.exact.elimination.swivel`.
+A has its five ranks. The rest is the ratio test of `moc_opt.solvers.exact.elimination.swivel`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Box(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What the solver says."""
+    """Status of the solver."""
 
     x: SX
     """(n,) [rad/s]; zero where there is none"""

@@ -1,7 +1,7 @@
 """One control tick as CasADi expressions: the equations of `moc_opt.control`, written out for one arm.
 
 Same levels, same signs, same order as `moc_opt.control.controller.Controller.tick`. Gains, limits and weights
-become constants. What has to be remembered from tick to tick is an explicit input and output.
+become constants. The memory from tick to tick is an explicit input and output.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def build_tick(spec: TickSpec) -> Tick:
     active = int(robot.moves.any(axis=0).sum())
     rows = robot.n - active + 1 if settings.law == "moc" or settings.damps_dcac else 0
     names = layout(robot.n, settings.law, rows)
-    # of the state, what the observer keeps, and the torque that acted since
+    # of the state, the observer's memory, and the torque that acted since
     observed = names.state[: OBSERVED + 1]
     symbols = {field.name: ca.SX.sym(field.name, field.length) for field in (*names.inputs, *observed)}
     law = _Law(spec, symbols)

@@ -1,4 +1,4 @@
-"""Solvers against each other: accuracy for time, and what their claims are worth."""
+"""Comparisons of solvers: accuracy over time, and claims over verified answers."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def accuracy_against_time(
 
 
 def _staircase(drawn: go.Figure, front: list[tuple[float, float]]) -> None:
-    """Draw the border of what the front beats, from the top of the plot to its right."""
+    """Draw the border of the dominated region, from the top of the plot to its right."""
     top, right = 10.0 ** drawn.layout.yaxis.range[1], 10.0 ** drawn.layout.xaxis.range[1]
     steps = [(front[0][0], top), *front, (right, front[-1][1])]
     drawn.add_scatter(

@@ -15,7 +15,7 @@ def label_sides(points: Mapping[str, tuple[float, float]], front: Collection[str
     """Choose on which side of its point each name stands, in plotly's words.
 
     Greedy: the names of `front` choose first, then the others in their order; each takes the side where it covers
-    least of what is there.
+    least of the drawn points.
 
     Args:
         points: name -> place of the point [px], y downwards.

@@ -27,9 +27,9 @@ class Mark:
 
     Attributes:
         symbol: one character.
-        word: what it says.
+        word: the text.
         tone: its colour: "best", "good", "fair", "bad" or "other".
-        rank: what it is sorted by, the best one lowest.
+        rank: order for sorting, the best one lowest.
     """
 
     symbol: str
@@ -104,7 +104,7 @@ def missing(value: object) -> Missing | None:
 
 
 def fraction_length(text: str) -> int:
-    """Count the characters from the decimal point on: what is padded to align a column on its points."""
+    """Count the characters from the decimal point on, for the alignment of a column on its points."""
     return len(text) - text.index(".") if "." in text and "e" not in text else 0
 
 

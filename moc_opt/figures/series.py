@@ -28,7 +28,7 @@ LABELS = {**PANELS, MODEL_TIP: ("tip error, own kinematics [mm]", 1e3)}
 
 
 class Run(Protocol):
-    """What is drawn of a run: a `Trace` has it."""
+    """The columns of a run that are drawn; a `Trace` has them."""
 
     @property
     def columns(self) -> Mapping[str, NDArray[Any]]:
@@ -56,7 +56,7 @@ def time_series(
         runs: name -> trace; a run that lacks a column is absent from its panel; of vectors the length is drawn.
         panels: columns, from top to bottom; None: those of ``PANELS``, with the tip's error by the robot's own
             kinematics where every run has it. The absolute one is mostly the error of the arm's calibration.
-        styles: how each run looks; None deals colours out anew.
+        styles: of each run; None assigns colours anew.
 
     Raises:
         ReportError: ``panels`` is empty, no list of names, or names a column that no run has or that holds texts.

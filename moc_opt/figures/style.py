@@ -46,7 +46,7 @@ HEIGHT_PX, LEGEND_PX, MAX_POWERS = 380, 620.0, 6
 
 @dataclass(frozen=True)
 class Style:
-    """How one run or solver looks wherever it appears."""
+    """The style of one run or solver in all figures."""
 
     color: str
     dash: str
@@ -132,7 +132,7 @@ def log_axis(
     Args:
         drawn: the figure, changed in place.
         axis: "x" or "y".
-        values: what it must show, positive: all values drawn, limits among them.
+        values: positive; all drawn values, limits included.
         powers: label it in powers of ten, for residuals; else in plain numbers, for times.
         margin: kept free at each end, as a fraction of the whole.
 

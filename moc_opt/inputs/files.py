@@ -1,6 +1,6 @@
-"""Files that come from outside: regular ones only, measured before they are read, and JSON that is JSON.
+"""Input files: only regular ones, whose size is checked before they are read, and strict JSON.
 
-What a few bytes can ask for is bounded here, for every reader: a pipe or a device that never ends, a text of gigabytes,
+Bounds on what a small file can cause, for every reader: a pipe or a device that never ends, a text of gigabytes,
 keys and lists nested without end, numbers of thousands of digits.
 """
 
@@ -82,7 +82,7 @@ def check_replaceable(path: Path_, what: str, error: Wrong) -> None:
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):
-        return  # nothing there; what else is wrong with the name is found where it is written
+        return  # nothing there; other errors of the name are found where it is written
     if not stat.S_ISREG(mode):
         raise error(f"{what} {_named(path)} cannot be written: a folder, pipe or device is there; give another name")
 
@@ -161,7 +161,7 @@ def check_values(value: Any, where: str, error: Wrong) -> None:
 
 
 def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
-    """Say which number inside is of no usable size, or what is nested too deep; empty where all are.
+    """Return which number inside has no usable size, or what is nested too deep; empty if nothing is.
 
     Args:
         value: of a setting; numbers in lists and tables count.
@@ -178,7 +178,7 @@ def wrong_size(value: Any, most: int = LARGEST_INTEGER) -> str:
 
 
 def entries(value: Any) -> Iterator[tuple[str, int, Any]]:
-    """Yield every value inside: its path, its depth, itself; on a stack of its own, whatever the depth."""
+    """Yield every value inside: its path, its depth, itself; with an explicit stack, for any depth."""
     stack: list[tuple[str, int, Any]] = [("", 0, value)]
     while stack:
         path, depth, entry = stack.pop()
@@ -249,7 +249,7 @@ def plain(value: Any) -> Any:
 
 
 def to_json(value: Any, *, indent: int | None = 2, sort_keys: bool = False) -> str:
-    """Write as JSON that any reader takes: what is not finite becomes null.
+    """Write as JSON that any reader takes: a number that is not finite becomes null.
 
     Raises:
         TypeError: a value that JSON cannot hold.

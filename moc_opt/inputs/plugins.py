@@ -1,4 +1,4 @@
-"""What other packages add by entry points: found once, loaded when it is asked for, named when it is broken."""
+"""Additions of other packages by entry points: found once, loaded at first use, listed if broken."""
 
 from __future__ import annotations
 

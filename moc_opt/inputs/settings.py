@@ -179,7 +179,7 @@ def field_name(keys: Iterable[object]) -> str:
 
 
 def explain(error: ValidationError, kind: str) -> list[str]:
-    """Return one line per wrong field: kind of table, name, value, cure; what a table inside raised is not repeated."""
+    """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
     lines = []
     for item in error.errors():
         field = field_name(item["loc"])

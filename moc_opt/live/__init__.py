@@ -1,6 +1,6 @@
 """A run in real time whose solver, gains and trocar can be changed while it goes: ``moc-opt live``.
 
-- ``live.run.LiveRun``: the loop in pieces, and what can be changed in it; no page
+- ``live.run.LiveRun``: the loop, and the changes that it takes while it runs; no page
 - ``live.page.serve``: the page on top of it, on loopback; ``live.access`` decides who may see it
 
 Imported by the command line alone.

@@ -2,7 +2,7 @@
 
 A browser lets any site open a WebSocket to this machine, and a foreign name may be made to point here (DNS rebinding).
 So each request must name this page as its host, come from it where it says where it comes from, and carry the token
-that the printed address holds; a cookie keeps it for what the page itself asks for afterwards.
+that the printed address holds; a cookie keeps it for the page's own later requests.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ _FADED_NM = 1e-6
 
 
 class Choice(NamedTuple):
-    """A controller, and what it was built from."""
+    """A controller, and the settings that it was built from."""
 
     controller: Controller
     solver: str
@@ -32,7 +32,7 @@ class ExchangeableController:
     first, and offset decays by exp(-t / BLEND_S).
 
     Args:
-        robot: the model that the control law believes in.
+        robot: the model that the control law uses.
         first: starts at the first tick.
         period_s: control period [s].
         refused: called with the error of a controller that cannot start; the one in use goes on.

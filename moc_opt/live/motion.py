@@ -1,4 +1,4 @@
-"""What moves by itself in a live run: the reference to and fro on its path, and the trocar as told."""
+"""Reference and trocar of a live run: the reference goes along its path and back, the trocar to its set place."""
 
 from __future__ import annotations
 

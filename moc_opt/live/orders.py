@@ -1,4 +1,4 @@
-"""What a live run can be told and what it shows: the words between it and its page."""
+"""Commands and state of a live run: the data between it and its page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class LiveError(ScenarioError):
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What there is to see."""
+    """The state that a page shows."""
 
     t_s: float
     q: Array
@@ -40,7 +40,7 @@ class Moment:
     solver: str
     """Its name, or `DCAC`."""
     status: str
-    """What it claimed last."""
+    """Its last claim."""
     stopped: str
     """Why the arm was stopped; empty while it runs."""
 

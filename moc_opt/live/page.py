@@ -40,7 +40,7 @@ class LivePage:
 
         Raises:
             LiveError: viser is missing, or the host is not this machine alone and `public` is false.
-            MocOptError: what is wrong with the scenario.
+            MocOptError: the scenario is not usable.
         """
         address = checked_address(host, public=public)
         if not 0 <= port < 65536:
@@ -100,7 +100,7 @@ class LivePage:
             self.server.stop()
 
     def _keep_time(self) -> None:
-        """Run ticks as the time goes by; what cannot be caught up with is let go."""
+        """Run the ticks that real time requires; a delay that is too long to catch up with is dropped."""
         run, before, owed = self.run, monotonic(), 0.0
         while not self._over.is_set():
             now = monotonic()

@@ -1,4 +1,4 @@
-"""The controls of the live page: what is typed goes to the run, what the run says comes back."""
+"""The controls of the live page: send input to the run, and show its answers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FIELDS = {
     "D_N2": ("D_N2 [N m s/rad]", "third level, on v; one number, or one per joint"),
     "k0_per_s": ("k0 [1/s]", "velocity damper at the joint limits"),
 }
-"""Setting of the control law -> its label and what it does."""
+"""Setting of the control law -> its label and its meaning."""
 
 
 class Panel:
@@ -83,7 +83,7 @@ class Panel:
         gui.add_button("Reset to the start").on_click(lambda _: run.reset())
 
     def _choose(self) -> None:
-        """Ask for what the list shows now, which may be later than the change that called."""
+        """Request the present choice of the list, which may be later than the change that called."""
         if self._solver.value != self._run.solver:  # it may have been set back, not chosen
             self._run.choose(self._solver.value)
 

@@ -50,14 +50,14 @@ class LiveRun:
 
     Attributes:
         one_way_s: time from one end of the path to the other, rests included [s].
-        messages: what went wrong, oldest first; take them out with `popleft`.
+        messages: errors, oldest first; take them out with `popleft`.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         """Build everything, at rest at its start.
 
         Raises:
-            MocOptError: what is wrong with the scenario.
+            MocOptError: the scenario is not usable.
         """
         self.scenario = scenario
         self._setup = Setup(scenario)

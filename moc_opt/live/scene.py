@@ -29,7 +29,7 @@ TAIL_POINTS = 160
 
 
 class LiveScene:
-    """What is drawn once, and what moves."""
+    """Objects that are drawn once, and objects that move."""
 
     def __init__(self, server: Any, run: LiveRun) -> None:
         """Draw everything at the run's present moment; `server` is a viser.ViserServer."""

@@ -1,4 +1,4 @@
-"""The arm as its controller knows it: kinematics and dynamics of a robot with its tool.
+"""The controller's model of the arm: kinematics and dynamics of a robot with its tool.
 
 Read first: ``robot_model`` (``load_robot``, ``RobotModel.state(q, v)``) and ``robot_state`` (what a state
 holds). ``kinematics_kernels``, ``dynamics_kernels`` and ``shaft_kernels`` are compiled, ``symbolic`` holds the

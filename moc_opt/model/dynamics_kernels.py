@@ -1,4 +1,4 @@
-"""What the links' masses do, from their places alone: the slope of the kinetic energy, and gravity.
+"""Dynamics of the links' masses from their places: the gradient of the kinetic energy, and gravity.
 
 `axes` (n,6) as in `kinematics_kernels`; `places` and `bodies` as in `kinematics_kernels.fill_state`.
 """
@@ -80,7 +80,7 @@ def energy_slope(axes: Array, places: Array, bodies: Array, v: Array, out: Array
 
 @njit(cache=True)
 def gravity_torque(axes: Array, places: Array, bodies: Array, field: Array, out: Array) -> None:
-    """Compute the torque (n,) [Nm] that carries the arm's weight: what joint k has to hold of the links beyond it."""
+    """Compute the torque (n,) [Nm] that carries the arm's weight: joint k carries the links beyond it."""
     mass = cx = cy = cz = 0.0
     fx, fy, fz = field[0], field[1], field[2]
     for k in range(axes.shape[0] - 1, -1, -1):

@@ -18,7 +18,7 @@ _RESTARTS = 60
 
 
 class Placed(NamedTuple):
-    """What a search for a pose ended with."""
+    """The result of a search for a pose."""
 
     q: Array
     """(n,) inside the limits [rad]"""
@@ -75,7 +75,7 @@ def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
     """Find a pose (n,) near q with the tip at a point (3,) [m].
 
     Raises:
-        TaskError: none is found; the message says how near the tip gets.
+        TaskError: none is found; the message has the least distance of the tip.
     """
     point = _point("tip", tip)
     placed = solve_pose(robot, q, point, iterations=200)

@@ -1,4 +1,4 @@
-"""RobotModel: everything the control laws need to know about an arm at one (q, v), computed once.
+"""RobotModel: all terms of the control laws at one (q, v) of an arm, computed once.
 
 Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add what belongs to the tool.
 """
@@ -124,7 +124,7 @@ class RobotModel:
         return RobotState(record, self.n)
 
     def mu_along(self, poses: Array) -> Array:
-        """Compute manipulability (k,) at the poses (k,n) [rad]: to the bit what `state` gives, without the rest of it.
+        """Compute manipulability (k,) [m^3] at the poses (k,n) [rad], equal to that of `state` to the last bit.
 
         Raises:
             RobotError: another shape, or no numbers.
@@ -167,7 +167,7 @@ class RobotModel:
         return np.array(pin.computeGeneralizedGravity(self._pin, self._side_data, self._vector("q", q)))
 
     def tool_pose(self, q: ArrayLike) -> Array:
-        """Compute where the tool is: (4,3) its x, y and z axes and its tip [m], in world axes.
+        """Compute the tool's pose (4,3): its x, y and z axes and its tip [m], in world axes.
 
         z runs along the shaft from wrist to tip; these are the axes of the wrench sensor at the tool's mount.
         """
@@ -177,7 +177,7 @@ class RobotModel:
 
     @property
     def tool_place(self) -> place_kernels.ToolPlace:
-        """Where the arm carries its tool: what `tool_pose` is computed from."""
+        """The place of the tool on the arm, from which `tool_pose` is computed."""
         return place_kernels.ToolPlace(self._joints, self._mount, self._tip_offset)
 
     @property
@@ -286,7 +286,7 @@ def _build(data: RobotData) -> Any:
 
 
 def _frame(model: Any, name: str) -> Any:
-    """Return the body frame of that name; it must ride on the last joint."""
+    """Return the body frame of that name; the last joint must move it."""
     if not model.existFrame(name, pin.FrameType.BODY):
         raise RobotError(f"frame {name!r} is no link of the urdf: its links are {[f.name for f in model.frames]}")
     frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]

@@ -1,4 +1,4 @@
-"""RobotState: what is known of the arm at one instant, in one flat immutable record."""
+"""RobotState: the model's terms of an arm at one instant, in one flat immutable record."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _layout(n: int) -> dict[str, slice]:
 
 
 class RobotState:
-    """What is known of the arm at one (q, v): already computed, immutable, sharing memory with nothing.
+    """The model's terms of an arm at one (q, v): computed, immutable, in their own memory.
 
     All numbers lie in one flat read-only array, `record`, whose layout is `kinematics_kernels.StateViews`; the
     attributes are read-only views of it, made when asked for. Kernels take `record` and call
@@ -155,7 +155,7 @@ class RobotState:
 
     @property
     def gravity(self) -> Array:
-        """g (n,) [Nm]: what carries the arm's weight."""
+        """g (n,) [Nm], the torque that carries the arm's weight."""
         return self.record[self._at["gravity"]]
 
 

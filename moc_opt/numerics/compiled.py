@@ -75,7 +75,7 @@ def borrowed(array: Lent) -> Lent:
     Of a named tuple, the same one with all its arrays borrowed.
 
     A kernel counts references to every array that it is given, views or hands on, each time with a locked
-    instruction, which costs more than most arithmetic there. What is borrowed, and every view of it, is not counted.
+    instruction, which costs more than most arithmetic there. A borrowed array, and every view of it, is not counted.
     Its owner has to outlive it: borrow arguments, which the caller holds, and never hand a borrowed array back.
     """
     return array

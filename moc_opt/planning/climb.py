@@ -1,4 +1,4 @@
-"""What a local law reaches at best: it climbs mu along the self-motion as fast as joints can, looking no further."""
+"""The best result of a local law, which climbs mu along the self-motion as fast as the joints can."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A course: one pose for each time of a path, what it is worth, and by how much it breaks what it has to keep."""
+"""A course: one pose for each time of a path, its objective, and its violations of the constraints."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def make_course(
     robot: RobotModel, targets: Targets, q: Array, margin: Margin = 0.0, speed_share: float = 1.0,
     acceleration: float = np.inf,
 ) -> Course:  # fmt: skip
-    """Judge poses (k,n) for the first k times by the robot model itself, whoever found them.
+    """Judge poses (k,n) for the first k times by the robot model itself, independent of their origin.
 
     The joints begin at rest; ``acceleration`` [rad/s^2] is the most of any of them.
     """

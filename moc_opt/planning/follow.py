@@ -37,7 +37,7 @@ class Follower:
             course: from t = 0 on; after its end its last pose is held.
             period_s: of a tick [s].
             gain_per_s: k [1/s].
-            rescue: what leads the arm on from where it is, once it has left its course.
+            rescue: guide that takes over from the present pose if the arm has left its course.
 
         Raises:
             TaskError: the period is not positive, or the gain negative.

@@ -2,7 +2,7 @@
 
 An arm with a spherical shoulder and wrist has all its poses in closed form (`spherical`): they are scanned, on every
 branch. Any other arm, and any arm with several freedoms, is climbed on from many seeded starts
-(`moc_opt.redundancy.ascent`): what is found is reached by a pose, and nothing proves that it is the largest.
+(`moc_opt.redundancy.ascent`): some pose reaches the value that is found, but nothing proves that it is the largest.
 """
 
 from __future__ import annotations

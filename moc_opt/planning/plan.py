@@ -1,4 +1,4 @@
-"""What is known before anything moves: whether a path can be done, from where, how well, and the course itself."""
+"""The plan of a path before a run: whether it can be executed, from where, how well, and the course itself."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ class Plan:
     """
 
     objective: Objective
-    """What the courses are best in: "mean" mu, "worst" mu, or the mean of "log" mu."""
+    """Objective of the best courses: "mean" mu, "worst" mu, or the mean of "log" mu."""
     targets: Targets
-    """Tip and wrist that the path asks for, (k,3) each [m], at (k,) times [s]."""
+    """Targets of tip and wrist on the path, (k,3) each [m], at (k,) times [s]."""
     from_start: Course | None
     """The best course from the start; None: the path cannot be executed from there."""
     best: Course | None
     """The best over all swivels and branches at the start of the path; None: from nowhere."""
     climbed: Course
-    """What a local climb reaches; shorter than the path where it runs into a limit."""
+    """The course of a local climb; shorter than the path if the climb ends at a limit."""
     bound_from_start: float
     """No course from the start that the map resolves is better, in the objective's unit; NaN where one was found that
     is: it passes so near a singular pose that mu changes within a step of the map."""
@@ -138,7 +138,7 @@ def make_plan(
         swivels: samples of one turn, of an arm with a closed form.
         margin: that every joint keeps from its limits.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
-        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
+        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid ignores it.
         shaft_margin: a share of the squared lever, below which no course goes where the path and the start leave it
             another way (`shaft.keeping_shaft`); bounds are of courses that keep it, NaN where the one found does not.
         refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
@@ -173,7 +173,7 @@ def make_plan(
         course = None
         if poses is not None and np.isfinite(poses).all():
             course = make_course(robot, targets, poses, margin, speed_share, acceleration)
-        # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
+        # The bound's own course is a second start, which helps where the grid's steps are just too coarse.
         for guess in (None, bound.q_rad) if refined and course is not None else ():
             if course is not None and (guess is None or np.isfinite(guess).all()):
                 course = refine(
@@ -210,7 +210,7 @@ def _bound(found: Search, course: Course | None, objective: Objective) -> float:
 
 
 def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 720) -> PoseMap:
-    """Lay the map in closed form where the arm has one, else by continuation; idle joints stand as at the start."""
+    """Make the map in closed form if the arm has one, else by continuation; idle joints stay as at the start."""
     arm = spherical(robot)
     if arm is None:
         return traced_map(robot, targets, q_start)
@@ -220,7 +220,7 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 7
 def blocked(
     robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin: Margin, proven: bool
 ) -> Blocked:
-    """Name the first point that the search did not reach, and what is in its way; unless ``proven``, say so."""
+    """Name the first point that the search did not reach, and the obstacle; unless ``proven``, say so."""
     if answer.q_rad is not None:
         return _too_sudden(robot, found.targets, answer.q_rad)
     k, targets = answer.reached, found.targets

@@ -1,9 +1,9 @@
-"""A course planned anew while the arm moves: a short horizon from the measured pose, and V for what comes after.
+"""A course planned again and again in the run: a short horizon from the measured pose, and V for the rest of the path.
 
-Every 1/rate a way is searched for on the map from the measured pose over the horizon and on by V (`to_go`): it decides
-which local maximum of mu to go to. The nonlinear program (`horizon`) makes a smooth course of it. The loop follows
-the last answer meanwhile: an answer is used from the next solve's tick on, as one that is computed beside the loop
-would be.
+Every 1/rate a way is searched on the map, from the measured pose over the horizon and then by V (`to_go`). It decides
+which local maximum of mu to approach. The nonlinear program (`horizon`) makes a smooth course of it. Meanwhile the
+loop follows the last answer: a new one is used from the tick of the next solve on, as if it were computed in
+parallel.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from moc_opt.planning.to_go import NEARBY_RAD, ToGo
 NODES = 10
 """Times of the nonlinear program after the measured pose."""
 HURRY = 1.03
-"""Times the speed that V counts with may be used on the horizon: what is late can catch up."""
+"""Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up."""
 MOST_OFF = 1e-3
 """Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
 2 keep tip and shaft whatever the third does."""

@@ -22,12 +22,12 @@ from moc_opt.planning.pose_map import Margin, PoseMap
 from moc_opt.planning.search_kernels import advance
 
 CURVED = 1.1
-"""What half a cell holds beyond what its samples say: of a joint's way, and of the rise of mu."""
+"""The content of half a cell beyond its samples: of a joint's way, and of the rise of mu."""
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a search over the map ended with."""
+    """The result of a search over the map."""
 
     value: float
     """Of the best course, in the objective's unit; -inf: there is none."""

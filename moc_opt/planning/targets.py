@@ -1,4 +1,4 @@
-"""What a path and its trocar ask of an arm at evenly spaced times: tip, and wrist on the line through the trocar."""
+"""The targets of a path and its trocar at evenly spaced times: tip, and wrist on the line through the trocar."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a pose is still worth: the most mu, summed over the time, that can be had from it to the end of the path.
+"""The value of a pose: the largest integral of mu over time from it to the end of the path.
 
 Dynamic programming backwards over the map, once, before anything moves:
 

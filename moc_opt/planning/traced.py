@@ -23,7 +23,7 @@ from moc_opt.redundancy.self_motion import self_motion
 STEP_RAD = 0.03
 """Spacing of the samples along a curve."""
 MOST_CURVES = 16
-"""Different curves at one time; what is found beyond them is left out."""
+"""Most different curves at one time; further ones are left out."""
 SAME_CURVE = 0.7
 """A pose this share of a step from a sample lies on its curve."""
 
@@ -67,7 +67,7 @@ def traced_map(
         q_start: (n,) a pose for the first of them [rad]; its idle joints are kept.
         seeds: random starts of the inverse kinematics at the first time; a sixteenth of them at each later one.
         step_rad: spacing of the samples along a curve [rad].
-        rng: what the seeds are drawn from; seeded with 0 by default.
+        rng: draws the seeds; seeded with 0 by default.
 
     Raises:
         RobotError: seeds or step are not usable.

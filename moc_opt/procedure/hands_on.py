@@ -66,13 +66,13 @@ class HandsOnStatus(Enum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HandsOn:
-    """What the guiding left behind."""
+    """The result of the guiding."""
 
     status: HandsOnStatus
     trocar: Array
     """(3,) where the incision truly is [m]"""
     registered: Array | None
-    """(3,) where the robot believes it to be [m]; None if it was not registered"""
+    """(3,) the registered trocar [m]; None if it was not registered"""
     q: Array
     """(n,) the robot's measured pose at the end [rad]"""
     trace: Trace
@@ -95,7 +95,7 @@ def guide_to(
     Args:
         incision: (3,) where the trocar truly is, base frame [m].
         plant: the simulated arm, reset to its start.
-        robot: the model that the robot believes in.
+        robot: the robot's own model.
         seed: of the registration error.
 
     Raises:
@@ -132,7 +132,7 @@ def guide_to(
 
 
 class _Guiding:
-    """Hand guiding as a loop with a safety filter asks for it; it has no reference.
+    """Hand guiding with the interface of a filtered controller; it has no reference.
 
     ``seen`` is the state at the last measurement that was believed. The filter is not shown it: it would take the
     hand's force for a motion that no torque explains.

@@ -68,7 +68,7 @@ def check_path(
     Args:
         q: (n,) the start [rad].
         registered: the trocar that the controller is told.
-        until_s: end of the run [s]; what comes later is not driven.
+        until_s: end of the run [s]; the reference after it is ignored.
 
     Raises:
         UnreachableError: a point or a joint speed is out of reach; names what, where and the cure.

@@ -71,15 +71,15 @@ def check_reachable(
     """Follow the reference with the shaft through the trocar, inside joint limits and joint speeds.
 
     Each point is solved from the pose before it, with the joints that have room taking over from those at a
-    limit. If that ends nowhere, the path is tried again from the middle of the starting self-motion. What is
-    refused here may still be possible along a way this search does not try; what is let through is possible.
+    limit. If that ends nowhere, the path is tried again from the middle of the starting self-motion. A
+    refused path may still be possible along a way that this search does not try; an accepted path is possible.
 
     Args:
         q_start: (n,) the pose it begins with, its tip at the start of the reference [rad].
         reference: where the tip has to be, and when.
         trocar: where the shaft has to pass; a point (3,) [m] rests.
         spacing_m: distance of the points that are looked at [m].
-        until_s: time at which the run ends [s]: what the reference does later is not looked at.
+        until_s: time at which the run ends [s]; the reference after it is ignored.
 
     Raises:
         UnreachableError: a point, a joint speed or the trocar is out of reach; names the field, the arc length

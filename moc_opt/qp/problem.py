@@ -83,7 +83,7 @@ class NullSpaceQP:
 
     Args:
         J_tip, J_wrist: (3, n) translational Jacobians in world axes [m/rad].
-        v_tip, v_wrist: (3,) reference velocities [m/s]; u^T (v_tip - v_wrist) = 0 is the caller's part.
+        v_tip, v_wrist: (3,) reference velocities [m/s]; the caller must ensure u^T (v_tip - v_wrist) = 0.
         grad_mu: (n,) gradient of the manipulability.
         lower, upper: (n,) bounds on the joint velocity [rad/s].
         c0, c1, c2: weights of the paper; regularization: rho, 0 for the paper's problem.
@@ -174,7 +174,7 @@ class NullSpaceQP:
     def from_row(cls, row: Array) -> NullSpaceQP:
         """Adopt a flat record without copying or checking its values; the record becomes read-only.
 
-        The controller's and the recordings' way in: their records were made by this package.
+        For the controller and for recordings, whose records were made by this package.
         """
         self = object.__new__(cls)
         self._adopt(row, joints_of(row.shape[0]))

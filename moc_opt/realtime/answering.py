@@ -39,9 +39,9 @@ class Ending:
     """How a run looked from the controller's end.
 
     Attributes:
-        ended: "completed", "stopped: ..." where the safety filter asked for it, or "the plant has been silent ...".
+        ended: "completed", "stopped: ..." after a request of the safety filter, or "the plant has been silent ...".
         ticks: measurements that were answered.
-        quality: what came from the plant.
+        quality: counts of the plant's packets.
         plant: the plant's own counts, as its last measurement has them.
         warnings: of the safety filter.
         faults: of the third level.
@@ -63,8 +63,8 @@ class Answering:
         settings: time-outs.
         make: makes controller and safety filter, as in the simulator's loop; called twice: one pair rehearses a tick.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
-        registered: (N, 2, 3) where the controller believes the trocar to be.
-        scenario: fingerprint of what both ends must agree on.
+        registered: (N, 2, 3) the registered trocar.
+        scenario: fingerprint of the settings that both ends must share.
         ready: called once when the plant has been found.
     """
 
@@ -130,7 +130,7 @@ class Answering:
         )
 
     def _answer_all(self, filtered: FilteredController, found: Packet | None, applied: Array) -> str:
-        """Answer until the plant says that the run is over, or nothing more."""
+        """Answer until the plant reports the end of the run, or sends nothing more."""
         link, quality, sequence = self._link, self._link.quality, self._sequence
         while found is not None:
             self._counters = found["counters"].tolist()

@@ -1,4 +1,4 @@
-"""The time of the wall, and what a process asks of the system to keep it."""
+"""Real time, and the scheduling that a process requests from the system to keep it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class WallClock:
     Attributes:
         late_us: how late the last tick began [us].
         overruns: how often the times were moved: this process was not run for more than a period.
-        spare_until: until then there is time in the present tick for what is not urgent (of ``time.monotonic``) [s].
+        spare_until: until then the present tick has time for work that is not urgent (of ``time.monotonic``) [s].
     """
 
     def __init__(self, period_s: float) -> None:
@@ -46,7 +46,7 @@ class WallClock:
 
 
 def give_back_realtime() -> None:
-    """Make this an ordinary process again: what follows a run is long, and nobody waits for it."""
+    """Make this an ordinary process again, since the work after a run is long and not urgent."""
     if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()
@@ -56,7 +56,7 @@ def ask_for_realtime() -> dict[str, str]:
     """Ask for a real-time priority, for memory that is never paged out, and for exact timers.
 
     Returns:
-        what was granted, by name, in words; what is not permitted is left as it is, and said so.
+        name -> words on what was granted; a request that is not permitted changes nothing.
     """
     found = {"scheduling": "as other processes (no such system call)", "memory": "not locked", "timers": "as they are"}
     if not sys.platform.startswith("linux"):

@@ -44,7 +44,7 @@ def read_key(file: Path | None) -> bytes | None:
     """Return the key of a file, or else of the environment variable; None where there is neither.
 
     Raises:
-        WireError: the file cannot be read, or what it holds is no key.
+        WireError: the file cannot be read, or holds no key.
     """
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:

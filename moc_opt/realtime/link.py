@@ -21,7 +21,7 @@ _MEMORY = 64
 
 @dataclass
 class Quality:
-    """What came over the wire since the start, and what did not."""
+    """Counts of packets since the start, received and missing."""
 
     received: int = 0
     """packets that were taken"""
@@ -63,7 +63,7 @@ class Sequence:
         self.newest, self._seen = -1, 0  # bit i: newest - i has come
 
     def judge(self, number: int) -> str:
-        """Return "new", "doubled", "reordered", or "old" where it lies so far back that it is not remembered."""
+        """Return "new", "doubled", "reordered", or "old" if it is too far back to be in the memory."""
         back = self.newest - number
         if back < 0:
             return "new"

@@ -1,4 +1,4 @@
-"""What goes over the wire: packets of fixed size and little-endian numbers, each with a keyed check at its end.
+"""The packets: of fixed size, with little-endian numbers and a keyed checksum at the end.
 
 Every layout is a numpy dtype; docs/realtime.md has them as tables. All fields lie at multiples of their size, so that
 a C struct of the same fields has the same bytes.
@@ -25,7 +25,7 @@ COUNTERS = ("received", "missed", "late", "doubled", "reordered", "truncated", "
 
 
 class Kind(IntEnum):
-    """What a packet is."""
+    """The kinds of packet."""
 
     HELLO = 1
     """To the plant: show yourself. Answered by one measurement."""
@@ -34,9 +34,9 @@ class Kind(IntEnum):
     MEASUREMENT = 3
     COMMAND = 4
     REPORT = 5
-    """To the plant, after a command: what the third level did. For the trace alone."""
+    """To the plant, after a command: the third level's results, only for the trace."""
     BYE = 6
-    """To the plant: that the run has ended was heard, and what the controller has to say of it."""
+    """To the plant: the end of the run is acknowledged, with the controller's counts."""
 
 
 WAITING, RUNNING, ENDED = 0, 1, 2
@@ -88,7 +88,7 @@ class Packet:
     Args:
         kind: which.
         session: drawn by the plant when it is started; 0: not known yet.
-        scenario: fingerprint of what both ends must agree on.
+        scenario: fingerprint of the settings that both ends must share.
     """
 
     def __init__(self, kind: Kind, n: int, session: int = 0, scenario: int = 0) -> None:

@@ -42,7 +42,7 @@ class RemoteController(Filtered):
         columns: number of ticks -> the columns of the controller that is at the other end.
         applied: (n,) torque before the first tick [Nm].
         tau_max: (n,) largest torques [Nm]: a command beyond them is not followed, like one that did not come.
-        scenario: fingerprint of what both ends must agree on.
+        scenario: fingerprint of the settings that both ends must share.
         clock: keeps the time; None is lock-step: the plant waits for each command, and sends the measurement again
             where none comes.
     """
@@ -155,7 +155,7 @@ class RemoteController(Filtered):
             self._receive(until, lambda: self._reports.newest == self._tick - 1)
 
     def close(self) -> dict[str, Any]:
-        """Tell the controller, once, that the run is over; return the counts. ``told`` has what it said of the run."""
+        """Tell the controller, once, that the run is over; return the counts. ``told`` holds its answer."""
         if self._counts:
             return self._counts
         self._packet["flags"] = ENDED

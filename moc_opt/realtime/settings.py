@@ -1,4 +1,4 @@
-"""``[wire]`` of a scenario: what the plant does without commands, and how long either end waits."""
+"""``[wire]`` of a scenario: the plant's watchdog, and how long either end waits."""
 
 from __future__ import annotations
 

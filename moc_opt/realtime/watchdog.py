@@ -1,4 +1,4 @@
-"""What the plant does on its own while no commands come: hold, then carry the weight and damp, then brake."""
+"""The plant's actions while no commands arrive: hold, then carry the weight and damp, then brake."""
 
 from __future__ import annotations
 

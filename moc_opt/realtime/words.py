@@ -1,4 +1,4 @@
-"""The controller's last words: what it counted in a run, for the meta of a trace that is written at the other end."""
+"""The controller's counts of a run, sent at its end for the meta of the trace, which the plant writes."""
 
 from __future__ import annotations
 

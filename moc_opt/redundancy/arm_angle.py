@@ -94,7 +94,7 @@ class SwivelCurve:
         found = np.full((len(swivels), self._curve.q.shape[1]), np.nan)
         wish, aim = turned[known], turned[known]
         poses = found[known]
-        for _ in range(3):  # the spline between samples is straight: aim again by what it missed
+        for _ in range(3):  # the spline between samples is straight: correct by the remaining error
             fractions = np.interp(self._sign * np.asarray(aim), self._sign * self._angles, self._along)
             poses = np.array([self._curve.at(float(f)) for f in fractions]).reshape(poses.shape)
             missed = wish - self._elbow.swivel(poses)

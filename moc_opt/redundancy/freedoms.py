@@ -16,7 +16,7 @@ RANK_TOLERANCE = 1e-6
 
 
 class Freedoms(NamedTuple):
-    """What is left of n joints when tip and wrist are held; rank + real + idle = n."""
+    """The freedoms of n joints when tip and wrist are held; rank + real + idle = n."""
 
     rank: int
     """Of A: 5 where the arm can place and turn the shaft."""

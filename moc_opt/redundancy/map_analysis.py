@@ -1,9 +1,9 @@
-"""What the trajectories on a manipulability map amount to: how long each is at the optimum, what keeps it off.
+"""The trajectories on a manipulability map: how long each is at the optimum, and what keeps it from there.
 
 Where a trajectory ends off the optimum, the map is climbed from there at the time of the end: upwards in mu, swivel by
 swivel, poses beyond a joint limit included. A climb that stops close by, at a local maximum or at the edge of the
 feasible poses, is what holds the run; where the way up is open, only the run itself can tell why it is not there: a
-controller without third level, or the box of the third level, which closes before the joint limits that the map knows.
+controller without third level, or the box of the third level, which closes before the joint limits that the map shows.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from moc_opt.redundancy.manipulability_map import FEASIBLE, OTHER_BRANCH_RAD, Sw
 NEAR = 0.02
 """A trajectory is at the optimum where its mu is at most this fraction below the best."""
 END = 0.2
-"""The last part of a trajectory, as a fraction of its time: what it comes to."""
+"""The last part of a trajectory, as a fraction of its time, which gives its end."""
 CLOSE_RAD = np.radians(12.0)
 """Nearer to a local maximum or the edge of the feasible poses than this, a trajectory is held by it."""
 STILL_RAD_PER_S = np.radians(1.0)
@@ -42,7 +42,7 @@ class End(StrEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """What one trajectory amounts to."""
+    """The analysis of one trajectory."""
 
     name: str
     near: float

@@ -141,7 +141,7 @@ def self_motion(robot: RobotModel, q: ArrayLike, step: float = 0.02) -> SelfMoti
 
 
 class _Curve:
-    """The constraint that defines one curve, as the kernels want it."""
+    """The constraint that defines one curve, as the kernels take it."""
 
     def __init__(self, robot: RobotModel, active: list[int], target: Array, step: float) -> None:
         chain = robot.chain

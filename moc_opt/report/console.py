@@ -1,4 +1,4 @@
-"""The terminal: tables in colour, a progress bar for what takes long, no bar where the output is no terminal."""
+"""The terminal: tables in colour, a progress bar for long work, no bar if the output is no terminal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PIPED_WIDTH = 80
 
 
 CLOSED = 141
-"""Exit status where whoever reads the output has closed it, as `| head` does: that of a command ended by SIGPIPE."""
+"""Exit status if the reader of the output has closed it, as `| head` does: that of a command ended by SIGPIPE."""
 
 
 def end_output() -> int:
@@ -49,7 +49,7 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
     """Make a console; where its output is no terminal it writes plain text, 80 columns wide or as many as COLUMNS says.
 
     Args:
-        stderr: write there; results belong on stdout, what accompanies them on stderr.
+        stderr: write there; results belong on stdout, messages on stderr.
         file: write to it instead.
     """
     made = _Console(stderr=stderr, file=file, highlight=False, soft_wrap=False)
@@ -59,7 +59,7 @@ def console(*, stderr: bool = False, file: IO[str] | None = None) -> Console:
 
 
 class Bar:
-    """A progress bar: `advance` it, say what it is `at`. Where nobody sees it, it writes a line now and then."""
+    """A progress bar: `advance` it, say what it is `at`. Without a terminal it writes a line now and then."""
 
     def __init__(self, progress: Progress, task: TaskID) -> None:
         self._progress, self._task = progress, task

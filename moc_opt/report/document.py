@@ -105,7 +105,7 @@ def save_document(path: str | os.PathLike[str], text: str, what: str, cure: Call
 
     Args:
         path: of the file; its folder is made.
-        cure: what to do where it is too large; asked only then.
+        cure: called for the advice if the page is too large.
 
     Raises:
         ReportError: it would be larger than MAX_BYTES, or cannot be written.

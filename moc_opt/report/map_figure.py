@@ -38,7 +38,7 @@ def map_figure(
 
     Args:
         found: of `manipulability_map`.
-        styles: how each run looks, as in other figures; None deals colours out anew.
+        styles: of each run, as in other figures; None assigns colours anew.
         titles: the runs that are drawn -> what the legend calls them; None: all, by their names.
 
     Raises:

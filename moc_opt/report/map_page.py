@@ -61,7 +61,7 @@ def add_map(
         found: of `manipulability_map`.
         name: of the figure's file.
         what: it is a map of, in a few words, for caption and table.
-        styles: how each run looks, as in the page's other figures.
+        styles: of each run, as in the page's other figures.
 
     Returns:
         What each trajectory amounts to, those that are not drawn among them.

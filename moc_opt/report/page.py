@@ -93,7 +93,7 @@ class Page:
 
         Args:
             figure: of `moc_opt.figures`, or any plotly figure.
-            caption: what it shows and what to see in it.
+            caption: the content of the figure, and the point to notice.
             name: of its file, where the figures are saved too; from the caption's first words if empty.
         """
         name = self._name(name or " ".join(caption.split()[:5]), self._figures)

@@ -31,7 +31,7 @@ MATTER: Mapping[str, str] = MappingProxyType({
     "silently_wrong": "ticks at which the solver called a wrong answer solved; 0 is right",
     "deadline_misses": "ticks that took longer than the period, on this machine",
 })  # fmt: skip
-"""Metrics to look at first, and what each says."""
+"""Metrics to look at first, and their meaning."""
 
 
 VERDICTS = ("verified_solved", "silently_wrong")
@@ -77,7 +77,7 @@ NEAR = 0.02
 
 
 def below_best(trace: Trace) -> str:
-    """Return a sentence on a run that stays below the best course from its start: by how much, and what holds it."""
+    """Return a sentence on a run that stays below the best course from its start: by how much, and the reason."""
     told = trace.meta.get("best_courses", {})
     if told.get("absent"):
         return f"not compared with a best course: {told['absent']}"

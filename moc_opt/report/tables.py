@@ -41,7 +41,7 @@ class Column:
         align: None: numbers to the right, texts to the left.
         better: which end is good: its best values are emphasised, unless most rows have them, and sorted to the
             top first.
-        help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
+        help: one sentence on its meaning, shown when the heading is pointed at, and folded below the table.
         among: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete.
         section: title of the section of the same page that explains its values, which link there.
         sections: key of a row's own such title, where rows are explained in different sections.
@@ -90,7 +90,7 @@ class Table:
         title: a few words; a page numbers it.
         columns: from left to right; the first one names the row.
         rows: key -> text, flag, number, None, `Missing(reason)` or `Mark`; absent keys are missing, others ignored.
-        caption: what the reader must know, in sentences.
+        caption: sentences that the reader needs for the table.
     """
 
     title: str

@@ -1,4 +1,4 @@
-"""What a robot's TOML file may say: its schema, and errors that a person can act on."""
+"""The schema of a robot's TOML file, and its errors with cures."""
 
 from __future__ import annotations
 

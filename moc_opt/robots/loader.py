@@ -88,7 +88,7 @@ def available_robots() -> list[str]:
 
 
 def about(name_or_path: str | os.PathLike[str]) -> str:
-    """Return what the robot's TOML says that it is; empty where it says nothing. Errors as of `load_data`."""
+    """Return the robot's description in its TOML; empty if there is none. Errors as of `load_data`."""
     return read_description(_find(name_or_path)).about
 
 

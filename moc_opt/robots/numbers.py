@@ -1,4 +1,4 @@
-"""Numbers of a URDF, read in one strict way: what one reader takes and another one drops makes two different arms."""
+"""Numbers of a URDF, read strictly: a text that two readers understand differently would make two arms."""
 
 from __future__ import annotations
 

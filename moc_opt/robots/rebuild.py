@@ -1,4 +1,4 @@
-"""A URDF written anew from what was understood of it: both engines then read the same numbers, and nothing else."""
+"""A URDF written again from the numbers that were read, so that both engines get the same numbers, and nothing else."""
 
 from __future__ import annotations
 

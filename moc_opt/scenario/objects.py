@@ -94,7 +94,7 @@ class Objects:
         return TaskOffset(plant.tip - tip, plant.tip - depth * shaft / np.linalg.norm(shaft) - entry)
 
     def solver(self) -> Solver | None:
-        """Make the solver that the scenario asks for; None under DCAC."""
+        """Make the solver of the scenario; None under DCAC."""
         if self.scenario.control.law != "moc":
             return None
         asked = self.scenario.solver
@@ -105,7 +105,7 @@ class Objects:
         return Faulty(solver, faults.solver, faults.solver_share, self._fault_seed)
 
     def controller(self) -> Controller:
-        """Make the law and solver that the scenario asks for."""
+        """Make the scenario's law and solver."""
         settings, times, solver = self.scenario.control, self._times(), self.solver()
         budget = settings.supervisor.budget_us
         if solver is not None:

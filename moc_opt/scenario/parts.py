@@ -1,4 +1,4 @@
-"""The parts of a run that a scenario asks for: solver, safety filter, stop, recorded solve times."""
+"""The parts of a run that a scenario configures: solver, safety filter, stop, recorded solve times."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:
 
 
 def isolated(solver: Solver, scenario: Scenario, budget_us: float | None = None, realtime: bool = False) -> Solver:
-    """Put a solver into a process of its own where the scenario asks for that; the solver itself where it does not.
+    """Wrap a solver in its own process if the scenario requires it; else return the solver itself.
 
     Args:
         scenario: its ``[solver]`` table decides.

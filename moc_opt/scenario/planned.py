@@ -1,4 +1,4 @@
-"""A scenario planned before anything moves: `moc_opt.planning` on the path, trocar and start that it lays out."""
+"""Plan a scenario before its run: `moc_opt.planning` on its path, trocar and start."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def plan(
 ) -> Plan:
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
 
-    The controller's knowledge is planned with: the robot model, the registered trocar, the reference from the first
+    The plan uses the controller's data: the robot model, the registered trocar, the reference from the first
     tick to the last. A random start is drawn as the run draws it.
 
     Args:
@@ -91,7 +91,7 @@ def layout_of(scenario: Scenario, robot: RobotModel) -> Layout:
 def targets_of(
     robot: RobotModel, layout: Layout, times: int | None = None, *, period_s: float = PERIOD_S, finer: int = 1
 ) -> Targets:
-    """Return what the laid-out path asks of the arm from the first tick to the last.
+    """Return the targets of tip and wrist on the path, from the first tick to the last.
 
     Args:
         times: so many evenly spaced ones; None: one each ``period_s`` at most, as long as there are no more than

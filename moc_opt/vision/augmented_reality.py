@@ -34,7 +34,7 @@ _ON_PATH_M = 0.001
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Look:
-    """One picture and what was made of it."""
+    """One picture and its evaluation."""
 
     picture: Picture
     sighting: Sighting | None
@@ -56,7 +56,7 @@ class Watch:
 
 
 class Augmented:
-    """An endoscope that looks at a phantom's board, and what the robot makes of its pictures.
+    """An endoscope that looks at a phantom's board, and the evaluation of its pictures.
 
     Attributes: `camera` where it truly is, `believed` where calibration puts it, `board`, `view`, and `source`:
         "mujoco" or "drawn", with the reason in `why` if MuJoCo was asked for by "auto" and could not be used.

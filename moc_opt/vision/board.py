@@ -87,7 +87,7 @@ class Board:
         """Carry a virtual task from the board into the robot's base frame.
 
         Args:
-            task: what to do, or the name of a preset (see `BOARD_TASKS`).
+            task: the board's task, or the name of a preset (see `BOARD_TASKS`).
             board_in_base: where the board is: camera_in_base @ board_in_camera.
 
         Raises:

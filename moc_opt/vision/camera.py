@@ -1,4 +1,4 @@
-"""The endoscope's camera: a pinhole with its place in the robot's base frame, and what its sensor does to light."""
+"""The endoscope's camera: a pinhole with its place in the robot's base frame, and its blur and noise."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Camera:
         return self.settings.width_px, self.settings.height_px
 
     def project(self, points_in_base: ArrayLike) -> Array:
-        """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for what is behind the camera."""
+        """Project points to pixels (k, 2) of points (k, 3) [m] of the base frame; NaN for points behind the camera."""
         points = self.camera_in_base.inverse().apply(np.atleast_2d(np.asarray(points_in_base, dtype=np.float64)))
         depth = np.where(points[:, 2] > 1e-6, points[:, 2], np.nan)
         pixels = points @ self.matrix.T
@@ -100,7 +100,7 @@ class View(Protocol):
 
 
 class Sensor:
-    """What lens and sensor do to any picture: blur, then noise; the same for every source of pictures."""
+    """Blur of the lens, then noise of the sensor; the same for every source of pictures."""
 
     def __init__(self, settings: CameraSettings, seed: int) -> None:
         """Begin the noise."""

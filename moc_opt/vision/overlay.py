@@ -1,4 +1,4 @@
-"""What the surgeon sees: task, tip and trocar drawn into the camera's picture, kept as pictures or a film."""
+"""The surgeon's view: task, tip and trocar drawn into the camera's picture, saved as pictures or a film."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NEAR_M = 0.01
 
 
 class Overlay:
-    """Draws into pictures with the camera as the robot believes it to be: what it shows is what it will do."""
+    """Draw into pictures with the camera's pose as the robot has it, so that the drawing shows the robot's plan."""
 
     def __init__(self, camera: Camera) -> None:
         """Use this camera's intrinsics and its place in the base frame."""

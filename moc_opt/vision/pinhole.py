@@ -1,4 +1,4 @@
-"""The camera's picture drawn through the pinhole model: what serves where no GL library is there."""
+"""The camera's picture drawn through the pinhole model, for machines without a GL library."""
 
 from __future__ import annotations
 

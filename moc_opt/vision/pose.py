@@ -1,4 +1,4 @@
-"""A rigid pose: one frame seen from another. What cameras, boards and phantoms are placed with."""
+"""A rigid pose of one frame in another, for the places of cameras, boards and phantoms."""
 
 from __future__ import annotations
 
@@ -87,8 +87,8 @@ def looking_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike) -> Pose:
 
     Args:
         eye: where it is, (3,) [m].
-        target: what is in the middle of its picture, (3,) [m].
-        up: what points upwards in the picture, (3,), any length, not along the view.
+        target: point in the middle of its picture, (3,) [m].
+        up: direction upwards in the picture, (3,), any length, not along the view.
 
     Raises:
         TaskError: eye and target coincide, or `up` is along the view.

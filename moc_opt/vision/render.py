@@ -1,4 +1,4 @@
-"""The camera's picture rendered by MuJoCo, off screen: the arm, the board with its print, and what covers it."""
+"""The camera's picture rendered by MuJoCo, off screen: the arm, the board with its print, and covers on it."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def _current_context(width: int, height: int) -> Any:
     try:
         context = importlib.import_module(f"mujoco.{platform}").GLContext(width, height)
         context.make_current()
-    # PyOpenGL answers a missing or unfit library with whatever it stumbles over first.
+    # For a missing or unfit library PyOpenGL raises exceptions of many kinds.
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError) as error:
         raise PlantError(
             f"GL platform {platform!r} does not work here ({error}): install libegl1 and libgl1, or libosmesa6 and "

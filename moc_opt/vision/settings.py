@@ -1,4 +1,4 @@
-"""Settings of the augmented reality: the endoscope's camera, the marker board, what hides it, and the tracker."""
+"""Settings of the augmented reality: the endoscope's camera, the marker board, its covers, and the tracker."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class CameraSettings(VisionSettings):
 
 
 class BoardSettings(VisionSettings):
-    """The marker board in the phantom, and what keeps it from being seen."""
+    """The marker board in the phantom, and the times and covers that hide it."""
 
     KIND: ClassVar[str] = "[board]"
 

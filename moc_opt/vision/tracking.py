@@ -12,7 +12,7 @@ from moc_opt.vision.settings import TrackerSettings
 
 
 class TrackingState(Enum):
-    """What is known of the board."""
+    """The tracker's state."""
 
     SEARCHING = "searching"
     """not seen yet"""
@@ -33,7 +33,7 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What the tracker says after a picture."""
+    """The tracker's result for a picture."""
 
     state: TrackingState
     pose: Pose | None
@@ -70,7 +70,7 @@ class BoardTracker:
 
         Args:
             t: when it was taken [s], later than the one before.
-            sighting: what was seen in it, None if nothing.
+            sighting: the board found in it, None if there is none.
 
         Raises:
             TaskError: t is not finite or not later than the last picture.

@@ -38,7 +38,7 @@ class Part:
     heights: tuple[float, ...]
     """[m]"""
     role: str
-    """"shell", "joint" or "tool": what colour it gets."""
+    """"shell", "joint" or "tool", which gives its colour."""
 
     def plain(self) -> dict[str, Any]:
         """Return it as JSON, in micrometres' resolution."""

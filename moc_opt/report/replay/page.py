@@ -41,7 +41,7 @@ class Replay:
             traces: name -> run, in the order in which they are shown.
             robot: their arm; `robot_of` finds it from a trace.
             title: of the page; from the names if empty.
-            styles: how each run looks, as in a report's figures; None deals colours out anew.
+            styles: of each run, as in a report's figures; None assigns colours anew.
 
         Raises:
             ReportError: no runs, too many, or one that cannot be shown with this arm.

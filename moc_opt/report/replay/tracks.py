@@ -1,4 +1,4 @@
-"""What moves in a replay, thinned and packed: poses, points and curves of every run as one block of numbers."""
+"""The moving parts of a replay, thinned and packed: poses, points and curves of every run as one block of numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The registry of metrics: a function becomes one by `@metric`, and `summarize` computes all that a trace allows."""
+"""The registry of metrics: `@metric` registers a function, and `summarize` computes all that a trace allows."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def metric(unit: str) -> Callable[[Callable[..., float]], Metric]: ...
 def metric(unit: str | Callable[..., float]) -> Any:
     """Register a function as a metric under its own name: `@metric("mm")`, or `@metric` for counts and shares.
 
-    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line says what it measures. It
-    raises MissingDataError, as the access to an absent column does, to be left out of a summary.
+    The function takes `(trace)` or `(trace, baseline)` and has a docstring whose first line describes it. If it
+    raises MissingDataError, as the access to an absent column does, a summary leaves it out.
 
     Raises:
         TraceError: it has no docstring, or another function has its name already.
@@ -166,7 +166,7 @@ def summarize(trace: Trace, baseline: Trace | None = None, phase: Phase | None =
         ticks = trace.travelling if phase == "travelling" else ~trace.travelling
         if not ticks.any():
             return {}
-        # Whether the run was completed, and how much of it was driven, is asked of the run, not of its phase.
+        # Ending and share of the run belong to the whole run, not to a phase of it.
         trace = trace.select(ticks, as_part=False)
         baseline = None if baseline is None else baseline.select(ticks, as_part=False)
     summary = {}
