@@ -12,7 +12,7 @@ import os
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -22,7 +22,7 @@ from pydantic import Field
 
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
-from benchmarks.common.store import Store
+from benchmarks.common.kept import Kept
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.goals import Goal, goal_verdicts
@@ -88,6 +88,10 @@ def summarise(runs: Sequence[Found]) -> dict[str, Any]:
     return found
 
 
+def _kept_run(kept: Kept, about: str, once: Callable[[], Found], number: int) -> Found:
+    return kept.of(f"{about}, {number}", once)
+
+
 def study(given: Namespace) -> cli.Results:
     """Measure every case."""
     config = Config.chosen(given, "realtime")
@@ -95,8 +99,8 @@ def study(given: Namespace) -> cli.Results:
         config = Config(**config.model_dump() | {"cycles": given.cycles})
     each = min(config.cycles, config.run_cycles)
     environment = config.environment(given, collector="off inside both loops", cores=os.cpu_count())
-    store = Store(given.out / "runs")
-    where = {"commit": environment["commit"], "processor": environment["machine"]["processor"], "cores": os.cpu_count()}
+    machine = {"processor": environment["machine"]["processor"], "cores": os.cpu_count()}
+    kept = Kept(given.out / "runs", {"commit": environment["commit"], **machine})
     runs: dict[Case, list[Found]] = {}
     cases = config.cases()
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, cli.steps("realtime", len(cases)) as step:
@@ -108,7 +112,8 @@ def study(given: Namespace) -> cli.Results:
             for case in (case for case in cases if case.rate_Hz == rate):
                 own = program if case.controller == "c" else None
                 once = partial(wire.run_once, case, file, own, each / rate + wire.SPARE_S)
-                run = partial(wire.kept_run, store, where | {"case": str(case), "scenario": file.read_text()}, once)
+                about = f"{case}, {file.read_text(encoding='utf-8')}"
+                run = partial(_kept_run, kept, about, once)
                 runs[case] = wire.measure(run, config.cycles, 3 * -(-config.cycles // each))
                 step(str(case))
     summary: dict[str, Any] = {"cases": {str(case): summarise(found) for case, found in runs.items()}}

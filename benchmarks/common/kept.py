@@ -1,37 +1,31 @@
 """Finished jobs of a benchmark in a folder: after Ctrl-C the same command goes on from there.
 
-A result is whatever a worker sends home: rows, records of the project's own classes, traces, arrays. Only those kinds
-are read back, so that a file from elsewhere calls nothing.
+A result is whatever a worker returns: rows, records of the project's own classes, traces, arrays. It is kept as the
+plain values and arrays of a `Part`, so that reading a file calls nothing but the constructor of such a record.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
-import pickle
+import dataclasses
+import math
 import sys
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from benchmarks.common.output import write_atomically
-from benchmarks.common.store import circumstances
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common.store import Part, Store
 from moc_opt.errors import MocOptError
-from moc_opt.inputs.files import file_in, read_bytes
+from moc_opt.trace.trace import Trace
 
 Result = TypeVar("Result")
 
 HOME = Path(__file__).resolve().parents[1]
 OWN = ("benchmarks", "moc_opt")
-OTHERS = {
-    ("numpy", "dtype"), ("numpy", "ndarray"), ("numpy._core.multiarray", "_reconstruct"),
-    ("numpy._core.multiarray", "scalar"), ("numpy._core.numeric", "_frombuffer"),
-}  # fmt: skip
-"""Of which modules a result has classes, and what it needs beside them."""
-MOST_BYTES = 2**30
-DIGEST = 32
+_PLAIN = (bool, int, str, type(None))
 
 
 class Kept:
@@ -43,40 +37,35 @@ class Kept:
     """
 
     def __init__(self, folder: Path, config: Mapping[str, Any]) -> None:
-        self.folder, self.reused = folder, 0
-        self._config = json.dumps(config, sort_keys=True)
+        self._store, self._config = Store(folder, _sources()), dict(config)
+
+    @property
+    def reused(self) -> int:
+        """Number of results taken from an earlier run."""
+        return self._store.reused
 
     def of(self, job: str, make: Callable[[], Result]) -> Result:
         """Return the result of a job: that of an earlier run, or what ``make`` returns, which is then kept."""
         found = self.get(job)
-        if found is None:
-            found = (self.put(job, make()),)
-        return found[0]
+        return self.put(job, make()) if found is None else found[0]
 
     def get(self, job: str) -> tuple[Any] | None:
         """Return (result,) of an earlier run, or None; a damaged file is set aside with a line on stderr."""
-        path = self._path(job)
-        if not path.exists():
-            return None
-        try:
-            found = (_opened(path),)
-        except MocOptError as error:
-            aside = file_in(self.folder / "damaged", path.name)
-            path.rename(aside)
-            print(f"{error}; set aside as {aside}, and done again", file=sys.stderr)
-            return None
-        self.reused += 1
-        return found
+        part = self._store.get(self._key(job))
+        return None if part is None else (unpacked(part.values["result"], part.arrays),)
 
     def put(self, job: str, result: Result) -> Result:
-        """Keep a result, and return it."""
-        data = pickle.dumps(result)
-        write_atomically(self._path(job), data + hashlib.sha256(data).digest())
+        """Keep a result, and return it.
+
+        Raises:
+            TypeError: a result of a kind that is not kept.
+        """
+        arrays: dict[str, NDArray[Any]] = {}
+        self._store.put(self._key(job), Part({"result": packed(result, arrays)}, arrays))
         return result
 
-    def _path(self, job: str) -> Path:
-        asked = f"{job}\n{self._config}\n{circumstances(_sources())}"
-        return self.folder / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.job"
+    def _key(self, job: str) -> str:
+        return self._store.key(job=job, config=self._config)
 
 
 @cache
@@ -84,29 +73,66 @@ def _sources() -> tuple[str, ...]:
     return tuple(sorted(path.relative_to(HOME).with_suffix("").as_posix() for path in HOME.rglob("*.py")))
 
 
-def _opened(path: Path) -> Any:
-    """Return what `Kept.put` wrote.
+def packed(value: Any, arrays: dict[str, NDArray[Any]]) -> Any:
+    """Return a value as JSON holds it; everything else is a pair [kind, content], and arrays go into ``arrays``.
 
     Raises:
-        MocOptError: damaged, or of a kind that no result is.
+        TypeError: a value of another kind than those below.
     """
-    data = read_bytes(path, "finished job", MocOptError, MOST_BYTES)
-    if hashlib.sha256(data[:-DIGEST]).digest() != data[-DIGEST:]:
-        raise MocOptError(f"finished job {path} is damaged")
-    try:
-        return _Reader(io.BytesIO(data[:-DIGEST])).load()
-    except Exception as error:
-        raise MocOptError(f"finished job {path} holds no result: {error}") from error
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return value if math.isfinite(value) else ["float", repr(value)]
+    if isinstance(value, _PLAIN):
+        return value
+    if isinstance(value, np.ndarray):
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return ["array", name]
+    if isinstance(value, Trace):
+        return ["trace", [packed(dict(part), arrays) for part in (value.columns, value.meta)]]
+    kind = type(value)
+    if names := _fields(kind):
+        fields = {name: packed(getattr(value, name), arrays) for name in names}
+        return ["record", [kind.__module__, kind.__qualname__, fields]]
+    if isinstance(value, Mapping):
+        return ["mapping", [[packed(name, arrays), packed(entry, arrays)] for name, entry in value.items()]]
+    if isinstance(value, list | tuple):
+        return [kind.__name__, [packed(entry, arrays) for entry in value]]
+    raise TypeError(f"a result of type {kind.__name__} is not kept: use rows, arrays, traces and records")
 
 
-class _Reader(pickle.Unpickler):
-    """Makes instances of the project's own classes, and arrays."""
+def unpacked(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    """Return what `packed` was given; a tuple's and a mapping's entries in their order.
 
-    def find_class(self, module: str, name: str) -> Any:
-        if (module, name) in OTHERS:
-            return super().find_class(module, name)
-        if module.partition(".")[0] in OWN:
-            found = super().find_class(module, name)
-            if isinstance(found, type) and found.__module__.partition(".")[0] in OWN:
-                return found
-        raise pickle.UnpicklingError(f"{module}.{name} is no kind of result")
+    Raises:
+        MocOptError: a kind that `packed` does not write, or a record that is no class of the project.
+    """
+    if not isinstance(value, list):
+        return value
+    kind, content = value
+    if kind == "array":
+        return arrays[content]
+    if kind == "float":
+        return float(content)
+    if kind == "record":
+        module, name, fields = content
+        record: Any = getattr(sys.modules.get(module), name, None)
+        if module.partition(".")[0] not in OWN or not _fields(record) or record.__module__ != module:
+            raise MocOptError(f"a kept result is of no known kind: {module}.{name}")
+        return record(**{field: unpacked(entry, arrays) for field, entry in fields.items()})
+    if kind == "mapping":
+        return {unpacked(name, arrays): unpacked(entry, arrays) for name, entry in content}
+    entries = [unpacked(entry, arrays) for entry in content]
+    if kind == "trace":
+        return Trace(*entries)
+    if kind not in ("list", "tuple"):
+        raise MocOptError(f"a kept result is of no known kind: {kind}")
+    return entries if kind == "list" else tuple(entries)
+
+
+def _fields(kind: Any) -> tuple[str, ...]:
+    """Return the names of a record's fields; empty for any other kind."""
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    return kind._fields if isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields") else ()

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.common.store import Part, Store
 from moc_opt.embedded import CompilerError
 from moc_opt.errors import MocOptError
 from moc_opt.numerics.arrays import Array
@@ -155,21 +154,6 @@ def _read(trace: Trace, said: dict[str, Any], begun: str) -> Found:
         wake, round_trip, control, missed=int(columns["missed"][:cycles].sum()), overruns=int(wire["overruns"]),
         ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system, begun=begun,
     )  # fmt: skip
-
-
-def kept_run(store: Store, what: Mapping[str, Any], run: Callable[[], Found], number: int) -> Found:
-    """Return a run that an earlier command has left in the store, or make it and keep it.
-
-    Args:
-        what: everything that decides what is measured, in plain values; with ``number`` it is the key of the run.
-    """
-    key = store.key(**what, run=number)
-    part = store.get(key)
-    if part is None:
-        values: dict[str, Any] = run()._asdict()
-        arrays = {name: values.pop(name) for name in ("wake_us", "round_us", "control_us")}
-        part = store.put(key, Part(values, arrays))
-    return Found(**{**part.arrays, **part.values})
 
 
 def measure(run: Callable[[int], Found], cycles: int, most_runs: int) -> list[Found]:

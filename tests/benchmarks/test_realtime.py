@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from benchmarks import realtime
-from benchmarks.common.store import Store
+from benchmarks.common.kept import Kept
 from benchmarks.latency import clock, wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
@@ -154,22 +154,31 @@ def test_cases_and_runs_are_as_many_as_asked_for(monkeypatch):
     assert len(wire.measure(run, 1000, 2)) == 2
 
 
-def test_a_run_that_is_done_is_not_made_again(tmp_path):
+def test_a_run_that_is_done_is_kept_as_it_was(tmp_path):
+    made = run_of(10, missed=1)
+    Kept(tmp_path, {}).of("first", lambda: made)
+    again = Kept(tmp_path, {}).of("first", lambda: pytest.fail("it is there"))
+    for name, value in made._asdict().items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+
+
+def test_a_command_that_was_stopped_goes_on(tmp_path, monkeypatch):
     made = []
 
-    def run():
-        made.append(run_of(10 + len(made), missed=1))
-        return made[-1]
+    def run_once(*of):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(of)
+        return run_of(100)
 
-    what = {"case": str(CASE), "commit": "a"}
-    first = [wire.kept_run(Store(tmp_path), what, run, k) for k in (0, 1)]
-    again = [wire.kept_run(Store(tmp_path), what, run, k) for k in (0, 1)]
-    assert len(made) == 2
-    for one, other in zip(first, again, strict=True):
-        for name, value in one._asdict().items():
-            np.testing.assert_array_equal(getattr(other, name), value)
-    wire.kept_run(Store(tmp_path), what | {"commit": "b"}, run, 0)
-    assert len(made) == 3
+    monkeypatch.setattr(wire, "run_once", run_once)
+    file = tmp_path / "few.toml"
+    file.write_text("cycles = 300\nrun_cycles = 100\nrates_Hz = [500]\ncontrollers = ['python']\nloads = ['quiet']\n")
+    command = [str(file), "--out", str(tmp_path / "out"), "--json"]
+    assert realtime.main(command) == 130
+    made.clear()
+    assert realtime.main(command) == 0
+    assert len(made) == 1, "of three runs two were done"
 
 
 def test_a_run_by_both_commands(tmp_path):
@@ -177,7 +186,7 @@ def test_a_run_by_both_commands(tmp_path):
     file = tmp_path / "run.toml"
     config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
     file.write_text(wire.scenario_text(config.scenario, 250, 100, 0))
-    found = wire.run_once(Case("python", 250, "quiet"), file, None, 120.0)
+    found = wire.run_once(Case("python", 250, "quiet"), file, None, 600.0)
     assert found.clean
     assert len(found.round_us) == len(found.wake_us) == len(found.control_us)
     assert np.isnan(found.control_us).sum() == found.missed < len(found.round_us)

@@ -1,18 +1,19 @@
 """Finished jobs: they come back as they were, where nothing they depend on changed, and only kinds that results are."""
 
-import hashlib
 import os
-import pickle
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from benchmarks.common import kept as kept_jobs
+from benchmarks.common import store
 from benchmarks.common.crew import run_parallel
-from benchmarks.common.kept import Kept
+from benchmarks.common.kept import Kept, packed, unpacked
 from benchmarks.paper_experiment.trials import Measurement, Outcome
+from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import parse_json, to_json
 from moc_opt.trace.trace import Trace
 
 STOP = "stop"
@@ -47,52 +48,55 @@ def test_another_configuration_job_or_source_asks_again(tmp_path, monkeypatch):
     assert Kept(tmp_path, {"seed": 0}).get("one") == (None,)
     assert Kept(tmp_path, {"seed": 1}).get("one") is None
     assert Kept(tmp_path, {"seed": 0}).get("two") is None
-    monkeypatch.setattr(kept_jobs, "circumstances", lambda sources: "another version")
+    monkeypatch.setattr(store, "circumstances", lambda sources: "another version")
     assert Kept(tmp_path, {"seed": 0}).get("one") is None
 
 
 def test_a_damaged_result_is_done_again(tmp_path, capsys):
     kept = Kept(tmp_path, {})
     kept.put("one", {"a": 1.0})
-    (path,) = tmp_path.glob("*.job")
+    (path,) = tmp_path.glob("*.npz")
     path.write_bytes(b"x" + path.read_bytes()[1:])
     assert kept.of("one", lambda: {"a": 2.0}) == {"a": 2.0}
     assert "done again" in capsys.readouterr().err
     assert (tmp_path / "damaged" / path.name).exists()
 
 
-class Call:
-    """Pickles as the call of a function."""
-
-    def __init__(self, function, *arguments):
-        self.call = function, arguments
-
-    def __reduce__(self):
-        return self.call
+LEAVES = st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats() | st.text(max_size=5)
 
 
-@pytest.mark.parametrize("what", [os.system, subprocess.Popen, Path.touch, eval])
-def test_a_file_from_elsewhere_calls_nothing(tmp_path, what, capsys):
-    kept = Kept(tmp_path, {})
-    kept.put("one", None)
-    (path,) = tmp_path.glob("*.job")
-    target = tmp_path / "made"
-    argument = target if what is Path.touch else f"open({str(target)!r}, 'w')" if what is eval else f"touch {target}"
-    data = pickle.dumps(Call(what, argument))
-    path.write_bytes(data + hashlib.sha256(data).digest())
-    assert kept.get("one") is None
-    assert not target.exists()
-    assert "no kind of result" in capsys.readouterr().err
+@given(
+    st.recursive(
+        LEAVES,
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.tuples(inner, inner)
+            | st.dictionaries(st.text(max_size=3) | st.tuples(st.text(max_size=2)), inner, max_size=3)
+        ),
+        max_leaves=8,
+    )
+)
+def test_plain_values_come_back_with_their_types(value):
+    arrays = {}
+    text = to_json(packed(value, arrays), indent=None)
+    assert repr(unpacked(parse_json(text, "test", MocOptError), arrays)) == repr(value)
 
 
-def test_a_class_reached_through_a_module_of_ours_is_none_of_ours(tmp_path):
-    kept = Kept(tmp_path, {})
-    kept.put("one", None)
-    (path,) = tmp_path.glob("*.job")
-    data = b"\x80\x04\x8c\x17benchmarks.common.output\x8c\x10subprocess.Popen\x93."
-    data = data.replace(b"\x8c\x17", b"\x8c\x18")
-    path.write_bytes(data + hashlib.sha256(data).digest())
-    assert kept.get("one") is None
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [("subprocess", "Popen"), ("benchmarks.common.output", "subprocess"), ("benchmarks.common.kept", "Kept"),
+     ("benchmarks.common.store", "Store"), ("benchmarks.common.kept", "Part"), ("moc_opt.trace.trace", "Trace"),
+     ("benchmarks.common.nowhere", "Part"), ("builtins", "eval")],
+)  # fmt: skip
+def test_a_file_from_elsewhere_calls_nothing_but_a_record(module, name):
+    with pytest.raises(MocOptError, match="of no known kind"):
+        unpacked(["record", [module, name, {}]], {})
+
+
+@pytest.mark.parametrize("value", [object(), {1, 2}, b"bytes", Path("x"), [lambda: 0]])
+def test_what_is_no_result_is_refused_when_it_is_kept(tmp_path, value):
+    with pytest.raises(TypeError, match="not kept"):
+        Kept(tmp_path, {}).put("one", value)
 
 
 @pytest.mark.parametrize("processes", [1, 2])
