@@ -1,15 +1,15 @@
-"""A short stretch of a course as a nonlinear program, made once and solved again and again from where the arm is.
+"""A short stretch of a course as a nonlinear program, made once and solved again and again from the arm's pose.
 
-The equations of `refine` at N evenly spaced times after the pose that was measured, which stays as it is:
+The equations of `refine` at N evenly spaced times after the measured pose, which is fixed:
 
     max  int mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) dt + V(q_N) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `refine.too_fast`
 
-With a margin from losing the shaft one inequality more a time: its share of the squared lever (`shaft`), linear about
-the guess, is not below the margin nor below what it is at the guess. V is what the pose at the end is worth for the
-rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a course that is
-near; the answer is judged by the caller.
+With a margin from losing the shaft there is one more inequality per time: the share of the squared lever (`shaft`),
+linear about the guess, is at least the margin, or its value at the guess where that is smaller. V is the value of the
+last pose for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, started at a
+nearby course; the caller judges the answer.
 """
 
 from __future__ import annotations
