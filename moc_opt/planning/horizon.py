@@ -1,15 +1,15 @@
-"""A short stretch of a course as a nonlinear program, made once and solved again and again from the arm's pose.
+"""A short stretch of a course as a nonlinear program, made once and solved again and again from where the arm is.
 
-The equations of `refine` at N evenly spaced times after the measured pose, which is fixed:
+The equations of `refine` at N evenly spaced times after the pose that was measured, which stays as it is:
 
     max  int mu / mu_0 - w (|ddq|^2 + |dq|^2 / T^2) dt + V(q_N) / mu_0
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `refine.too_fast`
 
-With a margin from losing the shaft there is one more inequality per time: the share of the squared lever (`shaft`),
-linear about the guess, is at least the margin, or its value at the guess where that is smaller. V is the value of the
-last pose for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, started at a
-nearby course; the caller judges the answer.
+With a margin from losing the shaft one inequality more a time: its share of the squared lever (`shaft`), linear about
+the guess, is not below the margin nor below what it is at the guess. V is what the pose at the end is worth for the
+rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a course that is
+near; the answer is judged by the caller.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Horizon:
 
         Args:
             nodes: N, times after the start.
-            mu: mu_0, the typical mu of a pose [m^3].
+            mu: mu_0, what a pose is usually worth [m^3].
             margin: from the joint limits.
             speed: (n,) most of each joint [rad/s].
             smoothness: w [s^4/rad^2], as of `refine`.
@@ -111,7 +111,7 @@ class Horizon:
             start: (n,) the pose before the first time [rad].
             speed: (n,) the joints' velocity there [rad/s].
             targets: of the N times; their spacing is that from the start to the first.
-            end: value of the last pose.
+            end: what the last pose is worth.
 
         Returns:
             (N,n) [rad], not judged; NaN where no quadratic program could be solved.
