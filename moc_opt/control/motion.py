@@ -1,4 +1,4 @@
-"""Old, repeated and frozen measurements: how old each one is, and whether it shows the arm that the torque went to."""
+"""Old, repeated and frozen measurements: the age of each, and whether it shows the motion that the torque made."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ WORDS = {
     kernels.LAGGING: "one encoder lags: its readings came before, to the last bit",
     kernels.RECORDED: "the measurements are a recording: they came before, to the last bit",
 }
-"""What is wrong with a reading, by what the kernels find."""
+"""Result of the kernels -> what is wrong with a reading."""
 
 
 class MotionMonitor:
@@ -30,7 +30,7 @@ class MotionMonitor:
         settings: the levels.
         period: control period [s].
         tau_max: (n,) [Nm].
-        coulomb: (n,) Coulomb friction as the robot's file tells it [Nm], 0 where it does not; None: nowhere.
+        coulomb: (n,) Coulomb friction in the robot's file [Nm], 0 for a joint without; None: for all.
 
     Attributes:
         on: whether anything is checked.

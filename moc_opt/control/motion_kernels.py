@@ -1,4 +1,4 @@
-"""Whether what the encoders show can be the motion of the arm that the torque went to: compiled, over flat state.
+"""Whether the encoders show the motion that the torque made: compiled checks on flat state.
 
 Five signs, each of which a sound arm stays well below:
 
@@ -58,7 +58,7 @@ def age(stamp: int, patience: int, clock: NDArray[np.int64]) -> int:
             seen, and the ordinary delay, -1 while it is not known; (s - 1, s - 1, -2) before the first one, number s.
 
     Returns:
-        FRESH; REPEAT, for one that is not newer than what was seen, or from a time that has not come; OLD.
+        FRESH; REPEAT, for one that is not newer than the newest one seen, or is from the future; OLD.
     """
     clock[0] += 1
     late = clock[0] - stamp

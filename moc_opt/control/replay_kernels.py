@@ -1,10 +1,9 @@
 """Readings that came before: a recording played once more, or an encoder that lags. Compiled.
 
-A sensor with noise never shows the same numbers twice. A reading that equals an earlier one to the last bit, joints,
-velocities and wrench alike, is that earlier one; several with one and the same lag are a recording. It agrees with its
-own velocities and with the model, so that no other sign of ``motion_kernels`` tells it from the arm it was taken of.
-The same holds of one encoder whose filtered velocity comes with its position: one that begins to lag by k readings
-shows k of them once more.
+A sensor with noise never shows the same numbers twice. A reading that equals an earlier one to the last bit, in joints,
+velocities and wrench, is that earlier one; several with the same lag are a recording. A recording agrees with
+its own velocities and with the model, so no other sign of ``motion_kernels`` finds it. The same holds for one encoder
+whose filtered velocity comes with its position: if it begins to lag by k readings, it shows k of them once more.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
 SLOTS, JOINT_SLOTS = 4096, 256
-"""Readings that are remembered, whole and of one encoder, one a slot; a later one with that slot takes its place."""
+"""Slots for stored readings, whole and of one encoder; a later reading with the same slot replaces the stored one."""
 READINGS, LAG, HITS = range(3)
 """Places of a count (3,): readings so far; the lag of the last one that came before; how many came with that lag."""
 _SHRINK, _FINE, _LARGEST = 0.61803398875, 1e9, 1e6

@@ -20,12 +20,12 @@ from moc_opt.numerics.compiled import INDICES, INTEGER, MATRIX, REAL, VECTOR, Co
 Indices = NDArray[np.int64]
 
 AGE, READING, INCISION, TIP, MOMENTUM = 1, 2, 4, 8, 16
-"""What is to be checked, added up."""
+"""Checks to make, as a sum."""
 BAD, GAP, CHECKED = range(3)
 """Places in the counts (3,): measurements in a row that were not accepted; control periods since the last reading that
 was looked at; readings that were compared with the torque."""
 ACCEPTED, TOO_OLD, OFF_REFERENCE = 1, 2, 4
-"""Flags of what was found; the rest lies above them, a digit each."""
+"""Flags of the result; the other results lie above them, a digit each."""
 WHAT, INSIDE = 8, 128
 """Values of these digits: what ``motion_kernels`` found, and what ``incision.take`` did, or joints limited plus two."""
 
@@ -98,11 +98,11 @@ MEMORY = named(
 def before(
     at: SafetyMemory, parts: int, q: Array, v: Array, stamp: int, applied: Array, wrench: Array, trocar: Array
 ) -> int:
-    """Judge a measurement, and what it says of the incision; return flags and digits.
+    """Judge a measurement and the figures of the incision; return flags and digits.
 
     Args:
         at: changed in place.
-        parts: what is to be checked beside what can be believed: AGE, READING, INCISION.
+        parts: checks beside that of possible values: AGE, READING, INCISION.
         q, v: (n,) as measured [rad], [rad/s]; stamp: number of the control period in which they were.
         applied: (n,) torque that was applied before [Nm]; wrench: (6,) at the tool's mount; trocar: (2, 3).
     """
@@ -160,7 +160,7 @@ def after(
     Args:
         at: changed in place.
         hold: as for ``limit_torque``; empty: the weight is not known.
-        parts: what is to be checked beside the torque: TIP, MOMENTUM.
+        parts: checks beside that of the torque: TIP, MOMENTUM.
         q, v: (n,) believed; applied: (n,) torque that was applied before [Nm].
         record: state of (q, v); empty: not known.
         tip: (3,) as the controller computes it [m]; empty: that of the state.

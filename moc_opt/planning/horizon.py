@@ -49,7 +49,7 @@ class Horizon:
 
         Args:
             nodes: N, times after the start.
-            mu: mu_0, the typical mu of a pose [m^3].
+            mu: mu_0, what a pose is usually worth [m^3].
             margin: from the joint limits.
             speed: (n,) most of each joint [rad/s].
             smoothness: w [s^4/rad^2], as of `refine`.
@@ -113,7 +113,7 @@ class Horizon:
             start: (n,) the pose before the first time [rad].
             speed: (n,) the joints' velocity there [rad/s].
             targets: of the N times; their spacing is that from the start to the first.
-            end: value of the last pose.
+            end: what the last pose is worth.
 
         Returns:
             (N,n) [rad], not judged; NaN where no quadratic program could be solved.
