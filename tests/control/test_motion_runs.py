@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.scenario import Scenario, run
+from moc_opt.sim import Plant
 
 QUICK = {"bound_samples": 0, "judge": False}
 SMALL = {"task": {"path": "circle", "sizes": {"radius": 0.003}}}
@@ -260,6 +261,21 @@ def test_a_drift_against_a_velocity_that_is_measured_apart_is_seen(seed):
     assert "do not follow their velocities" in trace.meta["ended"]
     assert stopped(trace, 0.5) < 0.1
     assert max(excursion(trace)) < 5e-3
+
+
+@pytest.mark.parametrize(("robot", "joint"), [("lwr4", 1), ("panda", 0), ("gen3", 2)])
+def test_a_velocity_of_the_wrong_sign_is_seen_as_soon_as_its_joint_moves(robot, joint, monkeypatch):
+    measure = Plant.measure
+
+    def turned(plant):
+        seen = measure(plant)
+        return seen._replace(v=np.where(np.arange(seen.v.size) == joint, -1.0, 1.0) * seen.v)
+
+    monkeypatch.setattr(Plant, "measure", turned)
+    trace = run(Scenario(seed=5, robot={"name": robot}, start={"swivel": "random"}, duration_s=4.0, **QUICK))
+    assert "do not follow their velocities" in trace.meta["ended"]
+    moved = np.abs(trace.q_rad[:, joint] - trace.q_rad[0, joint])[trace.t_s <= trace.meta["stopped_at_s"]]
+    assert moved.max() < 0.01
 
 
 @pytest.mark.parametrize("seed", range(6))
