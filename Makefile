@@ -31,9 +31,11 @@ lint: setup
 kernels: kernels.exact kernels.rnn
 
 kernels.%: setup
-	$(RUN) -m benchmarks.preload $*
+	$(RUN) -m benchmarks.common.preload $*
 
+# Pages of sources are written anew: one that is older than a change of the reference links to where its names were.
 docs: setup
+	rm -rf build/docs/_modules
 	$(RUN) -m sphinx -W --keep-going -q -b html docs build/docs
 	@echo written: build/docs/index.html
 

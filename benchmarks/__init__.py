@@ -1,4 +1,7 @@
-"""Benchmarks: one command a file. Timings are of one thread, so the libraries are told so before they load."""
+"""Benchmarks: one command a file, its room beside it; `common` is what they share.
+
+Timings are of one thread, so the libraries are told so before they load.
+"""
 
 import os
 from pathlib import Path

@@ -11,9 +11,9 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
-from benchmarks import cli
-from benchmarks.config import runnable
-from benchmarks.crew import run_parallel
+from benchmarks.common import cli
+from benchmarks.common.config import runnable
+from benchmarks.common.crew import run_parallel
 from benchmarks.reliability.config import Config
 from benchmarks.reliability.page import PAGE, write_page
 from benchmarks.reliability.report import answer, report

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from benchmarks import cli, output
+from benchmarks.common import cli, output
 from benchmarks.reliability.limits import limited
 from benchmarks.reliability.page import COUNTS, PAGE, write_page
 from moc_opt.embedded.compiler import CompilerError, find_compiler

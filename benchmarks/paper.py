@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cli
-from benchmarks.crew import run_parallel
+from benchmarks.common import cli
+from benchmarks.common.crew import run_parallel
 from benchmarks.paper_experiment import ablation, figures, look, report, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import swivel as paper_swivel

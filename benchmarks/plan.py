@@ -18,14 +18,14 @@ from typing import Any, Self, get_args
 
 from pydantic import Field
 
-from benchmarks import cli
-from benchmarks.config import Configuration
-from benchmarks.crew import run_parallel
+from benchmarks.common import cli
+from benchmarks.common.config import Configuration
+from benchmarks.common.crew import run_parallel
+from benchmarks.common.store import Part, Store
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.first_screen import answer
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise
-from benchmarks.solver_study.store import Part, Store
 from moc_opt.control import ControlSettings
 from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario

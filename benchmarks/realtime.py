@@ -2,7 +2,8 @@
 
 python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick]
 
-Run it alone: everything else on the machine is in its figures.
+Run it alone: everything else on the machine is in its figures. A run that is done is kept in DIR/runs: the same command
+goes on where it was broken off, at the same commit on the same machine.
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
-from benchmarks import cli
-from benchmarks.config import Configuration
+from benchmarks.common import cli
+from benchmarks.common.config import Configuration
+from benchmarks.common.store import Store
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.goals import Goal, goal_verdicts
@@ -91,6 +94,9 @@ def study(given: Namespace) -> cli.Results:
     if given.cycles is not None:
         config = Config(**config.model_dump() | {"cycles": given.cycles})
     each = min(config.cycles, config.run_cycles)
+    environment = config.environment(given, collector="off inside both loops", cores=os.cpu_count())
+    store = Store(given.out / "runs")
+    where = {"commit": environment["commit"], "processor": environment["machine"]["processor"], "cores": os.cpu_count()}
     runs: dict[Case, list[Found]] = {}
     cases = config.cases()
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, cli.steps("realtime", len(cases)) as step:
@@ -100,21 +106,21 @@ def study(given: Namespace) -> cli.Results:
             if "c" in config.controllers:
                 program = wire.build(file, Path(folder, f"c{rate}"))
             for case in (case for case in cases if case.rate_Hz == rate):
-                limit = each / rate + wire.SPARE_S
-                most = 3 * -(-config.cycles // each)
                 own = program if case.controller == "c" else None
-                runs[case] = wire.measure(case, file, own, config.cycles, most, limit)
+                once = partial(wire.run_once, case, file, own, each / rate + wire.SPARE_S)
+                run = partial(wire.kept_run, store, where | {"case": str(case), "scenario": file.read_text()}, once)
+                runs[case] = wire.measure(run, config.cycles, 3 * -(-config.cycles // each))
                 step(str(case))
     summary: dict[str, Any] = {"cases": {str(case): summarise(found) for case, found in runs.items()}}
     summary["goals"] = goal_verdicts(summary, GOALS)
     rows = [
-        {"case": str(case), "run": k, "cycles": len(run.round_us), "missed": run.missed, "overruns": run.overruns,
-         "ended": run.ended, "clean": run.clean, "rcm_max_mm": run.rcm_max_mm,
+        {"case": str(case), "run": k, "begun": run.begun, "cycles": len(run.round_us), "missed": run.missed,
+         "overruns": run.overruns, "ended": run.ended, "clean": run.clean, "rcm_max_mm": run.rcm_max_mm,
          "round_worst_us": float(run.round_us.max()), "wake_worst_us": float(run.wake_us.max())}
         for case, found in runs.items() for k, run in enumerate(found)
     ]  # fmt: skip
     system = {str(case): found[0].system for case, found in runs.items()}
-    environment = config.environment(given, system=system, collector="off inside both loops", cores=os.cpu_count())
+    environment |= {"system": system}
     first = answer(summary, runs)
     return cli.Results(summary, environment, rows, report(summary, runs, first, environment), answer=first)
 
@@ -123,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("realtime", "Measure plant and controller against the clock.")
     options.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
-    return cli.run(options, study, arguments)
+    return cli.run(options, study, arguments, "stopped; runs that are done are kept: the same command goes on")
 
 
 if __name__ == "__main__":

@@ -14,9 +14,9 @@ from typing import Self
 
 from pydantic import Field
 
-from benchmarks import cli
-from benchmarks.config import Configuration
-from benchmarks.crew import run_parallel
+from benchmarks.common import cli
+from benchmarks.common.config import Configuration
+from benchmarks.common.crew import run_parallel
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.robots_study.first_screen import answer
 from benchmarks.robots_study.parts import Job, run_job

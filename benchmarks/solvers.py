@@ -15,7 +15,8 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import Any, Literal
 
-from benchmarks import cli, export, output
+from benchmarks.common import cli, output
+from benchmarks.common.timing import clock_cost_us, each_us
 from benchmarks.solver_study.closed_parts import JOBS, SECONDS, weights
 from benchmarks.solver_study.config import PARTS, Config
 from benchmarks.solver_study.first_screen import answer
@@ -25,7 +26,7 @@ from benchmarks.solver_study.report import report_page, sentences
 from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import Study, run_study
 from benchmarks.solver_study.tables import tables
-from benchmarks.timing import clock_cost_us, each_us
+from benchmarks.subproblems import qpbenchmark
 from moc_opt.errors import UnknownNameError
 from moc_opt.qp.equalities import assembled
 from moc_opt.qp.problem import NullSpaceQP
@@ -96,7 +97,7 @@ def compare(given: Namespace) -> cli.Results:
             found = run_study(study, JOBS)
             if "qpbenchmark" in config.parts:
                 shown.enter("qpbenchmark")
-                found.summary["qpbenchmark"] = export.ranking(given.out / "qpbenchmark", libraries)
+                found.summary["qpbenchmark"] = qpbenchmark.ranking(given.out / "qpbenchmark", libraries)
                 shown.advance("qpbenchmark")
     except KeyboardInterrupt:
         shown.interrupted(console())

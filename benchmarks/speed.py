@@ -9,7 +9,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 
-from benchmarks import cli
+from benchmarks.common import cli
 from benchmarks.latency.config import Config
 from benchmarks.latency.report import answer, report, tables
 from benchmarks.latency.run import Run

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import cli
+from benchmarks.common import cli
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Work, execute, run_all
 from benchmarks.sweeps.local import LocalPool, cores
 from benchmarks.sweeps.plan import Plan
-from benchmarks.sweeps.report import headline, page, tables
+from benchmarks.sweeps.report import answer, page, tables
 from benchmarks.sweeps.store import Store
 from benchmarks.sweeps.summary import errors, summarise
 from moc_opt.report.console import console, progress
@@ -99,9 +99,10 @@ def report(config: Config, given: Namespace, lost: dict[int, str]) -> cli.Result
     summary |= {"latency": alone, "errors": errors(out)}
     environment = config.environment(given)
     numeric = {path: vs for path, vs in fields.items() if all(type(v) in (int, float) for v in vs)}
+    first = answer(summary, numeric)
     return cli.Results(
-        summary, environment, page=page(summary, numeric, environment), tables=tables(summary),
-        sentences=[headline(summary)], files=["rows.parquet", "clock.parquet"], status=1 if lost else 0,
+        summary, environment, page=page(summary, numeric, first, environment), tables=tables(summary)[1:],
+        answer=first, files=["rows.parquet", "clock.parquet"], status=1 if lost else 0,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ version = release = moc_opt.__version__
 
 extensions = [
     "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon", "sphinx.ext.viewcode",
-    "sphinx_copybutton", "sphinx_design", "sphinx_gallery.gen_gallery", "figures", "reports", "words",
+    "sphinx_copybutton", "sphinx_design", "sphinx_gallery.gen_gallery", "figures", "links", "reports", "words",
 ]  # fmt: skip
 exclude_patterns = ["_extensions", "gallery/**/*.ipynb", "gallery/**/*.py", "gallery/*.zip"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}

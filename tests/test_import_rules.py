@@ -1,6 +1,7 @@
 """Who may import whom: the rules as data, read off the syntax trees, and proof that a breach would be seen.
 
 The folders of moc_opt are its rooms; what lies beside them are errors, the public names and the command line.
+The folders of benchmarks/ are rooms too; what lies beside them are its commands.
 """
 
 import ast
@@ -37,20 +38,21 @@ ALLOWED = {"errors": set(), "numerics": set()} | {room: {"errors", "numerics.arr
     "realtime": {"inputs", "qp.layout", "sim", "trace"},
     "vision": {"inputs", "robots", "model", "tasks", "trace", "sim"},
     "procedure": {"inputs", "robots", "model", "redundancy", "tasks", "trace", "control", "sim"},
-    "embedded": {"inputs", "qp", "robots", "model", "solvers", "control"},
+    "embedded": {"inputs", "numerics", "qp", "robots", "model", "solvers", "control"},
     "report": {"figures", "inputs", "trace", "model", "redundancy", "planning"},
     "scenario": {
-        "inputs", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
+        "inputs", "numerics", "qp", "tasks", "trace", "robots", "model", "redundancy", "planning", "solvers", "control",
         "sim", "realtime", "procedure", "embedded",
     },
     "live": {"inputs", "tasks", "model", "redundancy", "solvers", "control", "report", "scenario"},
     "commissioning": {"inputs", "robots", "model", "redundancy", "control", "sim", "report", "scenario"},
     "comparison": {"figures", "inputs", "trace", "solvers.base", "report", "scenario"},
     "public": {"qp", "trace", "model", "planning", "solvers", "scenario", "comparison"},
-    "commands": {"inputs", "trace", "tasks", "robots", "solvers", "realtime", "report", "scenario", "comparison"},
-    "command line": {
-        "inputs", "trace", "report", "scenario", "embedded", "live", "commissioning", "commands", "public",
+    "commands": {
+        "inputs", "trace", "tasks", "robots", "solvers", "realtime", "report", "scenario", "live", "commissioning",
+        "comparison", "public",
     },
+    "command line": {"report", "commands"},
 }.items()}  # fmt: skip
 
 # Other people's packages; a room that is not named here may use any but those of NEVER.
@@ -88,6 +90,23 @@ NEVER = {
 OUTSIDE = {"benchmarks", "tests", "examples"}  # imported by nothing in moc_opt
 
 
+# From the ground up: a room of benchmarks/, and which of the others it may import. What maintainers run may use all.
+BENCHMARKS = {
+    "common": set(),
+    "baselines": set(),
+    "subproblems": {"common"},
+    "paper_experiment": {"common"},
+    "solver_study": {"common", "subproblems"},
+    "sweeps": {"common"},
+    "planning": {"common"},
+    "plant_study": {"common", "paper_experiment"},
+    "robots_study": {"common", "paper_experiment"},
+    "latency": {"common", "baselines", "solver_study"},
+    "reliability": {"common", "subproblems", "solver_study", "sweeps", "latency"},
+}
+BENCHMARKS["maintenance"] = set(BENCHMARKS)
+
+
 def module_name(file, root=ROOT):
     """moc_opt/sim/plant.py -> moc_opt.sim.plant."""
     parts = file.relative_to(root).with_suffix("").parts
@@ -120,7 +139,7 @@ def imports(source, module, package=False):
             base = ".".join([*stem, *([node.module] if node.module else [])])
             for alias in node.names:
                 whole = f"{base}.{alias.name}"
-                found.append((node.lineno, whole if whole in MODULES else base))
+                found.append((node.lineno, whole if whole in MODULES or base == "benchmarks" else base))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in groups:
             # importlib and registries name modules in texts
             text = node.value
@@ -153,6 +172,20 @@ def breaches(source, module, package=False):
     return wrong
 
 
+def benchmark_breaches(source, module):
+    """What in a source of benchmarks/ breaks its rules; a command may import every room, and nothing a command."""
+    parts = module.split(".")
+    room = parts[1] if len(parts) > 2 or parts[1] in BENCHMARKS else None
+    allowed = set(BENCHMARKS) - {"maintenance"} if room is None else BENCHMARKS[room] | {room}
+    wrong = []
+    for line, name in imports(source, module):
+        top, _, inner = name.partition(".")
+        target = inner.partition(".")[0]
+        if top == "tests" or (top == "benchmarks" and target and target not in allowed):
+            wrong.append(f"{module}:{line} imports {name}: allowed are {sorted(allowed)}")
+    return wrong
+
+
 # --- the rules hold ---
 
 
@@ -169,11 +202,19 @@ def test_module_keeps_the_rules(module):
     assert breaches(file.read_text(encoding="utf-8"), module, file.name == "__init__.py") == []
 
 
-def test_rooms_import_from_rooms_below_them():
-    floor = {room: level for level, room in enumerate(ALLOWED)}
-    for room, targets in ALLOWED.items():
+@pytest.mark.parametrize("rules", [ALLOWED, BENCHMARKS], ids=["moc_opt", "benchmarks"])
+def test_rooms_import_from_rooms_below_them(rules):
+    floor = {room: level for level, room in enumerate(rules)}
+    for room, targets in rules.items():
         for target in targets:
             assert floor[target.partition(".")[0]] < floor[room], f"{room} imports {target}"
+
+
+def test_benchmarks_keep_the_rules():
+    home = ROOT / "benchmarks"
+    files = [file for file in sorted(home.rglob("*.py")) if file != home / "__init__.py"]
+    assert {file.relative_to(home).parts[0] for file in files if file.parent != home} == set(BENCHMARKS)
+    assert [text for file in files for text in benchmark_breaches(file.read_text(), module_name(file))] == []
 
 
 def test_the_name_of_a_group_of_entry_points_is_no_import():
@@ -244,7 +285,7 @@ def test_no_circle_between_modules():
         ("moc_opt.trace.metrics", "from moc_opt.qp.problem import compute_residuals"),
         ("moc_opt.report.tables", "from moc_opt.scenario import Scenario"),
         ("moc_opt.model.robot_model", "import importlib\nimportlib.import_module('moc_opt.scenario')"),
-        ("moc_opt.scenario", "from benchmarks import output"),
+        ("moc_opt.scenario", "from benchmarks.common import output"),
         ("moc_opt.scenario", "import tests.problems"),
         ("moc_opt.scenario", "if False:\n    import examples"),
         ("moc_opt.control.rcm", "import moc_opt as mo"),
@@ -252,6 +293,22 @@ def test_no_circle_between_modules():
 )
 def test_a_breach_is_seen(module, source):
     assert len(breaches(source, module)) == 1
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        ("benchmarks.common.cli", "from benchmarks.sweeps.store import Store"),
+        ("benchmarks.solver_study.study", "from benchmarks import latency"),
+        ("benchmarks.sweeps.plan", "def f():\n    from benchmarks.solver_study.cases import trials"),
+        ("benchmarks.sweeps.plan", "from benchmarks import sweep"),
+        ("benchmarks.solvers", "from benchmarks import sweep"),
+        ("benchmarks.solvers", "from benchmarks.maintenance import readme"),
+        ("benchmarks.common.crew", "from tests.problems import unit"),
+    ],
+)
+def test_a_breach_in_benchmarks_is_seen(module, source):
+    assert len(benchmark_breaches(source, module)) == 1
 
 
 @pytest.mark.parametrize(

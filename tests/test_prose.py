@@ -18,12 +18,12 @@ VERBS = re.compile(
     compile|compute|copy|correct|count|create|cut|decide|derive|describe|do|draw|end|
     estimate|evaluate|exchange|export|express|fill|film|find|fit|flatten|fold|follow|
     forget|generate|give|go|hand|hash|hold|import|improve|inject|iterate|join|judge|
-    keep|lay|let|list|load|look|lower|make|map|mark|maximise|mean|measure|minimize|
-    move|name|note|open|order|orthogonalise|pack|parse|perform|place|plan|play|prepare|
+    keep|kill|lay|let|list|load|look|lower|make|map|mark|maximise|mean|measure|minimize|
+    move|name|note|open|order|orthogonalise|pack|parse|pass|perform|place|plan|play|prepare|
     print|project|push|put|raise|rank|read|record|reflect|refuse|register|remember|
-    replace|request|return|round|run|sample|save|say|scan|seal|search|see|send|set|
-    show|sleep|solve|split|start|step|stop|store|subtract|sum|summarise|sweep|take|
-    tell|thin|time|try|turn|use|wait|warm|weight|wrap|write|yield
+    remove|replace|request|reset|restore|return|round|run|sample|save|say|scan|seal|search|see|
+    send|set|show|sleep|solve|split|start|step|stop|store|subtract|sum|summarise|sweep|take|
+    tell|thin|time|try|turn|update|use|wait|warm|weight|wrap|write|yield
     """,
     re.VERBOSE,
 )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, marked_answer
+from benchmarks.common.answer import Answer, Picture, marked_answer
 from benchmarks.latency.report import GOALS
 from benchmarks.latency.wire import SAFE_RCM_M, Case, Found
 from moc_opt.figures.style import Styles, figure, legend_height, log_axis, rule

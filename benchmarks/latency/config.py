@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator
 
-from benchmarks.config import Configuration
+from benchmarks.common.config import Configuration
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 

@@ -30,12 +30,12 @@ def native(robot: RobotModel, settings: ControlSettings, period_s: float) -> Nat
     return NativeController(robot, settings, make_solver(SOLVER, robot), period_s)
 
 
-def disagreement_Nm(brain: NativeController, driver: ControllerAdapter, inputs: list[Inputs]) -> float:
+def disagreement_Nm(native: NativeController, python: ControllerAdapter, inputs: list[Inputs]) -> float:
     """Return the largest difference between the torques of the compiled and the Python tick on the same inputs [Nm]."""
-    brain.start(*inputs[0])
-    state = driver.controller.robot.state(*inputs[0][:2])
-    driver.controller.start(state, inputs[0][2], inputs[0][3])
-    return max(float(np.abs(brain.tick(*given) - driver.tick(*given)).max()) for given in inputs)
+    native.start(*inputs[0])
+    state = python.controller.robot.state(*inputs[0][:2])
+    python.controller.start(state, inputs[0][2], inputs[0][3])
+    return max(float(np.abs(native.tick(*given) - python.tick(*given)).max()) for given in inputs)
 
 
 def own_main(robot: RobotModel, settings: ControlSettings, period_s: float, inputs: list[Inputs]) -> dict[str, float]:

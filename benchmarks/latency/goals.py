@@ -89,11 +89,16 @@ def _around(s: Any) -> str:
     return f"the control law alone takes {alone:.1f} us; the rest is the loop's safety filter"
 
 
+_REST = {
+    "python": "sensors and recording, in Python", "c": "references, sensors, and the columns that follow from others",
+}  # fmt: skip
+
+
 def _plant(kind: str) -> Callable[[Any], str]:
     def said(s: Any) -> str:
         loop = s["loop"][kind]
         return (f"{loop['us_per_tick']:.0f} us a tick, {loop['tick_p50_us']:.0f} of them filter and controller, "
-                f"{s['loop']['limit']['steps_us']:.0f} MuJoCo's steps; the rest is sensors and recording, in Python")
+                f"{s['loop']['limit']['steps_us']:.0f} MuJoCo's steps; the rest is {_REST[kind]}")
     return said  # fmt: skip
 
 

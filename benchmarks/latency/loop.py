@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.crew import Crew
-from benchmarks.processes import Worker
-from benchmarks.timing import percentiles
+from benchmarks.common.crew import Crew
+from benchmarks.common.processes import Worker
+from benchmarks.common.timing import percentiles
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.trace.trace import Trace
 

@@ -8,21 +8,33 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from benchmarks import baselines as peers
-from benchmarks.answer import Answer, Picture, goals_answer
-from benchmarks.latency.goals import Summary
+from benchmarks.common.answer import Answer, Picture, goals_answer, interval_picture
+from benchmarks.latency.goals import Summary, reason
 from benchmarks.latency.tick import PARTS
 from moc_opt import figures
+from moc_opt.figures.notation import Notation
+from moc_opt.figures.style import GOOD
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 
+WHY, IN_TICKS, IN_PEERS, IN_SOLVERS, IN_ADAPTERS, IN_LOOP = (
+    "How to read this", "Ticks", "Other libraries", "Solvers", "Adapters", "Loop",
+)  # fmt: skip
+"""Titles of sections."""
 GOALS = [
     Column("what", "goal"),
     Column("kind", ""),
     Column("goal", "limit"),
-    Column("value", "measured"),
+    Column("value", "measured", sections="explained"),
     Column("unit", "unit"),
-    Column("reached", "reached"),
+    Column("reached", "reached", section=WHY),
 ]
+EXPLAINED = {
+    "tick_p50": IN_TICKS, "tick_p99_9": IN_TICKS, "c_tick": IN_TICKS, "adapters": IN_ADAPTERS, "peers": IN_PEERS,
+    "peers_c": IN_PEERS, "exact_p50": IN_SOLVERS, "exact_any_n": IN_SOLVERS, "exact_primal": IN_SOLVERS,
+    "exact_natural": IN_SOLVERS, "exact_batch": IN_SOLVERS, "exact_batch_all": IN_SOLVERS,
+}  # fmt: skip
+"""Goal -> section with the figures around it; that of all others is the loop's."""
 _COLD = "median of the five calls after another entry's turn; the percentiles count them too"
 _WORST = [
     Column("tick_cold_p50_us", "cold", unit="us", format=".1f", better="low", help=_COLD),
@@ -126,8 +138,7 @@ def tables(summary: Summary) -> dict[str, Table]:
         rivals.append({"name": name, **found, **over})
     for name in peers.PEERS:
         if f"peer {name}" in summary["not_run"]:
-            reason = summary["not_run"][f"peer {name}"]["reason"]
-            rivals.append({"name": name, "installed": f"not run: {reason}"})
+            rivals.append({"name": name, "installed": f"not run: {summary['not_run'][f'peer {name}']['reason']}"})
     loops = [{"name": name, **found} for name, found in summary["loop"].items() if "factor" in found]
     other = [
         {"what": what, "unit": unit, "value": f"{value:.3g}"}
@@ -135,10 +146,14 @@ def tables(summary: Summary) -> dict[str, Table]:
         if (value := summary[part].get(name, {}).get(key)) is not None
     ]
     goals = [
-        {**found, "goal": f"{found['goal']:g}", "value": _short(found["value"])} for found in summary["goals"].values()
-    ]
+        {**found, "goal": f"{found['goal']:g}", "value": _short(found["value"]), "why": reason(key, summary),
+         "explained": EXPLAINED.get(key, IN_LOOP)}
+        for key, found in summary["goals"].items()
+    ]  # fmt: skip
+    missed = [goal for goal in goals if goal["reached"] == "no"]
     found = {
         "goals": Table("Goals", GOALS, goals),
+        "missed": Table("Goals that are missed, and why", [GOALS[0], Column("why", "why")], missed),
         "tick": Table("One tick, state to torque", TICKS, ticks),
         "parts": Table("Parts of a tick with exact", PARTS_COLUMNS, parts),
         "peers": Table("One tick in other libraries, the same job on the same arm", PEERS, rivals),
@@ -171,16 +186,16 @@ def headline(summary: Summary) -> str:
 
 
 TEXTS = {
-    "goals": ("Goals", "Times depend on the machine, and on what else it does; ratios are measured side by side."),
+    "goals": (WHY, "Times depend on the machine, and on what else it does; ratios are measured side by side."),
     "tick": (
-        "Ticks",
+        IN_TICKS,
         "Ticks recorded in a closed-loop run with the realistic plant, timed one by one in chunks of 100 that take "
         "turns, without pauses of the garbage collector. A round that is not timed comes first; after it every call "
         "counts. The parts are called by themselves, so that their sum is not exactly "
         "the whole; those with a dash are compiled into the call above them.",
     ),
     "peers": (
-        "Other libraries",
+        IN_PEERS,
         "Tip on its reference, wrist on the line through the trocar, joint speeds in their limits, and the freedom "
         "left up the gradient of the manipulability. Each has its fastest solver, hard equalities where it takes them, "
         "our compiled gradient where it has none, and is timed on the states of a second on an ideal arm in which it "
@@ -188,14 +203,16 @@ TEXTS = {
         "observer and follows the "
         "compliance law of the paper; it is timed on the states of its own run with the realistic plant.",
     ),
-    "exact": ("Solvers", "Residuals are judged by the one measure of all solvers, on the recorded and on random arms."),
+    "exact": (
+        IN_SOLVERS, "Residuals are judged by the one measure of all solvers, on the recorded and on random arms.",
+    ),
     "adapters": (
-        "Adapters",
+        IN_ADAPTERS,
         "By hand: the same library with the same settings, set up once, its numbers loaded from the same arrays, "
         "solved, answer and multipliers read. Library: update and solve alone, on numbers that are loaded already.",
     ),
     "loop": (
-        "Loop",
+        IN_LOOP,
         "A run includes references, plant, controller and trace; building the arm is set-up. *judged* also judges "
         "every answer and scans for the largest mu.",
     ),
@@ -208,6 +225,15 @@ def answer(summary: Summary, ticks: Mapping[str, ArrayLike]) -> Answer:
         Picture(figures.latency_ecdf(ticks), "Time of a tick: further left is faster, steeper is steadier.", "ticks"),
         Picture(figures.latency_ecdf(ticks, tail=True), "The rare late ones: lower at the right is better.", "tail"),
     ]
+    parts = {name: found for name, found in summary["tick_parts"].items() if not name.startswith("-")}
+    if parts:
+        longest = max(parts, key=lambda name: float(parts[name]["tick_p50_us"]))
+        ends = {
+            name: (of["tick_p50_us"], of["tick_p50_us"], of["tick_p99_us"]) for name, of in parts.items()
+        }
+        says = f"Where the time of a tick with `exact` goes, median to p99: most of it in `{longest}`."
+        drawn = interval_picture(ends, dict.fromkeys(ends, GOOD), "time of a part of the tick [us]", {})
+        pictures.append(Picture(drawn, says, "parts"))
     found = tables(summary)["goals"]
     return goals_answer(headline(summary), found.title, found.columns, found.rows, pictures)
 
@@ -217,15 +243,12 @@ def report(summary: Summary, first: Answer, environment: Mapping[str, Any]) -> P
     page = Page("Speed", "ticks, solvers, adapters, the loop, set-up, and other libraries, side by side")
     first.begin(page)
     for name, table in tables(summary).items():
-        if name == "goals":
-            page.section("How to read this")
-            page.text(TEXTS[name][1])
-            continue
         if name in TEXTS:
             title, text = TEXTS[name]
             page.section(title)
             page.text(text)
-        page.table(table)
+        if name != "goals":  # its table is the first screen's
+            page.table(table)
     page.environment(environment)
     return page
 
@@ -235,4 +258,4 @@ def _rows(part: Mapping[str, Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _short(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3g}"
+    return None if value is None else Notation.of([value])(value)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import baselines as peers
+from benchmarks.common.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from benchmarks.latency import embedded, limit, setup, solve, tick
 from benchmarks.latency import loop as speed_loop
 from benchmarks.latency.bare import BARE
 from benchmarks.latency.config import Config
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.solver_study.open_loop import expand
-from benchmarks.timing import Timed, clock_cost_us, figures, interleaved, ratios
 from moc_opt.embedded import NativeController
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.model.robot_model import load_robot
@@ -112,9 +112,9 @@ class Run:
         settings = self._scenario.control
         try:
             self._native = embedded.native(self._robot, settings, self._period)
-            driver = ControllerAdapter(Setup(self._scenario).controller())
-            driver.start(*inputs[0])
-            found = {"difference_Nm": embedded.disagreement_Nm(self._native, driver, inputs[:200])}
+            adapter = ControllerAdapter(Setup(self._scenario).controller())
+            adapter.start(*inputs[0])
+            found = {"difference_Nm": embedded.disagreement_Nm(self._native, adapter, inputs[:200])}
         except MocOptError as error:
             self._missing["tick in C"] = str(error)
             return {}

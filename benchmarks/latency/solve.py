@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.common.timing import Timed
 from benchmarks.latency.bare import BARE
-from benchmarks.timing import Timed
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.problem import NullSpaceQP, compute_residuals

@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks import baselines as peers
 from benchmarks.baselines.check import PERIOD_S, Inputs, Verdict, job, perform, verdict
-from benchmarks.timing import Timed
+from benchmarks.common.timing import Timed
 from moc_opt.control import Controller, ControlSettings, tick
 from moc_opt.control import null_space as manipulability
 from moc_opt.control.law import law_of
@@ -38,7 +38,7 @@ class Recording(NamedTuple):
 
 
 class _Ear(ControllerAdapter):
-    """A driver that remembers what it was asked."""
+    """An adapter that remembers what it was asked."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__(controller)
@@ -77,13 +77,13 @@ def own_ticks(
     timed: dict[str, Timed] = {}
     refused: dict[str, str] = {}
     for name in names:
-        driver = ControllerAdapter(Controller(robot, settings, make_solver(name, robot), period_s))
+        adapter = ControllerAdapter(Controller(robot, settings, make_solver(name, robot), period_s))
         try:
-            driver.start(*inputs[0])
+            adapter.start(*inputs[0])
         except Exception as error:  # noqa: BLE001 - one solver that fails must not end the others
             refused[name] = f"{type(error).__name__}: {error}"
             continue
-        timed[name] = Timed(spread(driver.tick), inputs)
+        timed[name] = Timed(spread(adapter.tick), inputs)
     return timed, refused
 
 

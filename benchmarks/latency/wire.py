@@ -7,14 +7,16 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.common.store import Part, Store
 from moc_opt.embedded import CompilerError
 from moc_opt.errors import MocOptError
 from moc_opt.numerics.arrays import Array
@@ -57,6 +59,7 @@ class Found(NamedTuple):
     clean: bool
     rcm_max_mm: float
     system: dict[str, Any]
+    begun: str
 
 
 @contextmanager
@@ -102,6 +105,7 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
     Raises:
         RealtimeError: one of the two processes failed, or took longer than ``limit_s``.
     """
+    begun = datetime.now(UTC).isoformat(timespec="seconds")
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, load(case.load):
         trace = Path(folder, "run.parquet")
         plant = _start("plant", str(file), "--listen", "127.0.0.1:0", "--trace", str(trace), "--json")
@@ -126,7 +130,7 @@ def run_once(case: Case, file: Path, program: Path | None, limit_s: float) -> Fo
                     process.kill()
         if plant.returncode not in (0, 3) or control.returncode not in (0, 3):
             raise RealtimeError(f"{case}: plant: {wrong[-500:]} controller: {errors[-500:]}")
-        return _read(Trace.load(trace), json.loads(said))
+        return _read(Trace.load(trace), json.loads(said), begun)
 
 
 def _start(*words: str) -> subprocess.Popen[str]:
@@ -137,7 +141,7 @@ def _popen(*command: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def _read(trace: Trace, said: dict[str, Any]) -> Found:
+def _read(trace: Trace, said: dict[str, Any], begun: str) -> Found:
     """Return what a trace and the controller's last words say of a run."""
     columns, wire, ended = trace.columns, trace.meta["wire"], str(trace.meta["ended"])
     rcm = float(np.max(trace.rcm_error_registered_m))
@@ -149,13 +153,28 @@ def _read(trace: Trace, said: dict[str, Any]) -> Found:
     wake, round_trip, control = (columns[name][:cycles] for name in ("wake_us", "tick_us", "control_us"))
     return Found(
         wake, round_trip, control, missed=int(columns["missed"][:cycles].sum()), overruns=int(wire["overruns"]),
-        ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system,
+        ended=ended, clean=clean, rcm_max_mm=1e3 * rcm, system=system, begun=begun,
     )  # fmt: skip
 
 
-def measure(case: Case, file: Path, program: Path | None, cycles: int, most_runs: int, limit_s: float) -> list[Found]:
-    """Run again until so many cycles are there, or so many runs were."""
+def kept_run(store: Store, what: Mapping[str, Any], run: Callable[[], Found], number: int) -> Found:
+    """Return a run that an earlier command has left in the store, or make it and keep it.
+
+    Args:
+        what: everything that decides what is measured, in plain values; with ``number`` it is the key of the run.
+    """
+    key = store.key(**what, run=number)
+    part = store.get(key)
+    if part is None:
+        values: dict[str, Any] = run()._asdict()
+        arrays = {name: values.pop(name) for name in ("wake_us", "round_us", "control_us")}
+        part = store.put(key, Part(values, arrays))
+    return Found(**{**part.arrays, **part.values})
+
+
+def measure(run: Callable[[int], Found], cycles: int, most_runs: int) -> list[Found]:
+    """Run again, each time with the number of the run, until so many cycles are there, or so many runs were."""
     found: list[Found] = []
-    while sum(len(run.round_us) for run in found) < cycles and len(found) < most_runs:
-        found.append(run_once(case, file, program, limit_s))
+    while sum(len(one.round_us) for one in found) < cycles and len(found) < most_runs:
+        found.append(run(len(found)))
     return found

@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import cli
+from benchmarks.common import cli
+from benchmarks.common.markdown import render
+from benchmarks.common.output import write_atomically
 from benchmarks.maintenance.errata_numbers import (
     PAPER,
     Arm,
@@ -30,8 +32,6 @@ from benchmarks.maintenance.errata_numbers import (
     torque_of_mu,
     true_lambdas,
 )
-from benchmarks.markdown import render
-from benchmarks.output import write_atomically
 from moc_opt.control.null_space import null_space
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "errata.md"

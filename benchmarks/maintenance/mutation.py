@@ -17,8 +17,8 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import Field
 
-from benchmarks import cli
-from benchmarks.config import Configuration
+from benchmarks.common import cli
+from benchmarks.common.config import Configuration
 from benchmarks.maintenance.mutants import trial
 from benchmarks.maintenance.mutants.make import Mutant, MutationError, places, sample
 from moc_opt.errors import UnknownNameError

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks import cli
+from benchmarks.common import cli
 from moc_opt import figures
 from moc_opt.report.export import save_figures
 from moc_opt.scenario import Scenario, run

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cli
+from benchmarks.common import cli
+from benchmarks.common.markdown import fill_section, of_columns, table
+from benchmarks.common.output import write_atomically
 from benchmarks.latency.goals import GOALS, reason
-from benchmarks.markdown import fill_section, of_columns, table
-from benchmarks.output import write_atomically
 from benchmarks.paper_experiment import ablation
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.comparison.statistics import spread
@@ -74,7 +74,7 @@ def _claims(summary: Summary) -> list[str]:
     }
     texts = dict.fromkeys(row["text"] for row in mine)
     shown = table(
-        ["claim", *(f"`{name}` [%]" for name in solvers)],
+        ["claim", *(f"`{name}` [%]{_shook(summary.get('paper', {}).get(name, {}))}" for name in solvers)],
         [[text, *(cells.get((text, name), "") for name in solvers)] for text in texts],
     )
     said = (
@@ -83,6 +83,11 @@ def _claims(summary: Summary) -> list[str]:
     )
     decided = " ".join(ablation.headline(summary.get("ablation", [])))
     return [said, shown, *([decided] if decided else [])]
+
+
+def _shook(found: Mapping[str, Any]) -> str:
+    """Say how many of a controller's runs oscillated: their means count, and no claim that holds can hide them."""
+    return f"; {found['oscillated']:g} of {found['trials']:g} runs oscillate" if found.get("oscillated") else ""
 
 
 def speed_section(summary: Summary, environment: Summary) -> str:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from benchmarks import cli, output
+from benchmarks.common import cli, output
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.plan import Plan
@@ -88,7 +88,7 @@ def grow(given: Namespace) -> cli.Results | int:
     for rows in given.rows:
         with tempfile.TemporaryDirectory() as folder:
             size = write_synthetic(Path(folder), rows).stat().st_size
-            command = [sys.executable, "-m", "benchmarks.sweep_memory", "--one", folder]
+            command = [sys.executable, "-m", "benchmarks.maintenance.sweep_memory", "--one", folder]
             answer = run(command, stdout=PIPE, check=False, text=True)
             if answer.returncode:
                 raise SweepError(f"the process that should summarise {rows} rows ended with {answer.returncode}")

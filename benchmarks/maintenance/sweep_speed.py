@@ -22,8 +22,8 @@ from pathlib import Path
 from time import perf_counter, process_time, sleep
 from typing import Any
 
-from benchmarks import cli, output
-from benchmarks.processes import Worker
+from benchmarks.common import cli, output
+from benchmarks.common.processes import Worker
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.dask import DaskPool
 from benchmarks.sweeps.engine import Pool, Table, Work, execute, run_all

@@ -30,8 +30,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import cli
-from benchmarks.crew import run_parallel
+from benchmarks.common import cli
+from benchmarks.common.crew import run_parallel
 from benchmarks.maintenance.tune_space import Candidate, Config, Values, draw
 from benchmarks.paper_experiment.trials import MATCHED, Job, Measurement, Outcome, run_job, seeds, trials
 from benchmarks.paper_experiment.verdict import effect

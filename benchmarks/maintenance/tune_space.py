@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from benchmarks.config import Configuration
+from benchmarks.common.config import Configuration
 from moc_opt.inputs.settings import Settings
 from moc_opt.scenario import Scenario
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field
 
-from benchmarks.config import Configuration, runnable
+from benchmarks.common.config import Configuration, runnable
 from benchmarks.paper_experiment.ablation import Ablation, AblationJob, changed
 from benchmarks.paper_experiment.ablation import jobs as ablation_jobs
 from benchmarks.paper_experiment.procedure import ProcedureJob, ProcedureSettings

@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, interval_picture
+from benchmarks.common.answer import Answer, Picture, interval_picture
 from benchmarks.paper_experiment.tables import Summary
 from benchmarks.paper_experiment.verdict import CLAIMS, FAILS, GAINS_ONLY, HOLDS, Claim
 from moc_opt.comparison.statistics import spread

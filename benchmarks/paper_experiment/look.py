@@ -13,7 +13,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.look import add_replay, trial_map
+from benchmarks.common.look import add_replay, trial_map
 from benchmarks.paper_experiment.config import Config
 from benchmarks.paper_experiment.figures import titles
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, Outcome

@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer
+from benchmarks.common.answer import Answer
 from benchmarks.paper_experiment.tables import (
     Summary,
     ablation_table,

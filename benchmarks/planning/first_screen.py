@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
+from benchmarks.common.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
 from benchmarks.planning.goals import MOST_CHANGE_PERCENT, MOST_GAP_PERCENT
 from benchmarks.planning.parts import ERRORS
 from moc_opt.comparison.statistics import StatisticsError, mean

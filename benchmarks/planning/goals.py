@@ -16,7 +16,6 @@ MOST_PLANNED_PERCENT = 3.0
 MOST_CHANGE_PERCENT = 5.0
 """Of tip and RCM error, against those of the local law."""
 MOST_SCRATCH_S = 3.0
-MOST_RECEDING_MS = 20.0
 MOST_ABOVE_MAP = 1e-6
 MOST_HALVING_PERCENT = 0.5
 GOALS = [

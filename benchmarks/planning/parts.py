@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.solver_study.cases import placed
 from moc_opt import scenario
+from moc_opt.comparison.trials import placed
 from moc_opt.errors import MocOptError, RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.planning.course import make_course

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.answer import Answer
-from benchmarks.output import close_page
+from benchmarks.common.answer import Answer
+from benchmarks.common.output import close_page
 from benchmarks.planning.first_screen import COURSES as COURSES_SECTION
 from benchmarks.planning.first_screen import IN_THE_LOOP
 from benchmarks.planning.goals import GOALS, goal_rows

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from benchmarks.config import Configuration
+from benchmarks.common.config import Configuration
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.scenario import Scenario
 

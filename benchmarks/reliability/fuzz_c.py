@@ -71,8 +71,8 @@ def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
     q = robot.random_regular_pose(rng)
     v = case["speed"] * rng.normal(scale=0.2, size=robot.n)
     solver = make_solver("exact", robot) if control.law == "moc" else None
-    driver = ControllerAdapter(Controller(robot, control, solver, scenario.plant.period_s))
-    python = FilteredController(driver, make_safety_filter(robot, scenario), robot.gravity(q))
+    adapter = ControllerAdapter(Controller(robot, control, solver, scenario.plant.period_s))
+    python = FilteredController(adapter, make_safety_filter(robot, scenario), robot.gravity(q))
     ordinary = True
     for k in range(TICKS):
         given = _inputs(robot, rng, q + k * scenario.plant.period_s * v, v)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.common import store as part_store
 from benchmarks.reliability.config import Config as FaultsConfig
 from benchmarks.reliability.fuzz_case import ARM_TOML, Kind, Verdict, Wrong, folder, refused
 from benchmarks.reliability.fuzz_checks import few_ticks
@@ -24,12 +25,11 @@ from benchmarks.reliability.fuzz_files import (
     hostile_files,
 )
 from benchmarks.reliability.fuzz_traces import good_trace
-from benchmarks.solver_study import store as study_store
 from benchmarks.solver_study.config import Config as StudyConfig
+from benchmarks.subproblems.testset import TestSet
 from benchmarks.sweeps import store as sweep_store
 from benchmarks.sweeps.config import Config as SweepConfig
 from benchmarks.sweeps.plan import Plan
-from benchmarks.testsets import TestSet
 from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import MocOptError
 from moc_opt.model.robot_model import load_robot
@@ -47,7 +47,7 @@ def _read_plan(path: Path) -> None:
 
 
 def _read_part(path: Path) -> None:
-    if study_store.Store(path.parent).get("key") is not None:
+    if part_store.Store(path.parent).get("key") is not None:
         raise Wrong("a part that nobody wrote")
 
 
@@ -151,14 +151,14 @@ def study_folder(case: Sequence[Damage]) -> Verdict:
     values = {"a": 1.5, "b": [1, 2], "c": None}
     arrays = {"x": np.arange(40.0).reshape(8, 5), "t": np.array(["a", "bc"])}
     with folder() as where:
-        store = study_store.Store(where)
+        store = part_store.Store(where)
         for key in ("one", "two"):
-            store.put(key, study_store.Part(values, arrays))
+            store.put(key, part_store.Part(values, arrays))
         before = {path.name: path.read_bytes() for path in where.iterdir()}
         _corrupt(where, case)
         sound = {file for file, data in before.items() if _holds(where / file, data)}
         with contextlib.redirect_stderr(io.StringIO()):
-            found = {key: study_store.Store(where).get(key) for key in ("one", "two")}
+            found = {key: part_store.Store(where).get(key) for key in ("one", "two")}
     for key, part in found.items():
         if (part is not None) != (f"{key}.npz" in sound):
             raise Wrong(f"{key} is {'taken' if part else 'refused'}, and it is {'not ' if part else ''}what was kept")

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from benchmarks.processes import Crashed, Hung, Raised, Worker, beat
+from benchmarks.common.processes import Crashed, Hung, Raised, Worker, beat
 
 MEMORY_BYTES = 2 * 2**30
 """Of the address space: with one thread for linear algebra all libraries together take 0.8 GiB of it."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks import markdown, output
+from benchmarks.common import markdown, output
 from benchmarks.reliability.report import CASES, GOALS, SEEN, by_group, headline
 from moc_opt.errors import ScenarioError
 from moc_opt.report.tables import Column

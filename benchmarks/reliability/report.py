@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from benchmarks.answer import Answer, Picture, goals_answer
+from benchmarks.common.answer import Answer, Picture, goals_answer, interval_picture
 from benchmarks.reliability.summary import Summary, outcome
 from moc_opt import figures
+from moc_opt.figures.notation import Notation
+from moc_opt.figures.style import GOOD
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
@@ -36,13 +38,20 @@ SEEN = [
     Column("missed", "missed", format=".0f"),
     Column("false_alarms", "false alarms", format=".0f", help="honest answers that were refused"),
 ]
+EVERY, SOLVERS = "Every fault", "Solver faults"
 GOALS = [
     Column("goal", "goal"),
-    Column("limit", "limit", digits=3),
-    Column("value", "found", digits=3),
+    Column("limit", "limit", align="right"),
+    Column("value", "found", align="right", sections="explained"),
     Column("reached", "reached"),
-    Column("where", "where"),
+    Column("where", "where", section=EVERY),
 ]
+
+
+PICTURED = {
+    "rcm_error_max_mm": ("Largest RCM error", "mm"), "trocar_force_max_N": ("Largest force on the trocar", "N"),
+}  # fmt: skip
+"""Figure -> its words and unit."""
 
 
 def case_rows(summary: Summary) -> list[dict[str, Any]]:
@@ -58,7 +67,7 @@ def tables(summary: Summary, goals: list[dict[str, Any]]) -> list[Table]:
     """Make the tables: goals, every case, and what the supervisor saw."""
     rows = case_rows(summary)
     return [
-        Table("Goals", GOALS, goals),
+        Table("Goals", GOALS, in_words(goals)),
         Table("Every fault under every controller: the worst of the trials", CASES, rows),
         Table(
             "Solver faults, injected and detected", SEEN, [r for r in rows if r["group"] == "solver"],
@@ -91,7 +100,31 @@ def answer(summary: Summary, goals: list[dict[str, Any]], traces: Mapping[str, T
             "faults",
         )
     ] if traces else []  # fmt: skip
-    return goals_answer(headline(summary, goals), "Goals", GOALS, goals, pictures)
+    pictures += [_worst(summary, key, unit, what) for key, (what, unit) in PICTURED.items()]
+    return goals_answer(headline(summary, goals), "Goals", GOALS, in_words(goals), pictures)
+
+
+def in_words(goals: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Write limits and figures each for itself, of quantities that have nothing in common, with their sections."""
+    return [
+        {**goal, "limit": f"{goal['limit']:g}", "value": Notation.of([goal["value"]])(goal["value"]),
+         "explained": SOLVERS if "refused" in goal["goal"] or "noticed" in goal["goal"] else EVERY}
+        for goal in goals
+    ]  # fmt: skip
+
+
+def _worst(summary: Summary, key: str, unit: str, what: str) -> Picture:
+    """Draw a figure's least, middle and largest value over the cases and controllers of every group of faults."""
+    groups = {
+        group: sorted((row[key], f"{row['case']} under {row['solver']}") for row in rows if key in row)
+        for group, rows in by_group(summary).items()
+    }
+    found = {group: values for group, values in groups.items() if values}
+    ends = {group: tuple(values[at][0] for at in (0, len(values) // 2, -1)) for group, values in found.items()}
+    value, where = max((values[-1] for values in found.values()), default=(0.0, "none"))
+    says = f"{what} of a run, for each group of faults from the mildest case to the worst: at most {value:.3g} {unit}"
+    drawn = interval_picture(ends, dict.fromkeys(ends, GOOD), f"{what[0].lower()}{what[1:]} [{unit}]", {})  # type: ignore[arg-type]
+    return Picture(drawn, f"{says}, {where}.", f"worst-{key.partition('_')[0]}")
 
 
 def report(summary: Summary, goals: list[dict[str, Any]], first: Answer, environment: Mapping[str, Any]) -> Page:
@@ -99,9 +132,9 @@ def report(summary: Summary, goals: list[dict[str, Any]], first: Answer, environ
     page = Page("Faults", "every fault under every controller: survived, or stopped safely")
     first.begin(page)
     _, cases, seen = tables(summary, goals)
-    page.section("Every fault")
+    page.section(EVERY)
     page.table(cases)
-    page.section("Solver faults")
+    page.section(SOLVERS)
     page.table(seen)
     page.environment(environment)
     return page

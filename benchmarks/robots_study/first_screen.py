@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
+from benchmarks.common.answer import NO, UNKNOWN, YES, Answer, Picture, interval_of, interval_picture
 from benchmarks.robots_study.tables import FINDINGS, LEAST_GAIN_PERCENT, MOST_CHANGE_PERCENT, of
 from moc_opt.comparison.statistics import spread
 from moc_opt.figures.notation import Mark

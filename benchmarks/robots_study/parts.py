@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.paper_experiment.trials import BASELINES, MATCHED, any_transient, variant
-from benchmarks.solver_study.cases import placed
 from moc_opt import scenario
+from moc_opt.comparison.trials import placed
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import RunAway, Scenario
 from moc_opt.trace.ending import Ending

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer
-from benchmarks.output import close_page
+from benchmarks.common.answer import Answer
+from benchmarks.common.output import close_page
 from benchmarks.paper_experiment.trials import MATCHED
 from benchmarks.robots_study.first_screen import EACH, FOUND, RESULTS
 from benchmarks.robots_study.tables import Rows, tables

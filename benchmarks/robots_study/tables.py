@@ -35,8 +35,8 @@ MOST_CHANGE_PERCENT, LEAST_GAIN_PERCENT = 5.0, 10.0
 FINDINGS: Mapping[str, str] = {
     "all_end": "no run stopped or wild",
     "gains": "mean gain in mu of 10 % and more",
-    "tip": "settled tip error at most 5 % above DCAC's",
-    "rcm": "settled RCM error against the registered trocar at most 5 % above DCAC's",
+    "tip": "tip error, once no elbow travels, at most 5 % above DCAC's",
+    "rcm": "RCM error from the registered trocar, once no elbow travels, at most 5 % above DCAC's",
     "tails": "tip worse by more than 10 % in at most 10 % of the trials",
     "tip_model": "tip by the arm's own kinematics: at most 5 % above",
     "rcm_model": "RCM by the arm's own kinematics: at most 5 % above",

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import Crashed, Hung, Raised, Worker, WorkerError
+from benchmarks.common.processes import Crashed, Hung, Raised, Worker, WorkerError
+from benchmarks.common.store import Part, Store
 from benchmarks.solver_study.settings import SolverSetting
 from benchmarks.solver_study.solving import RAISED, answers, cold_times, warm_times
-from benchmarks.solver_study.store import Part, Store
 from moc_opt.numerics.arrays import Array
 from moc_opt.qp.layout import joints_of
 from moc_opt.qp.problem import NullSpaceQP

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from moc_opt.comparison.trials import BASELINE, placed, variant
+from moc_opt.comparison.trials import placed
 from moc_opt.scenario import Scenario
-
-__all__ = ["BASELINE", "placed", "trials", "variant"]
 
 
 def trials(base: Scenario, tasks: Sequence[str], seeds: Sequence[int]) -> dict[str, Scenario]:

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
+from benchmarks.common.store import Part, Store
+from benchmarks.common.timing import percentiles
 from benchmarks.solver_study.answers import (
     CRASHED,
     HUNG,
@@ -24,9 +26,7 @@ from benchmarks.solver_study.answers import (
     not_asked,
 )  # fmt: skip
 from benchmarks.solver_study.settings import SolverSetting
-from benchmarks.solver_study.store import Part, Store
-from benchmarks.testsets import TestSet
-from benchmarks.timing import percentiles
+from benchmarks.subproblems.testset import TestSet
 from moc_opt.qp.problem import compute_residuals, fields
 from moc_opt.qp.residuals import Residuals
 

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.crew import spread
-from benchmarks.processes import Hung, Worker, WorkerError, beat
-from benchmarks.solver_study.cases import BASELINE, variant
-from benchmarks.solver_study.store import Part, Store
+from benchmarks.common.crew import spread
+from benchmarks.common.processes import Hung, Worker, WorkerError, beat
+from benchmarks.common.store import Part, Store
 from moc_opt import scenario
+from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.control.supervisor import Fault
 from moc_opt.errors import MocOptError
 from moc_opt.redundancy.transient import in_transient

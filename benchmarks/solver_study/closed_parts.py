@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.crew import spread
-from benchmarks.processes import Worker
+from benchmarks.common.crew import spread
+from benchmarks.common.processes import Worker
 from benchmarks.solver_study import closed_loop, combine, compare, open_parts, sweeps
 from benchmarks.solver_study.answers import Data, Limits, asked, recorded
-from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.solver_study.cases import trials as draw_trials
 from benchmarks.solver_study.cells import Cell
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import ClosedLoop, Sweeps
 from benchmarks.solver_study.study import Findings, Part, Study
 from benchmarks.solver_study.sweeps import Point, Sweep
+from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.inputs.names import file_stem
 from moc_opt.scenario import Scenario
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.solver_study.cases import BASELINE
+from benchmarks.common.timing import percentiles
 from benchmarks.solver_study.closed_loop import Run
-from benchmarks.timing import percentiles
 from moc_opt.comparison.statistics import StatisticsError, relative_change
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.trace.ending import Ending
 
 COMPARED = {

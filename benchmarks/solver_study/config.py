@@ -6,9 +6,9 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, field_validator
 
-from benchmarks.config import Configuration
+from benchmarks.common.config import Configuration
 from benchmarks.solver_study.answers import Limits
-from benchmarks.testsets import RECIPES
+from benchmarks.subproblems.recipes import RECIPES
 from moc_opt.errors import UnknownNameError
 from moc_opt.inputs.settings import Level, Settings
 from moc_opt.scenario import Scenario

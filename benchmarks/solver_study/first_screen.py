@@ -7,12 +7,12 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from benchmarks.answer import Answer, Picture, interval_of, interval_picture
-from benchmarks.solver_study.cases import BASELINE
+from benchmarks.common.answer import Answer, Picture, interval_of, interval_picture
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.verdicts import AVOID, BEST_MU, GAPS, NEAR, OTHER, SOUND, TAKE, Row, assess
 from moc_opt import figures
 from moc_opt.comparison.statistics import spread
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.figures.notation import Mark
 from moc_opt.figures.style import BAD, GOOD, MUTED, SERIES, WORST
 from moc_opt.report.tables import Column, Table
@@ -140,7 +140,7 @@ def pictures(summary: Mapping[str, Any], rows: Sequence[Row], deadline_us: float
             ),
             "To the lower left is better: " + _front(points), "accuracy-against-time",
         ))  # fmt: skip
-    return [*found, *_closed_picture(summary, rows), *_deadline_picture(rows, deadline_us)]
+    return [*found, *_closed_picture(rows), *_deadline_picture(rows, deadline_us)]
 
 
 def _front(points: Mapping[str, tuple[float, float]]) -> str:
@@ -149,7 +149,7 @@ def _front(points: Mapping[str, tuple[float, float]]) -> str:
     return f"nothing beats {names} in both."
 
 
-def _closed_picture(summary: Mapping[str, Any], rows: Sequence[Row]) -> list[Picture]:
+def _closed_picture(rows: Sequence[Row]) -> list[Picture]:
     gains: dict[str, tuple[float, float, float]] = {}
     for row in rows:
         ends = interval_of(row["closed"], "mu_gain_percent")

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.arms import random_arm, smooth_sequence
 from benchmarks.solver_study.answers import Data, recorded
+from benchmarks.subproblems.arms import random_arm, smooth_sequence
 
 COUNT = 32
 SEED = 5

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly, share_right
 from benchmarks.solver_study.compare import LEAST_TRIALS
 from benchmarks.solver_study.study import NONLINEAR
 from moc_opt.comparison.statistics import spread
+from moc_opt.comparison.trials import BASELINE
 
 Rows = Mapping[str, Mapping[str, Any]]
 

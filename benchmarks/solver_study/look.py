@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.look import add_replay, trial_map
-from benchmarks.solver_study.cases import BASELINE
+from benchmarks.common.look import add_replay, trial_map
 from benchmarks.solver_study.closed_loop import Run
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.figures.style import Styles
 from moc_opt.redundancy.manipulability_map import SwivelMap
 from moc_opt.redundancy.map_analysis import read_trajectory

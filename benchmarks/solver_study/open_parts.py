@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.crew import spread
-from benchmarks.processes import Worker
+from benchmarks.common.crew import spread
+from benchmarks.common.processes import Worker
 from benchmarks.solver_study import compare, growth
 from benchmarks.solver_study.answers import Limits, asked, recorded, timed
 from benchmarks.solver_study.cells import (

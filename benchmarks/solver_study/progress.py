@@ -7,7 +7,7 @@ from typing import Any
 
 from rich.console import Console, RenderableType
 
-from benchmarks.answer import Answer
+from benchmarks.common.answer import Answer
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.report.console import Bar
 

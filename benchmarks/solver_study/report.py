@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.answer import Answer
+from benchmarks.common.answer import Answer
 from benchmarks.solver_study import compare, verdicts
 from benchmarks.solver_study import figures as study_figures
 from benchmarks.solver_study.cells import RIGHTLY, answers_rightly

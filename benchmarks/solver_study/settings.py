@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import markdown
+from benchmarks.common import markdown
 from moc_opt.solvers import available, create
 from moc_opt.solvers.registry import defaults
 

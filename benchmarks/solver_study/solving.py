@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.common.timing import each_us
 from benchmarks.solver_study.open_loop import expand
 from benchmarks.solver_study.settings import SolverSetting
-from benchmarks.timing import each_us
 from moc_opt.control.solution_check import received
 from moc_opt.errors import describe
 from moc_opt.model.robot_model import load_robot

@@ -9,12 +9,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from benchmarks.common.store import Store
 from benchmarks.solver_study import open_loop
 from benchmarks.solver_study.cases import trials
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.config import Config
 from benchmarks.solver_study.settings import RECOMMENDED, SolverSetting, solver_settings
-from benchmarks.solver_study.store import Store
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.registry import accepts
 
@@ -22,6 +22,12 @@ Advance = Callable[[str], None]
 Summary = dict[str, dict[str, dict[str, Any]]]
 
 NONLINEAR = "nlp-"
+# What decides a part's content, beside the package itself; reports and figures do not.
+SOURCES = (
+    "common/timing", "common/processes", "subproblems/arms", "solver_study/cases", "solver_study/closed_loop",
+    "solver_study/open_loop", "solver_study/answers", "solver_study/solving", "solver_study/sweeps",
+    "solver_study/growth",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class Study:
     @cached_property
     def store(self) -> Store:
         """Finished parts, those of earlier runs among them."""
-        return Store(self.out / "parts")
+        return Store(self.out / "parts", SOURCES)
 
     @cached_property
     def settings(self) -> list[SolverSetting]:

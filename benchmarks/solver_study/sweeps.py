@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
+from benchmarks.common.store import Store
 from benchmarks.solver_study import closed_loop, combine
-from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.solver_study.closed_loop import Run
 from benchmarks.solver_study.compare import HARMLESS, WORDS
 from benchmarks.solver_study.settings import SolverSetting
-from benchmarks.solver_study.store import Store
+from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.numerics.arrays import Array
 from moc_opt.scenario import Scenario
 

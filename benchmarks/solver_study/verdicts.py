@@ -19,11 +19,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.solver_study.cases import BASELINE
 from benchmarks.solver_study.cells import RIGHTLY, share_right
 from benchmarks.solver_study.compare import CLOSED, HARMLESS
 from benchmarks.solver_study.settings import QPSOLVERS
 from benchmarks.solver_study.study import NONLINEAR
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.figures.notation import Mark, Missing
 
 Summary = Mapping[str, Any]

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
-from benchmarks.config import Configuration, runnable
-from benchmarks.solver_study.cases import BASELINE
+from benchmarks.common.config import Configuration, runnable
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes
+from moc_opt.comparison.trials import BASELINE
 from moc_opt.errors import UnknownNameError, shown
 from moc_opt.inputs.files import LARGEST_INTEGER
 from moc_opt.inputs.settings import Settings

@@ -6,8 +6,8 @@ import os
 from concurrent.futures import Future
 from typing import Any, Self
 
-from benchmarks.crew import Crew
-from benchmarks.processes import Crashed, Worker
+from benchmarks.common.crew import Crew
+from benchmarks.common.processes import Crashed, Worker
 from benchmarks.sweeps.engine import Table, Work
 from benchmarks.sweeps.errors import WorkerError
 

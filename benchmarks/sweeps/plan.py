@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.solver_study.cases import BASELINE, variant
 from benchmarks.sweeps.config import Config, chosen_seeds, chosen_solvers
 from benchmarks.sweeps.errors import SweepError
 from benchmarks.sweeps.fields import grid_axes, random_draws, with_value
 from benchmarks.sweeps.version import code_version
+from moc_opt.comparison.trials import BASELINE, variant
 from moc_opt.errors import MocOptError, UnknownNameError
 from moc_opt.scenario import Scenario, Setup
 from moc_opt.scenario.tables import SolverTable

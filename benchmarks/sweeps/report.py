@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import plotly.graph_objects as go
 
+from benchmarks.common.answer import Answer, Picture, marked_answer
 from moc_opt.figures.style import Styles, figure
 from moc_opt.report.page import Page
 from moc_opt.report.tables import Column, Table
@@ -21,7 +23,8 @@ SHOWN = {
     "torque_rate_rms_Nm_per_s": Column("torque_rate_rms_Nm_per_s", "chatter", unit="Nm/s", format=".0f", better="low"),
     "silently_wrong": Column("silently_wrong", "silently wrong", format=".1f", better="low", help="ticks of a run"),
 }
-PLOTTED = {"mu_mean": "manipulability", "rcm_error_mean_mm": "RCM error [mm]"}
+PLOTTED = {"mu_mean": "Manipulability", "rcm_error_mean_mm": "RCM error [mm]"}
+MORE, MOST_PICTURES = "Every table", 3
 TIMES = ("solve_p50_us", "solve_p99_us", "tick_p50_us", "tick_p99_us")
 
 
@@ -73,23 +76,39 @@ def headline(summary: Summary) -> str:
     return ". ".join(part[0].upper() + part[1:] for part in parts) + "."
 
 
-def page(summary: Summary, numeric: Mapping[str, list[float]], environment: Summary) -> Page:
-    """Make the page.
+def answer(summary: Summary, numeric: Mapping[str, list[float]]) -> Answer:
+    """Make the first screen.
 
     Args:
+        summary: of the sweep.
         numeric: the fields of the grid that are numbers, with their values.
     """
-    page = Page("Sweep", f"{summary['sweep']['runs']['all']} runs")
-    page.headline(headline(summary))
-    page.section("Results")
-    for table in tables(summary):
-        page.table(table)
-    solvers = list(summary["solvers"])
+    first = tables(summary)[0]
+    linked = [replace(column, section=MORE) for column in first.columns]
+    return marked_answer(headline(summary), replace(first, columns=linked), pictures(summary, numeric)[:MOST_PICTURES])
+
+
+def pictures(summary: Summary, numeric: Mapping[str, list[float]]) -> list[Picture]:
+    """Draw the metrics over every field of the grid that is a number."""
+    solvers, found = list(summary["solvers"]), []
     for field, values in numeric.items():
         for metric, label in PLOTTED.items():
             drawn = against(summary[f"by {field}"], solvers, field, values, metric, label)
             if drawn.data:
-                page.figure(drawn, f"{label.capitalize()} against {field}: mean over all other settings.")
+                says = f"{label} against {field}: mean over all other settings, 5th to 95th percentile."
+                found.append(Picture(drawn, says, f"{metric}-{field}"))
+    return found
+
+
+def page(summary: Summary, numeric: Mapping[str, list[float]], first: Answer, environment: Summary) -> Page:
+    """Make the page: the first screen, and folded below it every table and the other pictures."""
+    page = Page("Sweep", f"{summary['sweep']['runs']['all']} runs")
+    first.begin(page)
+    page.section(MORE)
+    for table in tables(summary):
+        page.table(table)
+    for picture in pictures(summary, numeric)[MOST_PICTURES:]:
+        page.figure(picture.figure, picture.says, name=picture.name)
     page.environment(environment)
     return page
 

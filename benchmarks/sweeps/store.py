@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from benchmarks.output import parquet_bytes, write_atomically
+from benchmarks.common.output import parquet_bytes, write_atomically
 from benchmarks.sweeps.errors import StoreError
 from benchmarks.sweeps.plan import Plan, differences, digest_of
 from benchmarks.sweeps.record import opened, owner, sealed, shard_indices

@@ -1,10 +1,9 @@
-"""The arguments of these commands, and which function each one calls; what they need is imported when they run."""
+"""The arguments of the commands that compare, report and list, and what no command may write over."""
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ LISTS = {
     "tasks": "the paths that [task] path may name, and their sizes",
     "metrics": "what `run` prints of a run, with units",
 }
-NAMES = (*LISTS, "solvers", "keys", "compare", "report")
 
 
 def add_commands(commands: Any) -> None:
@@ -70,34 +68,3 @@ def _place(path: Path | str) -> str:
         return os.path.realpath(path)
     except (OSError, ValueError):
         return str(path)
-
-
-def run_command(given: argparse.Namespace, rest: Sequence[str] = ()) -> int:
-    """Run one of `NAMES`; returns the exit status.
-
-    Args:
-        given: parsed.
-        rest: arguments that are the study's own.
-
-    Raises:
-        MocOptError: the input is wrong.
-    """
-    if given.command == "solvers" and not given.list:
-        from moc_opt.commands.studies import run_study
-
-        return run_study("solvers", [*rest, *(["--json"] if given.json else [])])
-    if given.command == "compare":
-        from moc_opt.commands.studies import compare_solvers
-
-        return compare_solvers(given)
-    if given.command == "report":
-        from moc_opt.commands.reports import report_runs
-
-        return report_runs(given)
-    if given.command == "keys":
-        from moc_opt.commands.reference import print_keys
-
-        return print_keys(given)
-    from moc_opt.commands.listing import print_list
-
-    return print_list(given)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import inspect
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
+from moc_opt.inputs.files import plain, to_json
 from moc_opt.report.console import console, print_json
 from moc_opt.report.tables import Column, Table
 
@@ -18,18 +19,24 @@ def print_list(given: argparse.Namespace) -> int:
         "robots": robots, "tasks": tasks, "metrics": metrics, "solvers": solvers,
     }  # fmt: skip
     table = lists[given.command]()
-    if given.command == "solvers" and not given.json:
-        table = here(table)
     if given.json:
         first, *others = [column.key for column in table.columns]
         print_json({str(row[first]): {key: row.get(key) for key in others} for row in table.rows})
         return 0
+    table = here(table) if given.command == "solvers" else replace(table, rows=[_written(row) for row in table.rows])
     screen = console()
     for piece in replace(table, caption="").fitted(screen.width):
         screen.print(piece)
     if table.caption:  # below a narrow table it would be a narrow column
         screen.print(table.caption, markup=False, highlight=False)
     return 0
+
+
+def _written(row: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Write the sizes of a path as the words of a line; what has no default is a name alone."""
+    if not isinstance(sizes := row.get("sizes"), dict):
+        return row
+    return {**row, "sizes": ", ".join(k if v is None else f"{k} = {v:g}" for k, v in sizes.items()) or None}
 
 
 def solvers() -> Table:
@@ -39,16 +46,25 @@ def solvers() -> Table:
     rows = []
     for name, reason in available().items():
         settings = {} if reason is not None else defaults(name)
-        written = ", ".join(f"{key} = {value!r}" for key, value in settings.items() if key != "kinematics")
-        rows.append({"solver": name, "here": reason or "yes", "settings": written or None})
+        known = {key: _plain(value) for key, value in settings.items() if key != "kinematics"}
+        rows.append({"solver": name, "here": reason or "yes", "settings": known})
     columns = [Column("solver", "solver"), Column("here", "runs here"), Column("settings", "settings")]
     return Table("Solvers: [solver] name, [solver.settings]", columns, rows)
+
+
+def _plain(value: Any) -> Any:
+    """Return a default as JSON can hold it: one of a plug-in may be any object, and is told by its text."""
+    try:
+        to_json(value)
+    except (TypeError, ValueError):
+        return repr(value)
+    return plain(value)
 
 
 def here(found: Table) -> Table:
     """Return those that can run here, with the names of their settings; the others in one sentence."""
     can = [row for row in found.rows if row["here"] == "yes"]
-    rows = [{**row, "settings": re.sub(r" = ([^,{}]|\{[^}]*\})*", "", row["settings"] or "") or None} for row in can]
+    rows = [{**row, "settings": ", ".join(row["settings"]) or None} for row in can]
     absent = [row["solver"] for row in found.rows if row["here"] != "yes"]
     told = f"Not here, for want of a package: {', '.join(absent)}. " if absent else ""
     columns = [column for column in found.columns if column.key != "here"]
@@ -57,14 +73,14 @@ def here(found: Table) -> Table:
 
 def robots() -> Table:
     """Return every arm of the package: its joints, what tip and shaft leave of them, and what it is."""
-    from moc_opt.robots import about, available_robots, load_data
+    from moc_opt.robots import about, available_robots
     from moc_opt.scenario.tables import RobotTable
 
     rows = []
     for name in available_robots():
-        data, left = load_data(name), RobotTable(name=name).freedoms()
-        rows.append({"robot": name, "joints": data.n, "real": left.real, "idle": len(left.idle),
-                     "tool": data.tool_length, "about": about(name)})  # fmt: skip
+        arm, left = RobotTable(name=name).arm_and_freedoms()
+        rows.append({"robot": name, "joints": arm.n, "real": left.real, "idle": len(left.idle),
+                     "tool": arm.data.tool_length, "about": about(name)})  # fmt: skip
     columns = [
         Column("robot", "robot"), Column("joints", "joints"), Column("real", "freedoms"), Column("idle", "idle"),
         Column("tool", "tool", "m"), Column("about", "what it is"),
@@ -85,8 +101,8 @@ def tasks() -> Table:
             known = {**sizes(name), **TaskTable.DEFAULT_SIZES.get(name, {})}
         except MocOptError:
             known = {}  # it does not load: `about` has the reason
-        words = [key if value is inspect.Parameter.empty else f"{key} = {value:g}" for key, value in known.items()]
-        rows.append({"path": name, "sizes": ", ".join(words) or None, "about": about})
+        defaults = {key: None if value is inspect.Parameter.empty else value for key, value in known.items()}
+        rows.append({"path": name, "sizes": defaults, "about": about})
     columns = [Column("path", "path"), Column("sizes", "sizes"), Column("about", "what it is")]
     return Table("Tasks: [task] path, [task.sizes]", columns, rows, "Lengths in m.")
 

@@ -20,8 +20,8 @@ _SUFFIX = re.compile(rf"_((?:{_UNIT}_)*{_UNIT}[2]?(?:_per_{_UNIT}2?)*|per_{_UNIT
 _HEAD = """# The keys of a scenario
 
 Made by `moc-opt keys --markdown` from the schema that checks every file: edit the schema, not this page. A key that is
-left out has its default. Numbers of a limit may be `inf` where the default is one: no limit. `[control]` and `[plant]`
-also take a `preset`, over which the other keys are laid: `paper`, `tuned`, `robust`; `realistic`, `nominal`.
+left out has its default. The levels of RCM error and forces in `[guard]` may be `inf`: no limit. `[control]` takes a
+`preset` too (`paper`, `tuned`, `robust`), and so does `[plant]` (`realistic`, `nominal`); the other keys override it.
 """
 
 

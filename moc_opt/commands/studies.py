@@ -56,6 +56,15 @@ def compare_solvers(given: argparse.Namespace) -> int:
     return 3 if lost else 0
 
 
+def list_or_study(given: argparse.Namespace) -> int:
+    """List the solvers, or run the whole study of them with the arguments that are its own; returns its exit status."""
+    if given.list:
+        from moc_opt.commands.listing import print_list
+
+        return print_list(given)
+    return run_study("solvers", [*given.rest, *(["--json"] if given.json else [])])
+
+
 def run_study(name: str, arguments: Sequence[str]) -> int:
     """Run a command of the package `benchmarks`, with its own arguments; returns its exit status.
 

@@ -182,18 +182,18 @@ def _bodies(robot: RobotModel) -> Finding:
 def _gains(robot: RobotModel, asked: Scenario) -> Iterator[Finding]:
     """Yield the rates of the asked control's gains, and of those of the preset "tuned"."""
     limit, period = allowed_rate(asked.plant), asked.plant.period_s
-    yield _rate_row("gains", gain_rates(robot, asked.control), limit, period, lambda s: (
+    yield _rate_row("gains", gain_rates(robot, asked.control), limit, lambda s: (
         f"beyond {limit:.0f}/s a loop of {1e3 * period:g} ms with its delay swings: multiply {s[0]} by {s[1]:.2g} in "
         "the robot file's [gains]"
     ))  # fmt: skip
     tuned = type(asked.control).preset("tuned")
-    yield _rate_row("preset tuned", gain_rates(robot, tuned), limit, period, lambda s: (
+    yield _rate_row("preset tuned", gain_rates(robot, tuned), limit, lambda s: (
         f"leave the preset out, or multiply {s[0]} in the robot file's [gains.tuned] by {s[1]:.2g}"
     ), worst="care")  # fmt: skip
 
 
 def _rate_row(
-    what: str, rates: Rates, limit: float, period: float, cure: Callable[[tuple[str, float]], str],
+    what: str, rates: Rates, limit: float, cure: Callable[[tuple[str, float]], str],
     worst: Verdict = "cannot",
 ) -> Finding:  # fmt: skip
     name, rate = rates.largest

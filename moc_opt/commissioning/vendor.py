@@ -18,7 +18,7 @@ from moc_opt.commissioning.tree import LinkTree, last_link
 from moc_opt.errors import RobotError, UnknownNameError
 from moc_opt.inputs.files import read_text
 from moc_opt.robots import urdf
-from moc_opt.robots.numbers import as_text, triple
+from moc_opt.robots.numbers import as_text, is_decimal, triple
 from moc_opt.robots.rebuild import MOVING, SMALLEST_MASS, rebuild
 from moc_opt.robots.urdf import end
 
@@ -28,7 +28,6 @@ _PREFIX = re.compile(r"(?:</?|\s)([A-Za-z_][\w.-]*):[A-Za-z_]")
 _QUOTED = re.compile(r'"[^"]*"|\'[^\']*\'')
 TURN = 2.0 * math.pi
 _ENDLESS = re.compile(r"\s*[+-]?inf(inity)?\s*", re.IGNORECASE)
-_DECIMAL = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.IGNORECASE)
 _LARGEST = 1e5
 """rad, rad/s, Nm, m, m/s and N."""
 
@@ -153,7 +152,7 @@ def _drop_endless_limits(arm: VendorArm) -> None:
 
 def _size(text: str) -> float:
     """The size of a decimal number; 0 where it is none, which is refused later by name."""
-    return abs(float(text)) if _DECIMAL.fullmatch(text) else 0.0
+    return abs(float(text)) if is_decimal(text) else 0.0
 
 
 def _note_massless(arm: VendorArm, tree: LinkTree) -> None:

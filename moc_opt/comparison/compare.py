@@ -45,6 +45,11 @@ def compare(
     Raises:
         UnknownNameError, SolverError: no such solver, no solver, or two of one name; before anything runs.
         ScenarioError: an argument is not usable, the scenario has no third level, or DCAC cannot run it.
+
+    Example:
+        >>> short = mo.Scenario(duration_s=0.05, bound_samples=0)
+        >>> mo.compare({"one": "exact", "two": mo.solvers.create("exact")}, short, trials=1).solvers
+        ['dcac', 'one', 'two']
     """
     base = Scenario() if scenario is None else Scenario.given(scenario)
     for argument, value, least in (("trials", trials, 1), ("seed", seed, 0)):

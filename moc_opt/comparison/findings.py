@@ -51,6 +51,19 @@ class Comparison:
         scenario: from which the trials were made.
         note: from where the trials start, and that the machine was busy where it was.
         complete: False where Ctrl-C ended it after some of the trials.
+
+    Example:
+        >>> found = mo.compare(["exact"], mo.Scenario(duration_s=0.05, bound_samples=0), trials=2)
+        >>> found.solvers, found.summary()["exact"]["verified"], sorted(found.values("exact", "mu_mean"))
+        (['dcac', 'exact'], 100.0, [0, 1])
+        >>> gain = found.change("exact", "mu_mean")  # [percent], with its 95 % interval
+        >>> gain.low <= gain.value <= gain.high, found.mean("dcac", "mu_mean").samples
+        (True, 2)
+        >>> found.table.title, len(found.tables(width=80)), found.to_pandas().shape[0]
+        ('circle: solvers on the same trials', 2, 4)
+        >>> [box.name for box in found.plot("tip_error_max_mm").data]
+        ['dcac', 'exact']
+        >>> found.save_rows("rows.csv")
     """
 
     rows: Sequence[Mapping[str, Any]]
@@ -73,12 +86,20 @@ class Comparison:
         return {row["seed"]: float(row[metric]) for row in mine if metric in row}
 
     def mean(self, solver: str, metric: str) -> Interval | None:
-        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any."""
+        """Return the mean of a metric over the solver's whole trials, with its 95 % interval; None without any.
+
+        Raises:
+            UnknownNameError: as for `values`.
+        """
         values = list(self.values(solver, metric).values())
         return mean(values) if values and np.isfinite(values).all() else None
 
     def change(self, solver: str, metric: str) -> Interval | None:
-        """Return the change of a mean against DCAC [percent], on the trials that both drove to their end."""
+        """Return the change of a mean against DCAC [percent], on the trials that both drove to their end; or None.
+
+        Raises:
+            UnknownNameError: as for `values`.
+        """
         mine, theirs = self.values(solver, metric), self.values(BASELINE, metric)
         both = [seed for seed in mine if seed in theirs]
         try:

@@ -41,12 +41,12 @@ class Controller:
     level did (None and NaN under DCAC).
 
     Args:
-        robot: the model that the control law believes in.
+        robot: the model that the control law uses.
         settings: see ControlSettings.
         solver: for law "moc"; None for "dcac".
         period: control period [s]; the observer integrates over it.
         times_us: recorded solve times that replace the clock where a solve has a time budget.
-        guide: what the third level follows in place of the gradient of mu; needs regularization and c2 above 0.
+        guide: gives the velocity that replaces the gradient of mu; needs regularization and c2 above 0.
 
     Raises:
         ControlError: a law without its solver, a solver that cannot take the subproblem, a bad gain.
@@ -98,7 +98,7 @@ class Controller:
 
     @property
     def fault(self) -> Fault:
-        """What was wrong with the last tick's answer."""
+        """The fault of the last tick's answer."""
         return self._supervisor.fault
 
     @property
@@ -128,7 +128,7 @@ class Controller:
 
     @property
     def external_torque(self) -> Array:
-        """What the observer makes of the torque from outside (n,) [Nm], a copy; zero without one."""
+        """The observer's estimate of the external torque (n,) [Nm], a copy; zero without an observer."""
         return (self._rest if self._observer is None else self._observer.external_torque).copy()
 
     def warm_up(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
@@ -142,10 +142,10 @@ class Controller:
         copy.tick(state, tip_ref, trocar)
 
     def start(self, state: RobotState, tip_ref: Array, trocar: Array) -> None:
-        """Forget the past and set up the solver for problems like the one at ``state``.
+        """Reset the state and set up the solver for problems like the one at ``state``.
 
         Raises:
-            ControlError: the solver says that it cannot take the subproblem, or raises when it is asked or started.
+            ControlError: the solver does not support the subproblem, or raises an exception at its start.
         """
         self._forget()
         self._Z = null_space(state.A)
@@ -168,7 +168,7 @@ class Controller:
         """Compute the torque (n,) [Nm] of this period.
 
         Args:
-            state: what the model makes of the measured q and v.
+            state: of the model at the measured q and v.
             tip_ref: (3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2].
             trocar: (2, 3) rows P_t [m], dP_t [m/s], as registered.
 
@@ -182,7 +182,7 @@ class Controller:
         # tau = tau_tip + tau_rcm - r
         tau = self._tracking_torque(record, law, tip_ref, trocar, r)
         if self._session is not None:
-            # x*: the subproblem's answer, or what the supervisor puts in its place.
+            # x*: the subproblem's answer, or the supervisor's substitute.
             x = self._solve(self._session, state, tip_ref, trocar)
             self._share = share = min(1.0, self._share + self._fade)
         elif self._damps:
@@ -197,7 +197,7 @@ class Controller:
         self._tau = read_only(np.array(tau, dtype=np.float64))
 
     def _checked(self, tip_ref: Array, trocar: Array) -> tuple[Array, Array]:
-        """Return the references as contiguous float64: what is compiled takes that for granted."""
+        """Return the references as contiguous float64, which compiled code requires."""
         check_references(self._started, tip_ref, trocar)
         if tip_ref.strides != _ROWS or tip_ref.dtype is not _DOUBLE:
             tip_ref = np.ascontiguousarray(tip_ref, dtype=np.float64)

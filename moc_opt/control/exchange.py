@@ -2,8 +2,8 @@
 
 Each side writes one slot and reads the other. A slot begins and ends with the number of the request: the writer sets
 ``begin``, then the contents, then ``end``; a reader copies what lies between and takes it where both numbers still
-agree (a seqlock). Nothing waits for anybody, and no object is pickled. The memory is an anonymous file: it has no name
-that another process could open, and none is left behind by a kill.
+agree (a seqlock). Neither side waits for the other, and no object is pickled. The memory is an anonymous file: no other
+process can open it by name, and a kill leaves nothing behind.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from moc_opt.qp.problem import row_length
 from moc_opt.solvers.base import Solution, Status
 
 START, SOLVE = range(2)
-"""What is asked for: a session for problems like this one, or the answer to this one."""
+"""Kinds of request: a session for problems like this one, or the answer to this one."""
 ANSWERED, RAISED, MALFORMED, REFUSED = range(4)
-"""What came of it."""
+"""Kinds of answer."""
 OBSERVES = "observes"
-"""Text of the answer to ``START`` where the session wants the measured velocity."""
+"""Text of the answer to ``START`` if the session observes the measured velocity."""
 MOST_TEXT = 1000
-"""Bytes of what the solver said or raised."""
+"""Largest length of a message [bytes]."""
 
 _STATUSES = tuple(Status)
 _BEGIN, _END, _COMMAND, _OBSERVES = range(4)  # of a request's head
@@ -48,7 +48,7 @@ def size(n: int) -> int:
 
 
 class Request(NamedTuple):
-    """What the loop asks for; the arrays are copies."""
+    """A request of the loop; the arrays are copies."""
 
     number: int
     command: int
@@ -58,10 +58,10 @@ class Request(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What came of a request; x and y are copies."""
+    """The answer to a request; x and y are copies."""
 
     number: int
-    """Of the request."""
+    """Number of the request."""
     kind: int
     solution: Solution
     text: str
@@ -119,7 +119,7 @@ class Exchange:
     def answer(self, first: int) -> Answer | None:
         """Return the newest answer; None where it is to a request before number ``first``, or is being written.
 
-        What stands in the memory is foreign: a status, a length or a kind out of range is never used as an index.
+        The contents come from another process: a status, length or kind out of range is never used as an index.
         """
         head = self._answer
         number = self.answered
@@ -147,6 +147,6 @@ def shared_file(contents: bytes, n: int) -> int:
     """Make an anonymous file: the memory for n joints, and ``contents`` after it; return its descriptor."""
     fd = os.memfd_create("moc_opt session", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     os.pwrite(fd, contents, size(n))
-    # For good: a process that made it shorter would end the other one, at its next look into it, by SIGBUS.
+    # Sealed: if one process made the file shorter, the other one would die of SIGBUS at its next access.
     fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
     return fd

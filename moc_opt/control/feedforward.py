@@ -1,12 +1,13 @@
-"""Acceleration feed-forward of both tracking levels: what the springs would otherwise have to ask for.
+"""Acceleration feed-forward of both tracking levels, which the springs would otherwise have to supply.
 
 a = [ddX_d - dJ_T v; b^T (ddN_d - dJ_W v)] on the five independent rows A5 (tip, and the wrist across the shaft),
 tau = A5^T (A5 M^-1 A5^T)^-1 a. On the tip alone this is the Lambda_T (ddX_d - dJ_T v) of Khatib 1987, eq. 51; the
-wrist's part takes out what a travelling elbow does to the shaft. The paper's law has none.
+wrist's part compensates the effect of a moving elbow on the shaft. The paper's law has no feed-forward.
 
 With M = L L^T the rows of A5 L^-T are made orthogonal instead of squared: the torque of a nearly straight elbow keeps
-twice the digits. At ``STRAIGHT`` of the other direction and below, the one in which such an elbow can hardly move the
-wrist is left out: at the straight elbow itself it would take an infinite torque, and rounding would decide which.
+twice the digits. A nearly straight elbow can hardly move the wrist in one direction. Where the mobility in it is at
+most ``STRAIGHT`` times that in the other one, this direction is left out: at the straight elbow itself it would need
+an infinite torque, whose sign rounding would decide.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def desired_wrist_acceleration(
     trocar_velocity: Array,
     span: float,
 ) -> Array:
-    """Compute ddN_d (3,) [m/s^2] of N_d = X + L e, the trocar's own acceleration left out.
+    """Compute ddN_d (3,) [m/s^2] of N_d = X + L e, without the trocar's own acceleration.
 
     With r = P_t - X = |r| e:  e'' = (I - e e^T)(r'' - 2 |r|' e')/|r| - |e'|^2 e.
     """

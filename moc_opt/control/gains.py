@@ -50,7 +50,7 @@ def resolve(
         law: ``dcac``, under which K_N2 and D_N2 are zero, or ``moc``.
         given: value or None for each of GAINS.
         tables: the robot's [gains.*].
-        name: the table to take what is None from.
+        name: the table from which gains that are None are taken.
         joints: n, to which K_N2 and D_N2 are spread.
 
     Raises:
@@ -75,7 +75,7 @@ def per_joint(name: str, value: Any, joints: int, where: str = "") -> NDArray[np
     """Return one number for all joints, or one per joint, as (n,) numbers of 0 or more.
 
     Raises:
-        ControlError: another length, or something that is no such number; the message says ``where`` it stands.
+        ControlError: another length, or an entry that is no such number; the message contains ``where``.
     """
     numbers = value if isinstance(value, list | tuple) else [value] * joints
     if len(numbers) != joints:

@@ -1,4 +1,4 @@
-"""What may stand in the third level in place of the climb of mu: a joint velocity that is wished for at every tick."""
+"""The protocol of a guide: a desired joint velocity at every tick, in place of the climb of mu in the third level."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from moc_opt.numerics.arrays import Array
 
 
 class Guide(Protocol):
-    """Says at every tick how the arm should move on its self-motion.
+    """Gives the desired self-motion of every tick.
 
     The controller puts (rho / c2) x_d in the place of grad mu: on the feasible set the subproblem then is
     min rho/2 |x - x_d|^2, and box, solver, supervisor and residual check are those of every other run.
@@ -19,4 +19,4 @@ class Guide(Protocol):
         """Begin at t = 0."""
 
     def wish(self, state: RobotState) -> Array:
-        """Return x_d (n,) [rad/s] of this tick; what it holds outside ker A does not count. Called once a tick."""
+        """Return x_d (n,) [rad/s] of this tick; its part outside ker A has no effect. Called once a tick."""

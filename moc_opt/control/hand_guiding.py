@@ -1,8 +1,8 @@
-"""Hand guiding: the arm carries its own weight and resists motion a little; whoever holds it moves it.
+"""Hand guiding: the arm carries its own weight and resists motion a little, so that a hand can move it.
 
 tau = g(q) - D v: gravity compensation with joint damping, the law of step one of the operative procedure
-(Su et al. 2019). There is no position the arm goes back to: the errors of the model's masses push it slowly, and
-joint friction or a hand has to hold against them.
+(Su et al. 2019). The arm has no position to return to: errors of the model's masses push it slowly, unless
+joint friction or a hand holds it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class HandGuiding:
         """Set the damping.
 
         Args:
-            robot: the model that the law believes in.
+            robot: the model that the law uses.
             damping_Nm_s_per_rad: D, one number or one a joint, zero or above.
 
         Raises:

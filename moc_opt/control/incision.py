@@ -1,16 +1,16 @@
-"""What an arm measures at its incision: how far the shaft passes from the registered trocar, and the trocar's force.
+"""Measurements at the incision: the distance of the shaft from the registered trocar, and the trocar's force.
 
 The force comes from the six-axis sensor at the tool's mount. In tool axes (z along the shaft, L from mount to tip, the
-trocar a depth d before the tip) the tool's own weight is taken off the reading; what is left across the shaft are the
-forces of the trocar, f, and of what the tip touches, g:
+trocar a depth d before the tip) the tool's weight is subtracted from the reading. The rest across the shaft is the
+sum of the trocar's force f and the force g of a contact at the tip:
 
     force = f + g,   torque about the mount = (L - d) z x f + L z x g,   hence   f = (L force - torque x z) / d
 
-That depth is the believed one: a shaft that has left its incision presses with its tip, and all of f would pass for g.
-So of g no more than a given force is believed, and the rest counts as the trocar's.
+The depth d is computed from the encoders: if it is wrong, the trocar's force may be taken for a contact of the tip.
+So at most a given force is attributed to g, and the rest counts as the trocar's.
 
-Nearer to the tip than ``SHORTEST_DEPTH_M`` the two cannot be told apart, and the whole force counts as the trocar's.
-The tool's inertia force is left in: some 0.3 N for each m/s^2 of the default tool.
+At depths below ``SHORTEST_DEPTH_M`` the two cannot be separated, and the whole force counts as the trocar's.
+The tool's inertia force is not subtracted: some 0.3 N for each m/s^2 of the default tool.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def trocar_force(pose: Array, point: Array, wrench: Array, mass: float, length: 
         wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.
         mass: of the tool, a uniform rod [kg].
         length: L, from its mount to its tip [m].
-        touch: what the tip may press across the shaft [N]: of the whole force no less than the rest is the trocar's.
+        touch: largest force across the shaft attributed to the tip [N]; the rest counts as the trocar's.
     """
     depth = 0.0
     for i in range(3):
@@ -76,7 +76,7 @@ BELOW, ABOVE, NO_READING = 0, 1, 2
 
 @njit(cache=True, nogil=True)
 def take(tool: Array, lowest: Array, means: Array, pose: Array, point: Array, wrench: Array) -> int:
-    """Move both mean squares on; say whether one is above ``lowest`` (2,), or the sensor's reading is no number.
+    """Update both mean squares; return whether one is above ``lowest`` (2,), or the sensor's reading is NaN.
 
     Args:
         tool: (4,) mass [kg], length [m], ``touch`` as for ``trocar_force`` [N], and a reading's share of the means.
@@ -124,9 +124,9 @@ class Incision:
     """Root mean squares, over a time constant, of RCM error and trocar force, against their levels.
 
     Args:
-        tool: mass [kg] and length [m] of the tool, and what its tip may press across the shaft [N].
+        tool: mass [kg] and length [m] of the tool, and the largest force attributed to its tip [N].
         share: control period over the time constant.
-        patience_ticks: readings of the wrench sensor in a row that may be no numbers.
+        patience_ticks: readings of the wrench sensor in a row that may be NaN.
         rcm: warning level and limit of the RCM error against the registered trocar [m]; None: off.
         force: the same of the trocar's force [N].
 
@@ -159,12 +159,17 @@ class Incision:
         """Return the trocar's force on the shaft [N] at the last registered place; NaN where it has no reading."""
         return float(trocar_force(pose, self.point, wrench, *self.tool[:3]))
 
+    def passed(self, ticks: int) -> None:
+        """Note ticks at which ``take`` found nothing."""
+        if ticks > 0:
+            self._tick, self._unread = self._tick + ticks, 0
+
     def reason(self, found: int) -> str:
         """Return the reason to stop after what ``take`` found at one tick, or ""."""
-        self._tick += 1
         if found == BELOW:
-            self._unread = 0
+            self.passed(1)
             return ""
+        self._tick += 1
         self._unread = self._unread + 1 if found == NO_READING else 0
         if self._unread > self._patience and np.isfinite(self.lowest[1]):
             return "the wrench sensor's readings are no numbers"
@@ -174,7 +179,7 @@ class Incision:
         return reason
 
     def warnings(self, period: float) -> list[dict[str, Any]]:
-        """List what has been above its warning level: name, when first [s], and the largest value."""
+        """List figures that were above their warning level: name, first time [s], and the largest value."""
         return [
             {
                 "of": w.name, "first_s": w.first_tick * period, "largest": w.scale * w.largest, "unit": w.unit,

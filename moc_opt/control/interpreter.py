@@ -1,8 +1,8 @@
-"""The interpreter that loop and solver share: what foreign code may change of it, and how that is put back.
+"""The interpreter that loop and solver share: save the state that foreign code may change, and restore it.
 
-A library may do so when it is loaded or asked, in good faith: another rounding of the processor, an error state of
-numpy's, a handler of Ctrl-C. What is left as it was made is what only a process of its own keeps apart
-(``[solver] isolation = "process"``): the environment, threads, open files, limits of resources, modules.
+A library may change it when it is loaded or called: the rounding of the processor, numpy's error state, the handler
+of Ctrl-C. Changes of environment, threads, open files, limits of resources and modules are not undone; only a
+separate process protects them (``[solver] isolation = "process"``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TIMERS = (signal.ITIMER_REAL, signal.ITIMER_VIRTUAL, signal.ITIMER_PROF)
 
 
 class Interpreter:
-    """What the interpreter is like when this is made; as a context, it is so again at the end.
+    """The interpreter's state at construction; as a context manager, restores it at the end.
 
     Of this thread: tracing and profiling functions, numpy's error state, the processor's rounding, traps and handling
     of the smallest numbers, blocked signals. Of the process, from the main thread alone, as others may be at work on
@@ -55,7 +55,7 @@ class Interpreter:
         self.restore()
 
     def calm(self) -> None:
-        """Put back what breaks into the very next lines; takes a fraction of a microsecond where nothing changed."""
+        """Restore what affects the next lines of code; takes a fraction of a microsecond where nothing changed."""
         depth, trace, profile = self._quick
         if sys.gettrace() is not trace or sys.getprofile() is not profile or sys.getrecursionlimit() != depth:
             sys.setprofile(profile)
@@ -63,12 +63,12 @@ class Interpreter:
             sys.setrecursionlimit(depth)
 
     def answer_signals(self) -> None:
-        """Put back who answers the signals by which a run is ended from outside; some microseconds."""
+        """Restore the handlers of the signals that end a run; takes some microseconds."""
         if self._has_process and _is_main_thread():
             self._handle(*_ENDING)
 
     def restore(self) -> None:
-        """Put everything back; half a millisecond."""
+        """Restore everything; takes half a millisecond."""
         self.calm()
         _libm.fesetenv(self._floats)
         np.seterr(**self._errors)
@@ -79,7 +79,7 @@ class Interpreter:
     def _handle(self, *numbers: int) -> None:
         for number in numbers:
             handler = self._handlers[number]
-            if handler is not None:  # set even where it looks the same: a library in C replaces it unseen
+            if handler is not None:  # set even if it is unchanged in Python: a library in C may have replaced it
                 signal.signal(number, handler)
 
     def _restore_process(self) -> None:
@@ -87,7 +87,7 @@ class Interpreter:
         for which, (left, interval) in zip(_TIMERS, self._timers, strict=True):
             if left == 0.0:
                 signal.setitimer(which, 0.0)
-            elif which == signal.ITIMER_REAL and left > passed:  # one that is over has rung
+            elif which == signal.ITIMER_REAL and left > passed:  # a timer that is over has fired
                 signal.setitimer(which, left - passed, interval)
         self._handle(*_HANDLED)
         sys.setswitchinterval(self._switch_s)

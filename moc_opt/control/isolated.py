@@ -1,14 +1,14 @@
-"""A solver in a process of its own: whatever it does there, the loop waits no longer than it was told to.
+"""A solver in its own process: whatever happens there, the loop waits only for a bounded time.
 
-The session of every other solver runs inside the loop; one that hangs, ends the process or keeps the interpreter's lock
-takes the loop with it. `Isolated` wraps any solver that pickle can copy. Its sessions hand each subproblem to a process
+Without isolation a session runs inside the loop: a solver that hangs, ends the process or keeps the interpreter's lock
+stops the loop too. `Isolated` wraps any solver that pickle can copy. Its sessions pass each subproblem to a process
 through shared memory (`moc_opt.control.exchange`), wait for the answer at most ``budget_us``, and kill and replace a
 process that hung, died or grew.
 
-How simulated ticks and the process's own time belong together: a tick waits for the answer to its own subproblem, so a
-solver that keeps its budget gives the same run as without isolation, however fast or slow the machine; the simulated
-time stands still meanwhile, and also while a process is replaced. Against a wall clock (``waits=False``) nothing stands
-still: a second process is kept ready, and a tick that finds none falls back.
+In simulated time a tick waits for the answer to its own subproblem, and simulated time stands still in the wait and
+while a process is replaced. So a solver that keeps its budget gives the same run as without isolation, on a fast or a
+slow machine. Against a wall clock (``waits=False``) nothing stands still: a second process is kept ready, and a tick
+without a process uses the fallback.
 """
 
 from __future__ import annotations
@@ -36,30 +36,36 @@ class ProcessSettings(Settings):
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
     answer_age_ticks: int = Field(
-        0, ge=0, description="largest age of an answer that stands for one that is late; 0: only this tick's own"
+        0, ge=0, description="largest age of an earlier answer that may replace a late one; 0: none may"
     )
-    hang_s: float = Field(1.0, gt=0.0, description="without an answer for so long, it is killed and replaced")
-    memory_MB: float = Field(4096.0, gt=0.0, description="with more than this, it is killed and replaced")
-    most_restarts: int = Field(20, ge=0, description="of one run; from then on the third level falls back")
+    hang_s: float = Field(
+        1.0, gt=0.0, description="a process that gives no answer for this time is killed and replaced"
+    )
+    memory_MB: float = Field(
+        4096.0, gt=0.0, description="a process that uses more memory than this is killed and replaced"
+    )
+    most_restarts: int = Field(
+        20, ge=0, description="largest number of replacements in a run; after them the third level falls back"
+    )
     start_s: float = Field(120.0, gt=0.0, description="time in which a process must start, compilation included")
 
 
 class Restart(NamedTuple):
-    """A process that was replaced: how many answers had been asked for before, and why."""
+    """The replacement of a process: the number of answers requested before, and the reason."""
 
     tick: int
     reason: str
 
 
 class Isolated:
-    """A solver whose sessions run in processes of their own.
+    """A solver whose sessions run each in its own process.
 
     Args:
         inner: any solver that pickle can copy.
         settings: when a process is replaced.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
-        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it falls back,
-            and a second process is kept ready.
+        waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it uses the
+            fallback, and a second process is kept ready.
 
     Raises:
         ControlError: the solver cannot be copied into another process, or this is no Linux.
@@ -85,11 +91,11 @@ class Isolated:
 
     @property
     def name(self) -> str:
-        """Of the solver inside."""
+        """Name of the wrapped solver."""
         return self.inner.name
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None: the solver is asked where it runs, in ``start``."""
+        """Return None: ``start`` asks the solver in its process."""
         return None
 
     def start(self, qp: NullSpaceQP) -> Session:
@@ -127,7 +133,7 @@ class IsolatedSession:
             cure = f"; raise [solver.process] start_s = {self._settings.start_s:g}" if wrong == STARTING else ""
             raise ControlError(f"solver {solver.name!r} in a process of its own: {wrong}{cure}")
         if self._workers[0].observes:
-            self.observe = self._observe  # the controller looks for it
+            self.observe = self._observe  # the controller calls ``observe`` if it exists
         self._keep_a_spare(qp)
 
     def _observe(self, v: Array) -> None:
@@ -157,7 +163,7 @@ class IsolatedSession:
             self._lose(f"it had {grown_MB:.0f} MB of memory, and {settings.memory_MB:g} MB are allowed")
         if found.kind == ANSWERED:
             return found.solution
-        if found.kind == MALFORMED:  # the claim stands, as without a process: an answer of no form is no optimum
+        if found.kind == MALFORMED:  # the claim is kept, as without a process: a malformed answer is no optimum
             raise Unanswered(Fault.MALFORMED, found.text, found.solution.status)
         raise Unanswered(Fault.RAISED, found.text)
 

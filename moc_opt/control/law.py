@@ -16,7 +16,7 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
 DYNAMIC, STATIC, AS_PUBLISHED = range(len(PROJECTORS))
-_ROWS = 6
+_NUMBERS, _ROWS = 14, 6
 
 
 class Law(NamedTuple):
@@ -37,7 +37,7 @@ class Law(NamedTuple):
     weights: Array
     """(4,) c0, c1, c2, rho"""
     shaft_margin: float
-    """below this mu_shaft [m^2] the climb leads away from losing the shaft; 0: nowhere"""
+    """below this mu_shaft [m^2] the climb leads away from poses that cannot hold the shaft; 0: nowhere"""
     spare_speed: float
     """by how much more than its v_max the box opens where mu_shaft goes to zero, a share of v_max"""
     limits: Array
@@ -53,7 +53,7 @@ class Law(NamedTuple):
 @njit(cache=True, nogil=True)
 def law_views(law: Array, n: int) -> Law:
     """Name the parts of a packed law; for use inside other kernels, and in Python through `.py_func`."""
-    rows = law[14:].reshape((6, n))
+    rows = law[_NUMBERS:].reshape((_ROWS, n))
     return Law(
         law[0], law[1], law[2], law[3], law[4], law[5], law[6], law[7],
         law[8:12], law[12], law[13], rows[:3], rows[3], rows[4], rows[5],
@@ -77,7 +77,7 @@ def packed(
 
 
 def shaft_margin_m2(settings: ControlSettings, robot: RobotModel) -> float:
-    """Return the margin of mu_shaft [m^2]: with the tip held the wrist moves by its distance times the shaft's turn."""
+    """Return the margin of mu_shaft [m^2], proportional to the squared distance of wrist point and tip."""
     return float(settings.shaft_margin * robot.state(robot.data.q_home).tool_span ** 2)
 
 
@@ -89,7 +89,7 @@ def law_of(settings: ControlSettings, robot: RobotModel) -> Array:
     """
     gains = settings.resolve_gains(robot.data.gains, robot.n)
     gain, damping = gains.K_N2, gains.D_N2
-    if settings.follows:  # x is a speed that is wanted: what differs from it is damped, not the speed itself
+    if settings.follows:  # x is the desired speed: its error is damped, not the speed itself
         gain, damping = gain + damping, np.zeros(robot.n)
     if settings.law == "dcac":
         damping = per_joint("[control] dcac_damping", settings.dcac_damping, robot.n)

@@ -1,9 +1,9 @@
-"""Level 3, manipulability: the subproblem of this tick, and the torque that follows its answer.
+"""Level 3, manipulability: the box of the subproblem, and the torque computed from its answer.
 
 Box: lower = max(-vmax, -k0 (q - q_min)), upper = min(vmax, -k0 (q - q_max)), the velocity damper.
 Torque: tau_mu = M Z^T (Z M Z^T)^-1 Z (K_N2 (x* - v) - D_N2 v), with Z the rows of an orthonormal
-basis of ker A: it moves neither tip nor wrist, A M^-1 tau_mu = 0 (the consistent form of what
-Su et al. 2019 print as [(Z M Z^T) Z M]^T).
+basis of ker A: it moves neither tip nor wrist, A M^-1 tau_mu = 0 (the consistent form of
+[(Z M Z^T) Z M]^T, as printed by Su et al. 2019).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from moc_opt.qp.residuals import ranks
 def velocity_damper(q: Array, limits: Array, k0: float, lower: Array, upper: Array) -> None:
     """Write the box on x [rad/s] for limits (3, n) rows q_min, q_max, v_max: it closes at k0 [1/s] and never crosses.
 
-    Beyond a limit the damper asks for a velocity back inside, at most v_max.
+    Beyond a limit the box contains only velocities back inside, at most v_max.
     """
     for i in range(q.shape[0]):
         q_min, q_max, v_max = limits[0, i], limits[1, i], limits[2, i]
@@ -35,12 +35,12 @@ def box_limits(
 ) -> Array:
     """Return the limits of the box on x: (3, n) rows q_min + margin, q_max - margin, speed_fraction v_max.
 
-    The box has to close before a joint is where something else stops it (the wall of the safety filter).
+    The box has to close before the wall of the safety filter acts on the joint.
 
     Args:
         q_min, q_max: (n,) joint limits [rad].
         v_max: (n,) [rad/s].
-        margin: what stays free of a joint's range at either end, one number or (n,) [rad, m].
+        margin: distance kept from either joint limit, one number or (n,) [rad, m].
         speed_fraction: of v_max.
 
     Raises:
@@ -68,7 +68,7 @@ def consistent_wrist_velocity(v_tip: Array, v_wrist: Array, u: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def follow_null_space(A: Array, u: Array, Z: Array) -> bool:
-    """Carry the basis Z (r, n) of ker A over from the last tick, in place; False where that fails.
+    """Update the basis Z (r, n) of ker A from the last tick's, in place; False where that fails.
 
     Its rows are projected on the new kernel and made orthonormal again. So Z turns no further
     than the kernel does, whatever sign a fresh decomposition would have chosen. The dependent
@@ -131,9 +131,9 @@ def self_motion_torque(M: Array, Z: Array, push: Array) -> Array:
 def into_the_box(A: Array, b: Array, Z: Array, lower: Array, upper: Array, sweeps: int) -> Array:
     """Find the smallest self-motion (n,) [rad/s] that brings the arm's other motion into the box; zero if none does.
 
-    An arm whose self-motion is damped follows its references with the shortest x of A x = b, which may run a
-    joint into its limit. Of all self-motions Z^T w added to it the shortest is wanted that leaves the box nowhere:
-    Hildreth's dual coordinate ascent, one constraint a joint. Zero where that x is inside already.
+    With a damped self-motion the arm follows its references with the shortest x of A x = b, which may move a joint
+    to its limit. The shortest self-motion Z^T w that brings x + Z^T w into the box is found by Hildreth's dual
+    coordinate ascent, one constraint a joint. It is zero if x is in the box already.
 
     Args:
         A: (6, n); b: (6,).

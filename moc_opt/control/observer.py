@@ -1,9 +1,9 @@
-"""The generalized-momentum observer: what torque acts on the arm that the model does not know of.
+"""The generalized-momentum observer: an estimate of the torque that acts on the arm beside the model's.
 
 r = K_o (p - integral(tau + C^T v - g + r) dt - p(0)),   p = M v
 (De Luca & Mattone 2003). r follows the external torque like a first-order filter of rate K_o.
-Subtracted from the command it takes friction and model error out, and it stiffens the arm against
-contact: force at the trocar is to be reported beside it.
+Subtracted from the command it compensates friction and model error. It also stiffens the arm against
+contact, so the force at the trocar has to be reported too.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class MomentumObserver:
 
     Args:
         robot: the model whose error is to be observed.
-        gain: K_o [1/s]; the explicit step needs gain * period < 2, and noise asks for much less.
+        gain: K_o [1/s]; the explicit step needs gain * period < 2, and noise requires much less.
         period: control period [s].
         name: of the setting that the gain stands in.
 

@@ -1,4 +1,4 @@
-"""Named sets of control settings: the paper's, those that a search found, and softer ones."""
+"""Named sets of control settings: the paper's, the result of a search, and softer ones."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ PAPER: dict[str, Any] = {
 TUNED: dict[str, Any] = {
     "gains": "tuned", "fallback": "damping", "observer_gain_per_s": 33.3, "feedforward": True, "k0_per_s": 1.58,
     "regularization": 3.24e-5, "speed_fraction": 0.49, "ramp_s": 0.653,
-    "course_observer_gain_per_s": 28.0,  # with 33 /s or 40 /s it does not bear three ticks of delay without friction
+    "course_observer_gain_per_s": 28.0,  # with 33 or 40 /s unstable at three ticks of delay without friction
 }  # fmt: skip
 
-# Softened by hand until the loop bears four ticks from command to torque, also without friction and against a stiff
+# Softened by hand until the loop tolerates four ticks from command to torque, also without friction and against a stiff
 # trocar; half as much tip error again.
 ROBUST: dict[str, Any] = {
     **TUNED, "gains": "robust", "observer_gain_per_s": 22.0, "course_observer_gain_per_s": 22.0

@@ -1,10 +1,10 @@
-"""Level 2, the remote centre of motion: the shaft is turned about the tip until it meets the trocar.
+"""Level 2, the remote centre of motion: turn the shaft about the tip until it passes through the trocar.
 
-The tip at X and the trocar at P_t fix where the wrist belongs: N_d = X + L e with
+The tip X and the trocar P_t determine the desired wrist N_d = X + L e with
 e = (P_t - X)/|P_t - X| (`moc_opt.model.shaft_kernels`). A spring pulls the wrist there,
 F_W = K_N (N_d - N) + D_N (dN_d - J_W v), projected so that it does not move the tip (Su et al. 2019; the consistent
 form of its projector).
-The paper takes |e_N1| = d / lambda for the length of N_d - N, with a constant lambda: ``published_share``.
+For |N_d - N| the paper uses |e_N1| = d / lambda with a constant lambda: ``published_share``.
 """
 
 from __future__ import annotations

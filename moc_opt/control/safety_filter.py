@@ -1,10 +1,10 @@
-"""The safety filter: limits on torque and motion that hold whatever the levels ask for, and the request to stop.
+"""The safety filter: limits of torque and motion that act on every output of the levels, and the request to stop.
 
 Limits: torque and torque rate are cut; a joint near its limit or above its speed limit is braked.
 
-Reasons to stop: a measurement that cannot be true (NaN, or a jump that no motion explains) for too long, a torque
-that is not finite, a controller that fails, a tip far off its reference, a shaft far from the registered trocar, a
-trocar that is pressed hard, and motion that the torque does not explain. In a stop the drives brake, and the torque
+Reasons to stop: an impossible measurement (NaN, or a jump that no motion explains) for too long, a torque
+that is not finite, a controller that fails, a tip far from its reference, a shaft far from the registered trocar, a
+large force on the trocar, and motion that the torque does not explain. In a stop the drives brake, and the torque
 carries the arm's weight in the last pose that passed the checks.
 """
 
@@ -96,18 +96,15 @@ class SafetyFilter:
         settings, motion, inside = self.settings, self._motion, self._incision
         bounds = np.array([data.v_max * period, settings.speed_factor * data.v_max])
         joints, mount, tip = self._place or (np.zeros((0, 16)), np.zeros((0, 3)), np.zeros(3))
-        self._before = partial(
-            tick.BEFORE.code, settings.jump_rad, period, settings.patience_ticks, bounds, motion.tau_max,
-            motion.levels, motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory,
-            motion.still, motion.tip, motion.seen, motion.count,
-            motion.joints_seen, motion.joints_count, joints, mount, np.array(tip), inside.tool,
-            inside.lowest, inside.means, inside.point,
+        self.memory = tick.SafetyMemory(
+            settings.jump_rad, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
+            settings.tip_error_m**2, motion.settling, bounds, self._limits, self._wall, motion.levels, motion.held,
+            motion.most_replayed, motion.clock, self._counts, self._believed, motion.memory, motion.still, motion.tip,
+            self._square, motion.seen, motion.count, motion.joints_seen, motion.joints_count, joints, mount,
+            np.array(tip), inside.tool, inside.lowest, inside.means, inside.point,
         )  # fmt: skip
-        self._after = partial(
-            tick.AFTER.code, period, settings.patience_ticks, self._step, min(1.0, period / settings.tip_error_s),
-            settings.tip_error_m**2, motion.settling, self._limits, self._wall, _NONE, motion.levels, motion.held,
-            self._counts, motion.memory, motion.tip, self._square,
-        )  # fmt: skip
+        self._before = partial(tick.BEFORE.code, self.memory)
+        self._after = partial(tick.AFTER.code, self.memory, _NONE)
 
     def _forget(self, q: Array, v: Array, stamp: int = 0) -> None:
         self._believed[0], self._believed[1] = q, v
@@ -125,7 +122,7 @@ class SafetyFilter:
         """
         if not (np.isfinite(q).all() and np.isfinite(v).all()):
             raise ControlError(f"measured q = {q.tolist()}, v = {v.tolist()}: not finite; check the sensors")
-        # A joint that begins inside its wall is not thrown out of it: the wall begins where the joint stands.
+        # A joint that starts inside its wall is not pushed out: its wall begins at the start position.
         self._limits[0], self._limits[1] = np.minimum(self._walls[0], q), np.maximum(self._walls[1], q)
         self._forget(q, v, stamp)
         self.check_measurement(q, v, stamp, self._rest, _NO_WRENCH, _NO_TROCAR)
@@ -135,17 +132,18 @@ class SafetyFilter:
 
     def check_measurement(
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
-        wrench: Array | None = None, trocar: Array | None = None,
+        wrench: Array | None = None, trocar: Array | None = None, found: int | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
-        """Return the measurement, or the last accepted one extrapolated where this one is late or cannot be true.
+        """Return the measurement, or the last accepted one extrapolated if this one is late or impossible.
 
         Args:
             q, v: (n,) as measured [rad], [rad/s].
-            stamp: number of the control period in which it was taken; None: the arm counts none.
+            stamp: number of the control period in which it was taken; None: the arm does not count them.
             applied: (n,) torque that was applied before it [Nm]; None: not known.
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes; None: not known.
             trocar: (2, 3) rows P_t, dP_t, as registered: RCM error and trocar force are checked at the pose that is
                 believed; None: the arm is in no incision.
+            found: by ``safety_tick.before`` of this measurement, where it was called already; None: it is called here.
         """
         parts, on = 0, self._motion.on
         if on and stamp is not None:
@@ -154,10 +152,11 @@ class SafetyFilter:
             parts += tick.READING
         if trocar is not None and self._place is not None:
             parts += tick.INCISION
-        found = self._before(
-            parts, q, v, 0 if stamp is None else stamp, self._rest if applied is None else applied,
-            _NO_WRENCH if wrench is None else wrench, _NO_TROCAR if trocar is None else trocar,
-        )  # fmt: skip
+        if found is None:
+            found = self._before(
+                parts, q, v, 0 if stamp is None else stamp, self._rest if applied is None else applied,
+                _NO_WRENCH if wrench is None else wrench, _NO_TROCAR if trocar is None else trocar,
+            )  # fmt: skip
         if found == tick.ACCEPTED:  # and nothing else was found
             if parts & tick.INCISION:
                 self._incision.reason(0)
@@ -172,8 +171,21 @@ class SafetyFilter:
         return (q, v) if found & tick.ACCEPTED else (self._believed[0].copy(), self._believed[1].copy())
 
     @property
+    def parts(self) -> tuple[int, int]:
+        """What is checked before and after the tick of a controller that shows its state, in an arm's incision."""
+        motion, inside = self._motion.on, self._place is not None
+        return (
+            motion * (tick.AGE + tick.READING) + inside * tick.INCISION, tick.TIP + motion * tick.MOMENTUM
+        )  # fmt: skip
+
+    def took(self, ticks: int, limited: int) -> None:
+        """Note ticks of compiled steps in which nothing was found, and the joints that were limited in the last one."""
+        self._incision.passed(ticks if self._place is not None else 0)
+        self.limited = limited
+
+    @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What exceeded its warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
+        """Figures above their warning level since the start: ``of``, ``first_s``, ``largest``, ``unit``, ``level``."""
         return self._incision.warnings(self._period)
 
     @property
@@ -192,7 +204,7 @@ class SafetyFilter:
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None,
-        state: RobotState | None = None, tip: Array | None = None,
+        state: RobotState | None = None, tip: Array | None = None, found: int | None = None,
     ) -> Array:  # fmt: skip
         """Return the torque (n,) [Nm] within the limits; ``limited`` counts the joints at which they acted.
 
@@ -203,8 +215,9 @@ class SafetyFilter:
             tau, before: (n,) as asked for, and as applied last [Nm].
             q, v: (n,) believed [rad], [rad/s].
             tip_ref: (3, 3) rows X_d, dX_d, ddX_d [m]; None: the tip is not checked.
-            state: of (q, v), where the controller shows it; None: it is computed.
-            tip: (3,) where the controller sees it [m]; None: where its state has it.
+            state: of (q, v), if the controller provides it; None: it is computed.
+            tip: (3,) as the controller computes it [m]; None: that of its state.
+            found: by ``safety_tick.after``, if it has limited ``tau`` already; None: it is called here.
         """
         parts, record = 0, _NONE if state is None else state.record
         if tip_ref is not None and not (tip is None and state is None):
@@ -214,10 +227,9 @@ class SafetyFilter:
             if state is None and self._state is not None:
                 record = self._state(q, v).record
         tau = np.array(tau, dtype=np.float64)
-        found = self._after(
-            parts, q, v, before, record, _NONE if tip is None else tip, _NO_REFERENCE if tip_ref is None else tip_ref,
-            tau,
-        )  # fmt: skip
+        if found is None:
+            told = _NO_REFERENCE if tip_ref is None else tip_ref
+            found = self._after(parts, q, v, before, record, _NONE if tip is None else tip, told, tau)
         self.limited = found // tick.INSIDE - 2
         if found % tick.INSIDE:
             if found & tick.OFF_REFERENCE:
@@ -234,22 +246,22 @@ class SafetyFilter:
     def stop_torque(self, before: Array) -> Array:
         """Return the torque (n,) [Nm] of a damped stop: the weight of the arm in the last pose that was accepted.
 
-        The last torque itself would go on pushing wherever the levels pushed at that moment.
+        The last torque would continue the push of the levels at that moment.
         """
         self.limited = 0
         weight = self._weight(self._believed[0])
         if not np.isfinite(weight).all():
-            return self._rest  # the weight is not known: the brakes alone
+            return self._rest  # the weight is not known: only the brakes hold the arm
         wanted = np.clip(weight, -self._limits[3], self._limits[3])
         return before + np.clip(wanted - before, -self._step, self._step)
 
     def brake_friction(self, wrench: Array) -> Array:
         """Return the dry friction (n,) [Nm] of the brakes in a stop; zero while the trocar presses the shaft hard.
 
-        Closed brakes hold the arm against tissue that pushes it, and keep up the force; open ones let it sink under
-        any load that its model does not know of. So they open at ``stop_yield_N``, close again at half of it or after
-        ``stop_yield_s``, and open once more where the force has risen by as much again since. They stay closed where
-        the drives cannot carry the weight.
+        Closed brakes hold the arm against the tissue's push, so the force stays; with open brakes the arm sinks under
+        a load that is missing in its model. So they open at ``stop_yield_N``, close again at half of it or after
+        ``stop_yield_s``, and open once more if the force has risen by as much again since. They stay closed if the
+        drives cannot carry the weight.
 
         Args:
             wrench: (6,) force [N] and torque [Nm] of the tool on its mount, tool axes.

@@ -1,4 +1,4 @@
-"""The compiled parts of the safety filter: torque limits, what a measurement may be, and the tip's squared error."""
+"""The compiled parts of the safety filter: torque limits, bounds of a measurement, and the tip's squared error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def limit_torque(
 
     At a distance d from its wall a joint may move towards it at v_allowed = min(v_max, sqrt(2 brake d)).
     A faster one is braked: tau <= hold - damping (v - v_allowed), and inside the wall
-    tau <= hold - stiffness depth - damping v, whatever was asked for.
+    tau <= hold - stiffness depth - damping v, whatever the command is.
 
     Args:
         before: (n,) torque of the last tick [Nm].
@@ -31,7 +31,7 @@ def limit_torque(
     """
     n = tau.shape[0]
     stiffness, damping, brake = wall[0], wall[1], wall[2]
-    push = np.zeros((2, n))  # what a wall or a brake leaves of the torque above ``hold``: at least, at most
+    push = np.zeros((2, n))  # least and largest torque above ``hold`` that walls and brakes allow
     braked = False
     for i in range(n):
         if not np.isfinite(tau[i]):
@@ -64,7 +64,7 @@ def limit_torque(
 
 @njit(cache=True, nogil=True)
 def believable(q: Array, v: Array, q_before: Array, jump: float, ticks: int, bounds: Array) -> bool:
-    """Say whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest.
+    """Decide whether q (n,) [rad] is no farther from q_before than jump + ticks per_tick, and |v| <= fastest.
 
     ``bounds`` (2, n): rows per_tick and fastest. NaN is never believable.
     """
@@ -86,7 +86,7 @@ def squared_error(tip: Array, tip_ref: Array) -> float:
 
 @njit(cache=True, nogil=True)
 def holding_friction(weight: Array, tau_max: Array, share: float, friction: Array) -> None:
-    """Fill friction (n,) [Nm] of the brakes that hold the arm in a stop, however weak its drives are.
+    """Fill friction (n,) [Nm] of the brakes, enough to hold the arm in a stop also with weak drives.
 
     ``share`` of the drive's largest torque, and one and a half times what that drive cannot carry of the weight (n,).
     """

@@ -1,4 +1,4 @@
-"""What a controller checks before it runs: the solver's session, and the references of a tick."""
+"""Checks of a controller: the start of the solver's session, and the references of a tick."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def start_session(solver: Solver, qp: NullSpaceQP) -> Session:
     """Start a session for problems like ``qp``.
 
     Raises:
-        ControlError: the solver does not take the problem or hands back no session, in its own words or in those of
-            what it raised. A MocOptError of its own passes.
+        ControlError: the solver does not support the problem, raises an exception, or returns no session; the message
+            is the solver's. A MocOptError of the solver passes.
     """
     name = "?"
     try:

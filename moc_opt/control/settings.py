@@ -1,4 +1,4 @@
-"""What a controller can be told. Gains that are left out come from the robot's own table."""
+"""The settings of a controller. Gains that are left out come from the robot's own table."""
 
 from __future__ import annotations
 
@@ -46,95 +46,111 @@ class ControlSettings(Settings):
     FORMER: ClassVar[Mapping[str, str]] = MappingProxyType({"damping": "regularization"})
 
     law: Literal["dcac", "moc"] = Field(
-        default="moc", description="'dcac': tip and RCM alone; 'moc' adds the third level"
+        default="moc", description="'dcac': tip and RCM levels only; 'moc': the third level too"
     )
     gains: str | None = Field(
-        default="default", description="table of the robot's file to start from; '' or None: the one named like the law"
+        default="default",
+        description="table of the robot's file from which gains are taken; '' or None: the table named like the law",
     )
     K_X: Positive | None = Field(default=None, description="tip stiffness [N/m]")
     D_X: NotNegative | None = Field(default=None, description="tip damping [N s/m]")
     K_N: Positive | None = Field(default=None, description="wrist stiffness [N/m]")
     D_N: NotNegative | None = Field(default=None, description="wrist damping [N s/m]")
-    K_N2: PerJoint | None = Field(default=None, description="third level, on x* - v [N m s/rad]")
-    D_N2: PerJoint | None = Field(default=None, description="third level, on v [N m s/rad]")
+    K_N2: PerJoint | None = Field(default=None, description="gain of the third level on x* - v [N m s/rad]")
+    D_N2: PerJoint | None = Field(default=None, description="gain of the third level on v [N m s/rad]")
     dcac_damping: PerJoint = Field(
         default=0.0, description="damping of the self-motion under dcac [N m s/rad]; 0 as in the paper"
     )
 
     rcm_lambda: Annotated[float, Field(gt=0.0, le=1.0)] | None = Field(
-        default=None, description="constant lambda of the paper's |e_N1| = d / lambda (it has 0.5); None: |N_d - N|"
+        default=None,
+        description="constant lambda of the paper's |e_N1| = d / lambda, 0.5 in the paper; None: |N_d - N| itself",
     )
     projector: Annotated[Projector, BeforeValidator(_current_projector)] = Field(
-        default="dynamic", description="of level 2: docs/errata.md has all three; 'printed' is the old name of the last"
+        default="dynamic",
+        description="null-space projector of level 2: docs/errata.md explains all three; 'printed' is the former name "
+        "of 'as_published'",
     )
     feedforward: bool = Field(
-        default=True, description="acceleration feed-forward of tip and wrist; the paper has none"
+        default=True, description="whether the accelerations of tip and wrist are fed forward; the paper does not"
     )
     observer_gain_per_s: NotNegative = Field(
         default=20.0,
-        description="momentum observer; 0: none; under planned and receding course_observer_gain_per_s counts",
+        description="gain of the momentum observer; 0: none; under third_level 'planned' and 'receding' any value "
+        "above 0 is replaced by course_observer_gain_per_s",
     )
     limit_torque: bool = Field(
-        default=True, description="whether the controller keeps within the joints' largest torques"
+        default=True, description="whether the controller limits each torque to the joint's largest"
     )
 
     k0_per_s: Positive = Field(
-        default=2.0, description="velocity damper; the paper has 0.1; under planned and receding 10 at least"
+        default=2.0,
+        description="gain of the velocity damper, 0.1 in the paper; under third_level 'planned' and 'receding' at "
+        "least 10",
     )
     third_level: Literal["local", "planned", "receding"] = Field(
         default="local",
-        description="under moc: climb mu where the arm is, follow a course planned before the run, or one planned anew "
-        "from where the arm is",
+        description="under law 'moc': 'local' climbs mu from where the arm is, 'planned' follows a course that is "
+        "planned before the run, 'receding' follows one that is planned again and again during the run",
     )
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = Field(
-        default=1.0, description="under receding: how far ahead the course is made smooth; V knows what comes after"
+        default=1.0,
+        description="third_level 'receding': time over which the smooth course is computed; a value function stands "
+        "for the rest of the path",
     )
     replan_per_s: Annotated[float, Field(ge=20.0, le=50.0)] = Field(
-        default=20.0, description="under receding: solves in a second"
+        default=20.0, description="third_level 'receding': number of courses computed in a second"
     )
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=0.97, description="of v_max that the courses of planned and receding use; the box on x has all of it"
+        default=0.97,
+        description="share of v_max that a course of 'planned' or 'receding' uses; the box on x has all of v_max",
     )
     course_margin_rad: NotNegative = Field(
-        default=0.05, description="under planned and receding: box on x and course keep this from a joint limit"
+        default=0.05,
+        description="third_level 'planned' and 'receding': distance of course and box on x from a joint limit",
     )
     course_observer_gain_per_s: NotNegative = Field(
-        default=40.0, description="the momentum observer's under planned and receding, where the elbow moves faster"
+        default=40.0,
+        description="gain of the momentum observer under third_level 'planned' and 'receding', where the elbow moves "
+        "faster",
     )
     climb: Literal["gradient", "scaled"] = Field(
-        default="gradient", description="of third_level 'local': 'scaled' climbs at a speed that no pose changes"
+        default="gradient",
+        description="third_level 'local': 'gradient' climbs at a speed proportional to the gradient of mu; 'scaled' at "
+        "a speed that does not depend on the pose",
     )
-    c0: NotNegative = Field(default=0.01, description="weight of the tip's velocity in the subproblem's cost")
-    c1: NotNegative = Field(default=0.01, description="the same of the wrist's")
-    c2: NotNegative = Field(default=0.001, description="weight of the manipulability's gradient in it")
-    regularization: NotNegative = Field(default=1e-5, description="rho; 0 is the paper's linear problem")
+    c0: NotNegative = Field(default=0.01, description="weight of the tip velocity in the subproblem's cost")
+    c1: NotNegative = Field(default=0.01, description="weight of the wrist velocity in the subproblem's cost")
+    c2: NotNegative = Field(default=0.001, description="weight of the gradient of mu in the subproblem's cost")
+    regularization: NotNegative = Field(
+        default=1e-5, description="weight rho of |x|^2 / 2 in the subproblem's cost; 0: the paper's linear problem"
+    )
     fallback: Literal["damping", "hold", "least-violation"] = Field(
-        default="least-violation", description="the answer to an infeasible subproblem"
+        default="least-violation", description="what replaces the answer to an infeasible subproblem"
     )
     speed_fraction: Annotated[float, Field(gt=0.0, le=1.0)] = Field(
-        default=0.5, description="of v_max in the box on x under local: limits the elbow's speed; the paper has 1"
+        default=0.5,
+        description="third_level 'local': share of v_max in the box on x, which limits the elbow's speed; 1 in the "
+        "paper",
     )
     limit_margin_rad: NotNegative = Field(
-        default=0.15, description="under local the box on x closes this far inside a joint limit; the paper has 0"
+        default=0.15,
+        description="third_level 'local': distance from a joint limit at which the box on x closes; 0 in the paper",
     )
-    limit_margin_m: NotNegative = Field(
-        default=0.05, description="the same for a joint that slides"
-    )
+    limit_margin_m: NotNegative = Field(default=0.05, description="limit_margin_rad for a sliding joint")
     shaft_margin: float = Field(
-        default=0.175,
-        ge=0.0,
-        le=1.0,
-        allow_inf_nan=False,
-        description="third_level 'local' alone: where mu_shaft, what motion that leaves the tip where it is does to "
-        "the shaft, over the square of the distance from wrist point to tip is below this, the climb leads away from "
-        "losing the shaft, and the box opens up to the joints' whole speed; 0 as in the paper",
-    )
+        default=0.175, ge=0.0, le=1.0, allow_inf_nan=False,
+        description="mu_shaft is the manipulability of the shaft while the tip is held. Where it is below this value "
+        "times the squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses "
+        "that cannot hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' does not "
+        "go below half of it where there is another way; 0 in the paper",
+    )  # fmt: skip
     ramp_s: NotNegative = Field(
-        default=0.3, description="the third level fades in over this time [s]; the paper has 0"
+        default=0.3, description="time over which the third level fades in at the start [s]; 0 in the paper"
     )
     supervisor: SupervisorSettings = SupervisorSettings()
     backend: Literal["python", "c"] = Field(
-        default="python", description="'c' compiles the whole tick; solver 'exact' only"
+        default="python", description="'c': the whole tick is compiled C; only with solver 'exact'"
     )
 
     @field_validator("gains", mode="before")

@@ -1,4 +1,4 @@
-"""What a solver's answer is worth, in a microsecond: its form, and how far it is from what it claims to be."""
+"""The check of a solver's answer within a microsecond: its form, and its distance from the claimed optimum."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from moc_opt.solvers.base import Solution, Status, no_answer
 
 AT_BOUND = 1e-4  # a joint this near to a bound is at it [rad/s]
 SWEEPS = 200
-PASSES = 2e-3  # natural residuals up to here may be verified: the line is not looked at any further
+PASSES = 2e-3  # an answer with a smaller natural residual may be verified: the line is not searched
 
 MOST_ITERATIONS = 2**31 - 1
 """The largest number that a trace can hold."""
@@ -27,11 +27,11 @@ _INTEGERS = frozenset({int, *(np.dtype(code).type for code in np.typecodes["AllI
 
 
 def received(given: object, n: int) -> tuple[Solution, str]:
-    """Copy what a solver handed back, and say what of it has not the form of ``Solution`` ("" where all has).
+    """Copy a solver's answer, and return what is wrong with its form as a ``Solution`` ("" for nothing).
 
     The copy shares no memory with the solver's: x (n,) and y (6,) are arrays of float64 without gaps, iterations an
-    int that fits 32 bits. What is wrong in any part leaves no x (NaN): a solver that gets its own form wrong is not
-    believed in the rest. NaN in x or y is no matter of form.
+    int that fits 32 bits. If any part is malformed, the whole answer is refused and x is NaN. NaN in x or y is no
+    error of form.
     """
     if not isinstance(given, Solution):
         return no_answer(n, Status.NUMERICAL), f"solve returned a {type(given).__name__}: return a Solution"
@@ -71,7 +71,7 @@ def _uncountable(iterations: object) -> str:
 
 @njit(cache=True, nogil=True)
 def freedoms(row: Array, n: int, r: int) -> int:
-    """Count the dimensions of ker A, of r, that move joints that move tip or wrist; the others are idle joints."""
+    """Count the dimensions of ker A (r in all) that turn joints which move tip or wrist; the rest are idle joints."""
     total = 0.0
     for k in range(6 * n):
         total += row[k] * row[k]
@@ -140,7 +140,7 @@ def way_down(row: Array, n: int, Z: Array, x: Array, d: Array) -> float:
 def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, float, float, float, float]:
     """Compute the figures by which the supervisor accepts an answer x (n,).
 
-    Along a line of self-motion x stands at s; there the cost c2 (-g s) + rho s^2 / 2 has its
+    Let s be the coordinate of x along a line of self-motion. On it the cost c2 (-g s) + rho s^2 / 2 has its
     optimum at clip(c2 g / rho) on the segment that the box leaves, and that of the opposite gradient at
     clip(-c2 g / rho). Where the elbow swivel is the only freedom the line is the whole feasible set. With
     several freedoms it is the steepest way down that the box leaves open at x (``way_down``), and all is zero where
@@ -188,7 +188,7 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
         if abs(line[j]) > still:
             one, other = (lower[j] - x[j]) / line[j], (upper[j] - x[j]) / line[j]
             low, high = max(low, min(one, other)), min(high, max(one, other))
-    low, high = min(low, 0.0), max(high, 0.0)  # x itself counts as allowed: its violation is judged above
+    low, high = min(low, 0.0), max(high, 0.0)  # x itself counts as feasible: its violation is checked above
     room = np.inf
     for j in range(n):
         push = line[j] * slope

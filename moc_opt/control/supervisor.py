@@ -5,7 +5,7 @@ too late, or is claimed to be optimal and is not, is replaced: by the last good 
 then by null-space damping alone. Every such tick is counted and named in the trace, and the first of each
 kind is kept in words.
 
-A solver sees a copy of the subproblem, and what it hands back is copied before it is looked at: what it writes into
+A solver gets a copy of the subproblem, and its answer is copied before the check: what it writes into
 either afterwards reaches neither the check nor the torque.
 """
 
@@ -31,7 +31,7 @@ from moc_opt.solvers.base import Session, Solution, Status, TruncatingSession, n
 
 
 class Fault(Enum):
-    """What was wrong with an answer; the text is what it means."""
+    """The fault of an answer; the text is its meaning."""
 
     NONE = "the answer was taken"
     INFEASIBLE = "the solver found the subproblem infeasible"
@@ -53,9 +53,9 @@ class Fault(Enum):
 
 
 class Unanswered(Exception):
-    """Raised by a session in another process that has no answer: which fault that is, and what is known of it.
+    """Raised by a session in another process that has no answer; holds the fault and a message.
 
-    ``status`` is what the solver claimed, where it claimed anything.
+    ``status`` is the solver's claim, if there was one.
     """
 
     def __init__(self, fault: Fault, text: str, status: Status | None = None) -> None:
@@ -65,7 +65,7 @@ class Unanswered(Exception):
 
 
 def _raise_interrupt(error: BaseException) -> None:
-    """Raise a user's Ctrl-C again where it is behind the error: a library may put one of its own over it."""
+    """Raise KeyboardInterrupt again if it caused the error: a library may wrap it in its own exception."""
     found: BaseException | None = error
     for _ in range(10):  # no chain is as long, but foreign code may close one to a ring
         if found is None or isinstance(found, KeyboardInterrupt):
@@ -76,64 +76,65 @@ def _raise_interrupt(error: BaseException) -> None:
 
 
 class First(NamedTuple):
-    """The first fault of a kind: how many answers had been asked for before, and what it was."""
+    """The first fault of a kind: the number of answers requested before, and the message."""
 
     tick: int
     text: str
 
 
 class SupervisorSettings(Settings):
-    """When an answer is refused, and what takes its place."""
+    """When an answer is refused, and what replaces it."""
 
     KIND: ClassVar[str] = "[control.supervisor]"
     ERROR: ClassVar[type[MocOptError]] = ControlError
 
-    check: bool = Field(True, description="check residuals of answers that are claimed optimal")
+    check: bool = Field(True, description="whether the residuals of answers that are claimed optimal are checked")
     primal_limit: float = Field(
-        1e-2, gt=0.0, description="largest |A x - b| or box violation of a claim [m/s, rad/s]"
+        1e-2, gt=0.0, description="largest |A x - b| or box violation of an answer claimed optimal [m/s, rad/s]"
     )
     box_limit: float = Field(
-        0.1, gt=0.0,
-        description="largest |A x - b| or box violation of an answer that claims nothing [m/s, rad/s]",
-    )  # fmt: skip
-    relative_limit: float = Field(
-        0.05, gt=0.0, description="largest natural residual along the self-motion, cost scaled to one [rad/s]"
+        0.1, gt=0.0, description="largest |A x - b| or box violation of an answer without that claim [m/s, rad/s]"
     )
+    relative_limit: float = Field(
+        0.05, gt=0.0,
+        description="largest natural residual along the self-motion, with the cost scaled to slope one [rad/s]",
+    )  # fmt: skip
     opposite_limit: float = Field(
         1e-3, gt=0.0,
-        description="a claim this far from its optimum, and nearer to that of the opposite gradient, is false [rad/s]",
+        description="a claim is false if its x is farther than this from the optimum, and nearer to the optimum of the "
+        "opposite gradient [rad/s]",
     )  # fmt: skip
     hold_ticks: int = Field(
-        10, ge=0, description="how long the last good answer is held, before damping alone"
+        10, ge=0, description="ticks for which the last good answer is held, before the self-motion is damped"
     )
     keep_off_limits: bool = Field(
-        True, description="from then on, move the elbow as far as the box asks for; False: damping alone"
+        True, description="after these ticks, move the elbow as far as the box asks for; False: damping only"
     )
-    budget_us: float | None = Field(None, gt=0.0, description="time a solve may take; None: no limit")
+    budget_us: float | None = Field(None, gt=0.0, description="time that a solve may take; None: no limit")
     late: Literal["hold", "zero", "iterate"] = Field(
         "hold",
-        description="what stands for a late answer; iterate: what the solver has when the budget ends, or its whole "
-        "answer where it cannot be stopped",
+        description="what replaces a late answer: the last good one, zero, or ('iterate') what the solver has when the "
+        "budget ends, which is its whole answer where it cannot be interrupted",
     )
 
 
 ANSWER_EVERY = 500
-"""Answers after which Ctrl-C and its like are made sure to reach the run again, whatever a solver did to them."""
+"""Answers after which the handlers of Ctrl-C and similar signals are restored, since a solver may change them."""
 
 _SOLVED, _NO_FAULT = Status.SOLVED, Fault.NONE
 
 
 class Supervisor:
-    """Stands between a session and the torque.
+    """Check the answers of a session, and replace those that are refused.
 
     Args:
-        settings: what is refused.
-        fallback: what follows an infeasible subproblem: "damping", "hold" or "least-violation".
+        settings: limits of the check, and the replacement.
+        fallback: replaces the answer to an infeasible subproblem: "damping", "hold" or "least-violation".
         times_us: recorded solve times that replace the clock, so that a run with deadlines can be
-            repeated exactly; None: the clock decides. One that ends leaves the rest to the clock.
+            repeated exactly; None: the clock decides. After the last recorded time the clock decides too.
 
-    Since the start, by a fault's label: ``counts`` says how often it occurred, and ``firsts`` when it first did and
-    in which words, those of the exception where the solver raised one.
+    Since the start, by a fault's label: ``counts`` holds the number of occurrences, ``firsts`` the first one and
+    its message (that of the exception, if the solver raised one).
     """
 
     def __init__(
@@ -142,7 +143,7 @@ class Supervisor:
         self.settings, self._fallback, self._times = settings, fallback, times_us
         self._rest = np.zeros(n)
         self._residuals = RESIDUALS.code
-        # Once: a look into settings costs as much as a comparison, and this is asked at every tick.
+        # Read once: access to a setting costs as much as a comparison, and every tick needs it.
         self._check, self._stop_late = settings.check, settings.late == "iterate"
         self._budget_us = float("inf") if settings.budget_us is None else settings.budget_us
         self._limits = (
@@ -175,10 +176,10 @@ class Supervisor:
             v: (n,) measured velocity [rad/s] for a session that observes it, which gets a copy; None: it does not.
 
         Returns:
-            what the solver said, and the x (n,) that the arm follows.
+            the solver's answer, and the x (n,) that the arm follows.
         """
         solution, fault, text = self._ask(session, qp, v)
-        self.fault = fault or self._judge(solution, qp, Z)
+        self.fault = fault or self._fault_of(solution, qp, Z)
         self._asked += 1
         if self._asked % ANSWER_EVERY == 0:
             self._interpreter.answer_signals()
@@ -193,7 +194,7 @@ class Supervisor:
         return solution, self._replace(solution, qp, Z)
 
     def _ask(self, session: Session, qp: NullSpaceQP, v: Array | None) -> tuple[Solution, Fault | None, str]:
-        """Return the answer as a private copy, and the fault known before it is judged, in words; sets ``solve_us``."""
+        """Return a private copy of the answer, and the fault known before the check, in words; set ``solve_us``."""
         shown, given, text = qp.copy(), None, ""
         fault: Fault | None = None
         status = Status.NUMERICAL
@@ -224,7 +225,7 @@ class Supervisor:
             return no_answer(qp.n, Status.NUMERICAL), Fault.RAISED, describe(error)
         return solution, Fault.MALFORMED if wrong else None, wrong
 
-    def _judge(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
+    def _fault_of(self, solution: Solution, qp: NullSpaceQP, Z: Array) -> Fault:
         status = solution.status
         if status is not _SOLVED:
             if status is Status.INFEASIBLE:
@@ -250,9 +251,9 @@ class Supervisor:
         return self.solve_us > self._budget_us
 
     def _stopped(self, session: Session, qp: NullSpaceQP, solution: Solution) -> Solution:
-        """Return what the solver has when its budget ends: its iterations are taken to last equally long.
+        """Return the iterate at the end of the budget; all iterations are assumed to last equally long.
 
-        One that cannot be stopped is waited for, and its whole answer taken.
+        A solver that cannot be stopped is waited for, and its whole answer is used.
         """
         if not isinstance(session, TruncatingSession) or solution.iterations < 1:
             return solution

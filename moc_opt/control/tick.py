@@ -1,4 +1,4 @@
-"""The equations of one tick: what lies before the solver and after it, compiled.
+"""The equations of one tick before and after the solver, compiled.
 
 X, N are tip and wrist, P_t the trocar; docs/method.md has the same equations in the same order.
 """
@@ -28,9 +28,9 @@ from moc_opt.qp.equalities import joints_of, offsets
 SHAFT_PULL = 0.1
 """Weight of log mu_shaft beside mu [m^3]; it fades out towards ``shaft_margin``."""
 SHAFT_LOST = 0.1
-"""Share of ``shaft_margin`` below which the push fades out again: where the shaft is lost it has no direction."""
+"""Share of ``shaft_margin`` below which the push fades out again: at mu_shaft = 0 it has no direction."""
 BOX_OPENS = 3.0
-"""The box has opened to the joints' whole speed a third of ``shaft_margin`` below it."""
+"""Inverse of the share of ``shaft_margin`` over which the box opens to the joints' whole speed."""
 
 
 @njit(cache=True, nogil=True)
@@ -41,7 +41,7 @@ def tracking_torque(record: Array, law: Array, tip_ref: Array, trocar: Array, di
         law: packed constants, see ``law.Law``.
         tip_ref: (3, 3) rows X_d, dX_d, ddX_d.
         trocar: (2, 3) rows P_t, dP_t.
-        disturbance: (n,) what the observer makes of the torque from outside [Nm].
+        disturbance: (n,) the observer's estimate r of the external torque [Nm].
     """
     n = disturbance.shape[0]
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
@@ -94,9 +94,9 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
     """Write this tick's NullSpaceQP record (10 n + 10,); arguments as for ``tracking_torque``.
 
     J_T x = v_T = dX_d and J_W x = v_W, where v_W is dN_d for a tip that moves at v_T, with u^T (v_T - v_W) = 0;
-    lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost. Close to where tip and shaft lose a
-    direction, and the joints have to turn fast, grad mu has ``shaft_push`` added, and the box opens towards their
-    whole speed: its share of it is there for the elbow's sake, and where nothing answers nothing pushes.
+    lower, upper: the velocity damper; c0, c1, c2, rho and grad mu: the cost. Near a pose in which tip and shaft lose a
+    direction the joints have to turn fast. There ``shaft_push`` times grad mu_shaft is added to grad mu, and the box
+    opens from its share of v_max towards all of it.
     """
     n = joints_of(row.shape[0])
     s, c = state_views(borrowed(record), n), law_views(borrowed(law), n)
@@ -123,7 +123,7 @@ def fill_subproblem(record: Array, law: Array, tip_ref: Array, trocar: Array, ro
 
 @njit(cache=True, nogil=True)
 def prepare_third_level(record: Array, law: Array, tip_ref: Array, trocar: Array, Z: Array, row: Array) -> bool:
-    """Do ``fill_subproblem``, and carry the basis Z (r, n) of ker A over to this state; False where that fails."""
+    """Do ``fill_subproblem``, and update the basis Z (r, n) of ker A for this state; False where that fails."""
     record, Z, row = borrowed(record), borrowed(Z), borrowed(row)
     fill_subproblem(record, law, borrowed(tip_ref), borrowed(trocar), row)
     s = state_views(record, Z.shape[1])

@@ -1,4 +1,4 @@
-"""The process of an isolated solver, as the control loop sees it: asked, waited for, and killed."""
+"""The control loop's handle on the process of an isolated solver: send requests, wait for answers, kill."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Worker:
 
     @property
     def pid(self) -> int:
-        """Of the process."""
+        """Process id."""
         return self._process.pid
 
     @property
@@ -115,7 +115,7 @@ class Worker:
             heard = self._bell.recv(4096)
         except OSError:
             return False
-        # A byte alone is no sign of life: it may be the last answer's, which was read before its byte came.
+        # A byte alone proves no new answer: it may belong to the last one, which was read before its byte came.
         if self.exchange.answered > self._answered:
             self._answered, self._since = self.exchange.answered, monotonic_ns()
         return bool(heard)
@@ -128,7 +128,7 @@ class Worker:
         return f"it was killed by {signal.Signals(-code).name}" if code < 0 else f"it ended with status {code}"
 
     def kill(self) -> None:
-        """End the process, and what it started, at once."""
+        """Kill the process and its children at once."""
         self._end()
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import pickle
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,36 @@ from moc_opt.model.kinematics_kernels import record_size, state_views
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, named
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
 
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
+
+
+class TickMemory(NamedTuple):
+    """A tick's function and the memory that it reads and writes, for compiled code that calls it."""
+
+    function: NDArray[np.int64]
+    """(1,) address of ``moc_tick``"""
+    pointers: NDArray[np.int64]
+    """(7,) addresses of its arguments"""
+    q: Array
+    v: Array
+    tip_ref: Array
+    trocar: Array
+    tau: Array
+    report: Array
+    """the part of it that a trace keeps"""
+    torque: Array
+    """(n,) the one that the observer takes for applied [Nm]"""
+    known: Array
+    """q, v, report and a NaN, from which ``places`` takes a state's record"""
+    places: NDArray[np.int64]
+
+
+TICK = named(TickMemory, INDICES, INDICES, VECTOR, VECTOR, MATRIX, MATRIX, *[VECTOR] * 4, INDICES)
 
 
 class NativeController:
@@ -55,17 +80,24 @@ class NativeController:
         self._tau = np.zeros(robot.n)
         self._tip_ref, self._trocar = np.zeros((3, 3)), np.zeros((2, 3))
         state, self._state = _memory(plan.state)
-        self._fields = plan.report
         # q, v, report and a NaN in one piece, from which a state's record is taken at once.
         self._known = np.full(2 * robot.n + sum(field.length for field in plan.report) + 1, np.nan)
         self._q, self._v, report, _ = np.split(self._known, [robot.n, 2 * robot.n, -1])
-        self._whole_report, self._report = report, _named(report, plan.report)
+        self._report = _named(report, plan.report)
+        # The columns of a trace are the last fields: from the answer on.
+        self._fields = [field for field in plan.report if field.name in ("x", "dual", "subproblem")]
+        self._kept = report[report.size - sum(field.length for field in self._fields) :]
         self._in_state = _state_places(plan.report, robot.n)
         buffers = (self._q, self._v, self._tip_ref, self._trocar, state, self._tau, report)
         pointers = tuple(ctypes.c_void_p(buffer.ctypes.data) for buffer in buffers)
         self._start = partial(found.moc_tick_start, pointers[0], pointers[1], pointers[4])
         self._tick = partial(found.moc_tick, *pointers)
-        self._buffers = buffers  # the pointers do not keep them alive
+        self.memory = TickMemory(
+            np.array([ctypes.cast(found.moc_tick, ctypes.c_void_p).value]),
+            np.array([buffer.ctypes.data for buffer in buffers]), self._q, self._v, self._tip_ref, self._trocar,
+            self._tau, self._kept, self._state["torque"], self._known, self._in_state,
+        )  # fmt: skip  # also keeps alive what the pointers point to
+        self.reports = np.empty((0, 0))
         self._status, self._started = OK, False
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -149,9 +181,9 @@ class NativeController:
             "solve_us": np.full(ticks, np.nan),
         }
         if self.solver is not None:
-            # Whole reports, a row a tick: one copy a tick instead of one for each of these columns.
-            self._reports = np.full((ticks, self._whole_report.size), np.nan)
-            views = _views(self._reports, self._fields)
+            # All in one row a tick: one copy a tick instead of one for each of these columns.
+            self.reports = np.full((ticks, self._kept.size), np.nan)
+            views = _views(self.reports, self._fields)
             found |= {
                 "x_rad_per_s": np.full((ticks, n), np.nan), "dual": views["dual"],
                 "applied_x_rad_per_s": views["x"], "subproblem": views["subproblem"],
@@ -161,15 +193,24 @@ class NativeController:
 
     def note(self, row: int, columns: Mapping[str, NDArray[Any]]) -> None:
         """Write the last tick's columns, those that ``columns`` gave last."""
+        if self.solver is not None:
+            self.reports[row] = self._kept
+            self.took(np.array([self._status]), columns, row)
+
+    def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
+        """Note what ticks in compiled code returned (k,), whose reports are in rows from ``first`` on."""
+        if returned.size == 0:
+            return
+        self._status = int(returned[-1])
         if self.solver is None:
             return
-        self._reports[row] = self._whole_report
-        columns["status"][row] = _LABELS[self._status]
-        if self._status == OK:
-            columns["x_rad_per_s"][row] = self._report["x"]
-        else:
-            columns["dual"][row] = np.nan
-            columns["fault"][row] = "infeasible" if self._status == EMPTY else "failed"
+        rows, failed = slice(first, first + returned.size), returned != OK
+        columns["status"][rows] = _LABELS[returned]
+        columns["x_rad_per_s"][rows] = columns["applied_x_rad_per_s"][rows]
+        if failed.any():
+            bad = first + np.flatnonzero(failed)
+            columns["x_rad_per_s"][bad] = columns["dual"][bad] = np.nan
+            columns["fault"][bad] = np.where(returned[failed] == EMPTY, "infeasible", "failed")
 
     def _refusal(self) -> RobotError | ControlError:
         for name, value in (("q", self._q), ("v", self._v)):
@@ -203,7 +244,7 @@ def _state_places(report: tuple[Field, ...], n: int) -> NDArray[np.intp]:
     return places
 
 
-_LABELS = {code: status.label for code, status in _STATUS.items()}
+_LABELS = np.array([_STATUS[code].label for code in range(len(_STATUS))])
 
 
 def _memory(fields: tuple[Field, ...]) -> tuple[Array, dict[str, NDArray[Any]]]:
@@ -217,7 +258,7 @@ def _named(whole: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[
     return {name: view.reshape(view.shape[1:]) for name, view in _views(whole[None], fields).items()}
 
 
-def _views(rows: NDArray[Any], fields: tuple[Field, ...]) -> dict[str, NDArray[Any]]:
+def _views(rows: NDArray[Any], fields: Sequence[Field]) -> dict[str, NDArray[Any]]:
     """Return a view (k, ...) of each member of the structs that are the k rows."""
     views, begin = {}, 0
     for field in fields:

@@ -41,7 +41,7 @@ def third_level(n: int, rows: int) -> int:
 
 
 def residual_check(n: int, rows: int) -> int:
-    """Count moc_judge."""
+    """Count moc_compute_residuals."""
     violations = all_finite(n) + 6 * (dot(n) + 3) + 7 * n
     line = rows * (dot(n) + 2 * n) + dot(n) + 4
     return violations + line + n * (1 + 9 + 3 + 2 + 2 + 4 + 4) + 2 + n * (1 + 5 + 3) + 15

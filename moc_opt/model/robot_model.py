@@ -37,7 +37,33 @@ _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero 
 
 
 class RobotModel:
-    """The arm with its tool. One model serves one thread: all its calls share pinocchio's workspace."""
+    """The arm with its tool. One model serves one thread: all its calls share pinocchio's workspace.
+
+    Attributes:
+        data: what its files say, a `moc_opt.robots.description.RobotData`.
+        n: number of joints.
+        q_min, q_max: (n,) limits [rad; m where a joint slides].
+        v_max: (n,) largest speeds [rad/s or m/s]; tau_max: (n,) largest torques [Nm or N].
+
+    Example:
+        >>> robot = mo.load_robot("lwr4")
+        >>> q = np.array(robot.data.q_home)
+        >>> state = robot.state(q)
+        >>> robot.n, state.J_tip.shape, robot.coriolis(q, np.zeros(7)).shape, robot.gravity(q).shape
+        (7, (3, 7), (7, 7), (7,))
+        >>> poses = np.stack([q, robot.random_regular_pose(np.random.default_rng(0))])
+        >>> bool(robot.mu_along(poses)[0] == state.mu)
+        True
+        >>> tip, wrist = robot.tool_along(poses)
+        >>> np.linalg.norm(tip - wrist, axis=1).round(6).tolist()
+        [0.378, 0.378]
+        >>> np.allclose(robot.tool_pose(q)[3], state.tip), robot.mount.shape, len(robot.tool_place)
+        (True, (3, 3), 3)
+        >>> robot.moves[:, -1].tolist()  # the last joint turns the tool about its own axis
+        [False, False]
+        >>> float(robot.kinematics().mu(q)) - state.mu < 1e-12, robot.chain.axes.shape
+        (True, (7, 3))
+    """
 
     def __init__(self, data: RobotData) -> None:
         """Build the pinocchio model of `data`.
@@ -221,6 +247,18 @@ def load_robot(
     """Load a robot by name or path; see `moc_opt.robots.load_data` for the arguments and errors.
 
     Tables of gains that its TOML does not have are derived from its inertia (`moc_opt.model.gains`).
+
+    Args:
+        name_or_path: of an arm of the package (`moc-opt robots` lists them), or a TOML or URDF file.
+        tool_length: from the last flange to the tip [m]; tool_mass: [kg]; None: as its file says.
+
+    Raises:
+        RobotError: a file is missing, incomplete or inconsistent.
+        UnknownNameError: no arm of that name.
+
+    Example:
+        >>> mo.load_robot("lwr4", tool_length=0.25)
+        RobotModel('lwr4', n=7, tool 0.25 m)
     """
     robot = RobotModel(load_data(name_or_path, tool_length=tool_length, tool_mass=tool_mass))
     if not CARTESIAN.keys() <= robot.data.gains.keys():

@@ -25,6 +25,16 @@ class RobotState:
     All numbers lie in one flat read-only array, `record`, whose layout is `kinematics_kernels.StateViews`; the
     attributes are read-only views of it, made when asked for. Kernels take `record` and call
     `state_views(record, n)`.
+
+    Example:
+        >>> robot = mo.load_robot("lwr4")
+        >>> state = robot.state(robot.data.q_home, np.full(7, 0.1))
+        >>> state.tip.shape, state.A.shape, state.M.shape, round(state.mu, 3)
+        ((3,), (6, 7), (7, 7), 0.268)
+        >>> np.allclose(state.tip - state.wrist, state.tool_span * state.tool_direction)
+        True
+        >>> np.allclose(state.A, np.vstack([state.J_tip, state.J_wrist]))
+        True
     """
 
     __slots__ = ("n", "record")

@@ -80,6 +80,8 @@ class Kinematics:
     """q -> scalar, sqrt(det(J_tip J_tip^T))"""
     grad_mu: casadi.Function = field(compare=False, repr=False)
     """q -> (n,)"""
+    shaft: casadi.Function = field(compare=False, repr=False)
+    """q -> scalar, (mu_shaft / |X - N|^2)^2 of `manipulability_kernels.shaft_manipulability`; squared it has no kink"""
 
 
 def build_kinematics(name: str, chain: Chain) -> Kinematics:
@@ -99,12 +101,20 @@ def build_kinematics(name: str, chain: Chain) -> Kinematics:
             rotation = ca.mtimes(rotation, _rotation_about(ca, axis, q[j]))
         joints.append((ca.mtimes(rotation, axis), origin))
     tip, wrist = (origin + ca.mtimes(rotation, ca.DM(offset)) for offset in chain.offsets)
-    columns = [
-        axis if slides else ca.cross(axis, tip - at) for (axis, at), slides in zip(joints, chain.prismatic, strict=True)
-    ]
-    jacobian = ca.horzcat(*columns)
-    mu = ca.sqrt(ca.det(ca.mtimes(jacobian, jacobian.T)))
-    outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q)}
+    jacobian, lever = (
+        ca.horzcat(*(
+            axis if slides else ca.cross(axis, point - at)
+            for (axis, at), slides in zip(joints, chain.prismatic, strict=True)
+        ))
+        for point in (tip, wrist)
+    )  # fmt: skip
+    gram = ca.mtimes(jacobian, jacobian.T)
+    mu = ca.sqrt(ca.det(gram))
+    held = ca.mtimes([lever, jacobian.T, ca.inv_minor(gram)])
+    rest = ca.mtimes(lever, lever.T) - ca.mtimes([held, jacobian, lever.T])
+    minors = sum(rest[a, a] * rest[b, b] - rest[a, b] * rest[b, a] for a, b in ((0, 1), (1, 2), (2, 0)))
+    shaft = minors / float(np.linalg.norm(chain.offsets[0] - chain.offsets[1])) ** 4
+    outputs = {"tip": tip, "wrist": wrist, "mu": mu, "grad_mu": ca.gradient(mu, q), "shaft": shaft}
     functions = {key: ca.Function(key, [q], [value], ["q"], [key]) for key, value in outputs.items()}
     return Kinematics(id=f"{name}-{chain.fingerprint}", n=chain.n, **functions)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, TypeVar
 
 from llvmlite import ir
-from numba import bool_, float64, int64, types
+from numba import bool_, float64, int8, int64, types
 from numba.core import cgutils
 from numba.extending import intrinsic, overload
 
@@ -16,6 +16,13 @@ VECTOR, MATRIX = float64[::1], float64[:, ::1]
 """Contiguous arrays of one and two dimensions."""
 INDICES, FLAGS = int64[::1], bool_[:, ::1]
 """The same of integers and of truth values."""
+CUBE, BYTES = float64[:, :, ::1], int8[::1]
+REAL, INTEGER = float64, int64
+
+
+def named(record: type[tuple[Any, ...]], *kinds: Any) -> Any:
+    """Return the kind of a ``NamedTuple`` whose fields have these kinds: a kernel takes it as one argument."""
+    return types.NamedTuple(kinds, record)
 
 
 class CompiledKernel:
@@ -46,16 +53,26 @@ Lent = TypeVar("Lent")
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _lend(typing_context: Any, array: Any) -> Any:
-    def lend(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        made = context.make_array(signature.return_type)(context, builder, given[0])
+    def lend_one(context: Any, builder: Any, kind: Any, given: Any) -> Any:
+        if not isinstance(kind, types.Array):
+            return given
+        made = context.make_array(kind)(context, builder, given)
         made.meminfo = cgutils.get_null_value(made.meminfo.type)
         return made._getvalue()
+
+    def lend(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        if isinstance(array, types.Array):
+            return lend_one(context, builder, array, given[0])
+        parts = zip(array.types, cgutils.unpack_tuple(builder, given[0]), strict=True)
+        return context.make_tuple(builder, array, [lend_one(context, builder, *part) for part in parts])
 
     return array(array), lend
 
 
 def borrowed(array: Lent) -> Lent:
     """Return the same array for use inside a kernel, without a share in its memory; in Python, the array itself.
+
+    Of a named tuple, the same one with all its arrays borrowed.
 
     A kernel counts references to every array that it is given, views or hands on, each time with a locked
     instruction, which costs more than most arithmetic there. What is borrowed, and every view of it, is not counted.
@@ -66,7 +83,7 @@ def borrowed(array: Lent) -> Lent:
 
 @overload(borrowed, strict=False)
 def _borrowed(array: Any) -> Callable[..., Any] | None:
-    return (lambda array: _lend(array)) if isinstance(array, types.Array) else None
+    return (lambda array: _lend(array)) if isinstance(array, types.Array | types.BaseNamedTuple) else None
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -85,6 +102,28 @@ def call(function: int, first: int, second: int) -> None:
     Both objects have to outlive the call: an address keeps nothing alive.
     """
     ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(int(function))(int(first), int(second))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _ask(typing_context: Any, function: Any, given: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointers = cgutils.unpack_tuple(builder, values[1])
+        kind = ir.FunctionType(ir.IntType(32), [ir.IntType(64)] * len(pointers))
+        answer = builder.call(builder.inttoptr(values[0], kind.as_pointer()), pointers)
+        return builder.sext(answer, ir.IntType(64))
+
+    return types.int64(types.int64, given), emit
+
+
+def ask(function: int, given: tuple[int, ...]) -> int:
+    """Call the C function ``int f(void *, ...)``, inside a kernel or in Python; all are addresses, as for ``call``."""
+    kind = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * len(given))
+    return int(kind(int(function))(*map(int, given)))
+
+
+@overload(ask, strict=False)
+def _asked(function: Any, given: Any) -> Callable[..., Any]:
+    return lambda function, given: _ask(function, given)
 
 
 @overload(call, strict=False)

@@ -6,8 +6,10 @@ The equations of `refine` at N evenly spaced times after the pose that was measu
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `refine.too_fast`
 
-V is what the pose at the end is worth for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs
-(OSQP) solve it, begun at a course that is near; the answer is judged by the caller.
+With a margin from losing the shaft one inequality more a time: its share of the squared lever (`shaft`), linear about
+the guess, is not below the margin nor below what it is at the guess. V is what the pose at the end is worth for the
+rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a course that is
+near; the answer is judged by the caller.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ class Horizon:
 
     def __init__(
         self, robot: RobotModel, nodes: int, *, mu: float, margin: Margin, speed: Array, smoothness: float,
-        brake: float = np.inf,
+        brake: float = np.inf, shaft_margin: float = 0.0,
     ) -> None:
         """Write the program.
 
@@ -50,6 +52,7 @@ class Horizon:
             speed: (n,) most of each joint [rad/s].
             smoothness: w [s^4/rad^2], as of `refine`.
             brake: as of `refine` [rad/s^2].
+            shaft_margin: as of `shaft.keeping_shaft`.
         """
         import casadi as ca  # late: half a second
 
@@ -61,9 +64,10 @@ class Horizon:
         x, start, speed_0, dt = sym("q", a, nodes), sym("q_0", n), sym("dq_0", n), sym("dt")
         tip, one, two = sym("tip", 3, nodes), sym("one", 3, nodes), sym("two", 3, nodes)
         end, along, slope, bend = sym("end", n), sym("along", n), sym("slope"), sym("bend")
+        turns = sym("turns", n, nodes if shaft_margin > 0.0 else 0)
         idle = start * ca.DM(1.0 - place.sum(axis=1))
         low, high = robot.q_min + margin, robot.q_max - margin
-        gain, tasks, steps, brakes, before, moved = ca.SX(0.0), [], [], [], start, speed_0
+        gain, tasks, steps, brakes, shafts, before, moved = ca.SX(0.0), [], [], [], [], start, speed_0
         for k in range(nodes):
             q = ca.DM(place) @ x[:, k] + idle
             lever = kin.wrist(q) - tip[:, k]
@@ -75,13 +79,16 @@ class Horizon:
             if np.isfinite(brake):
                 v, at, ends = velocity[moving.tolist()], q[moving.tolist()], (ca.DM(low[moving]), ca.DM(high[moving]))
                 brakes.append(dt * too_fast(v, at, *ends, brake=brake))
+            if shaft_margin > 0.0:
+                shafts.append(ca.dot(turns[:, k], q))
             before, moved = q, velocity
         z = ca.dot(along, before - end)
         gain += (slope * z + 0.5 * bend * z**2) / mu
         given = ca.vertcat(
-            start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend
+            start, speed_0, dt, ca.vec(tip), ca.vec(one), ca.vec(two), end, along, slope, bend, ca.vec(turns)
         )
-        problem: dict[str, Any] = {"x": ca.vec(x), "p": given, "f": -gain, "g": ca.vertcat(*tasks, *steps, z, *brakes)}
+        kept = ca.vertcat(*tasks, *steps, z, *brakes, *shafts)
+        problem: dict[str, Any] = {"x": ca.vec(x), "p": given, "f": -gain, "g": kept}
         self._make: Callable[[], Any] = lambda: ca.nlpsol("horizon", "sqpmethod", problem, OPTIONS)
         self.forget()
         self._low, self._high = (
@@ -90,6 +97,7 @@ class Horizon:
         self._brakes = np.zeros(ca.vertcat(*brakes).numel())
         self._step, self._equal = np.tile(speed[moving], nodes), np.zeros(5 * nodes)
         self.nodes, self.speed, self.margin = nodes, speed, margin
+        self._robot, self._shaft_margin = robot, shaft_margin
 
     def forget(self) -> None:
         """Make the solver anew: its workspace goes from call to call, and a run is to be repeated to the last bit."""
@@ -110,16 +118,26 @@ class Horizon:
         """
         dt = targets.period_s
         one, two = across_shafts(targets.wrist - targets.tip)
+        turns, least = self._shafts(guess)
         given = np.concatenate([
             start, speed, [dt], targets.tip.ravel(), one.ravel(), two.ravel(), end.q_rad, end.along,
-            [end.slope, end.bend],
+            [end.slope, end.bend], turns.ravel(),
         ])  # fmt: skip
         step = dt * self._step
         answer = self._solver(
             x0=np.clip(guess[:, self._moving].ravel(), self._low, self._high), p=given, lbx=self._low, ubx=self._high,
-            lbg=np.concatenate([self._equal, -step, [end.low], self._brakes - np.inf]),
-            ubg=np.concatenate([self._equal, step, [end.high], self._brakes]),
+            lbg=np.concatenate([self._equal, -step, [end.low], self._brakes - np.inf, least]),
+            ubg=np.concatenate([self._equal, step, [end.high], self._brakes, np.full(len(least), np.inf)]),
         )  # fmt: skip
         found = np.tile(start, (self.nodes, 1))
         found[:, self._moving] = np.array(answer["x"]).reshape(self.nodes, -1)
         return found
+
+    def _shafts(self, guess: Array) -> tuple[Array, Array]:
+        """Return slopes (N,n) of the shaft's share at the guess, and the least (N,) of slope . q; none if no margin."""
+        if self._shaft_margin <= 0.0:
+            return np.empty((0, self._robot.n)), np.empty(0)
+        states = [self._robot.state(q) for q in guess]
+        shares = np.array([state.mu_shaft / state.tool_span**2 for state in states])
+        turns = np.array([state.grad_mu_shaft / state.tool_span**2 for state in states])
+        return turns, (turns * guess).sum(axis=1) + np.minimum(self._shaft_margin - shares, 0.0)

@@ -19,6 +19,7 @@ from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
 from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
 from moc_opt.planning.search_kernels import nearest_share
+from moc_opt.planning.shaft import keeping_shaft
 from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.traced import traced_map
@@ -38,7 +39,15 @@ class Blocked:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path planned from one start; k times, n joints."""
+    """A path planned from one start; k times, n joints.
+
+    Example:
+        >>> plan = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False)
+        >>> plan.executable, plan.course.q_rad.shape, plan.climbed_whole
+        (True, (20, 7), True)
+        >>> bool(plan.from_start.mu_mean <= plan.best.mu_mean <= plan.bound)
+        True
+    """
 
     objective: Objective
     """What the courses are best in: "mean" mu, "worst" mu, or the mean of "log" mu."""
@@ -116,7 +125,10 @@ def make_plan(
     margin: Margin = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
+    shaft_margin: float = 0.0,
     refined: bool = True,
+    elsewhere: bool = True,
+    known: PoseMap | None = None,
 ) -> Plan:
     """Plan a path from one start.
 
@@ -127,7 +139,11 @@ def make_plan(
         margin: that every joint keeps from its limits.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
+        shaft_margin: a share of the squared lever, below which no course goes where the path and the start leave it
+            another way (`shaft.keeping_shaft`); bounds are of courses that keep it, NaN where the one found does not.
         refined: whether courses are improved beyond the grid, and looked for where only the grid has none.
+        elsewhere: whether other starts are planned, too; else ``best`` is the course from the start, without a bound.
+        known: `map_of` these targets and this start, if it was made before.
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
@@ -137,35 +153,38 @@ def make_plan(
         raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
     if np.isfinite(acceleration) and not refined:
         raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
+    if not _is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
+        raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")
     began = time.perf_counter()
-    found = map_of(robot, q_start, targets, swivels)
+    found = keeping_shaft(map_of(robot, q_start, targets, swivels) if known is None else known, robot, shaft_margin)
     mapped = time.perf_counter()
     step = speed_share * robot.v_max * targets.period_s
     start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
-    answers = [search(found, step, objective, start=begin, margin=margin) for begin in (start, None)]
+    starts = (start, None) if elsewhere else (start,)
+    answers = [search(found, step, objective, start=begin, margin=margin) for begin in starts]
     searched = time.perf_counter()
     bounds = [
-        search(found, step, objective, start=begin, margin=margin, generous=True) for begin in (start, None)
+        search(found, step, objective, start=begin, margin=margin, generous=True) for begin in starts
     ]
     bounded = time.perf_counter()
     courses = []
-    for answer, bound, free in zip(answers, bounds, (False, True), strict=True):
-        known = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
+    for answer, bound, begin in zip(answers, bounds, starts, strict=True):
+        poses = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
         course = None
-        if known is not None and np.isfinite(known).all():
-            course = make_course(robot, targets, known, margin, speed_share, acceleration)
+        if poses is not None and np.isfinite(poses).all():
+            course = make_course(robot, targets, poses, margin, speed_share, acceleration)
         # The bound's own course is a second start: where the grid's steps are just too coarse, it knows the way.
         for guess in (None, bound.q_rad) if refined and course is not None else ():
             if course is not None and (guess is None or np.isfinite(guess).all()):
                 course = refine(
-                    robot, targets, course, objective, guess=guess, free_start=free, margin=margin,
-                    speed_share=speed_share, acceleration=acceleration,
+                    robot, targets, course, objective, guess=guess, free_start=begin is None, margin=margin,
+                    speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin,
                 )  # fmt: skip
         if course is not None and not course.kept and (answer.q_rad is None or np.isfinite(acceleration)):
             course = None
         courses.append(course)
     took = mapped - began, searched - mapped, time.perf_counter() - bounded
-    mine, best = courses
+    mine, best = courses[0], courses[-1]
     if mine is not None and best is not None and mine.value(objective) > best.value(objective):
         best = mine  # of all starts one is the given one
     elbow = Elbow(robot, targets.wrist)
@@ -174,7 +193,7 @@ def make_plan(
         objective, targets, mine, best,
         make_course(robot, targets, climb(found, step, start[0], margin), margin, speed_share),
         _bound(bounds[0], mine, objective),
-        bound=_bound(bounds[1], best, objective),
+        bound=_bound(bounds[1], best, objective) if elsewhere else np.nan,
         blocked=None if mine is not None else blocked(
             robot, found, answers[0], start[0], step, margin, proven=bounds[0].q_rad is None
         ),

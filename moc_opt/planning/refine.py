@@ -7,7 +7,8 @@ the shaft's line) and the joint limits, each pair of times the joint speeds:
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt
 
 B_k (3,2) is orthogonal to the shaft. Five equations, since tip and wrist are rigidly tied: with six no multiplier is
-unique. f is the mean of mu, the mean of log mu, or s with mu(q_k) >= s.
+unique. f is the mean of mu, the mean of log mu, or s with mu(q_k) >= s. Where a margin from losing the shaft is asked
+for and the program without it would go below, it is one more inequality a time (`shaft`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
 from moc_opt.planning.pose_map import Margin
+from moc_opt.planning.shaft import shaft_shares
 from moc_opt.planning.targets import Targets
 
 # mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
@@ -37,6 +39,8 @@ SOFT_RAD = 0.003
 SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
 another local maximum."""
+SHAFT_ROOM = 1e-3
+"""So far below its margin the share of the squared lever may be: a course that stands on it has room to begin."""
 INSIDE = 1e-9
 """Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
 off."""
@@ -55,6 +59,7 @@ def refine(
     smoothness: float = 0.0,
     acceleration: float = np.inf,
     brake: float = np.inf,
+    shaft_margin: float = 0.0,
 ) -> Course:
     """Improve a course to a local optimum.
 
@@ -70,6 +75,7 @@ def refine(
             objective proper falls by no more than `SMOOTH_LOSS` of the given course's.
         acceleration: most of any joint, from rest [rad/s^2].
         brake: b of `too_fast` [rad/s^2]; the answer may cost as much as a smoother one.
+        shaft_margin: as of `shaft.keeping_shaft`; where the course is below it, the answer may be as far below.
 
     Returns:
         The better of both courses by the robot model's own mu; one that breaks a constraint by more than
@@ -78,6 +84,14 @@ def refine(
     """
     import casadi as ca  # late: half a second
 
+    floor = np.minimum(shaft_shares(robot, course.q_rad), shaft_margin)
+    if shaft_margin > 0.0:
+        found = refine(
+            robot, targets, course, objective, guess=guess, free_start=free_start, margin=margin,
+            speed_share=speed_share, smoothness=smoothness, acceleration=acceleration, brake=brake,
+        )  # fmt: skip
+        if (shaft_shares(robot, found.q_rad) >= floor - SHAFT_ROOM).all():
+            return found
     moving = np.flatnonzero(robot.moves.any(axis=0))
     k, a = len(course.q_rad), len(moving)
     x = ca.MX.sym("q", a, k)
@@ -108,6 +122,9 @@ def refine(
         later, way = ca.vec(x[:, 1:]), ca.vec(x[:, 1:] - x[:, :-1])
         excess = too_fast(way / targets.period_s, later, ca.DM(low[a:]), ca.DM(high[a:]), brake)
         rows.append((targets.period_s * excess, -np.inf, 0.0))
+    if shaft_margin > 0.0:
+        floor = np.maximum(floor - SHAFT_ROOM, 0.0)
+        rows.append((kin.shaft.map(k)(q)[:, there].T, floor[there] ** 2, np.inf))
     begin = np.array((course.q_rad if guess is None else guess)[:, moving]).ravel()
     if not free_start:
         low[:a] = high[:a] = course.q_rad[0, moving]
@@ -140,6 +157,8 @@ def refine(
     found = make_course(robot, targets, poses, margin, speed_share, acceleration)
     loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
     enough = course.value(objective) - loss * abs(course.value(objective))
+    if shaft_margin > 0.0 and (shaft_shares(robot, poses) < floor - INSIDE).any():
+        return course
     if not found.kept or (course.kept and found.value(objective) < enough):
         return course
     return found.as_certified() if solver.stats()["success"] else found

@@ -27,7 +27,7 @@ FLAT = 1e-9  # a range of the cost below this fraction of slope times box width 
 
 
 class Extremes(NamedTuple):
-    """What the cost can be over the feasible set, counted from its value at w = 0.
+    """Extremes of the cost over the feasible set, relative to its value at w = 0.
 
     Attributes:
         w: (r,) the optimum; where it is not unique, the one that proximal steps from w = 0 lead to.

@@ -92,6 +92,19 @@ class NullSpaceQP:
 
     Raises:
         SubproblemError: naming the field, its value and the cure.
+
+    Example:
+        >>> robot = mo.load_robot("lwr4")
+        >>> state = robot.state(robot.data.q_home)
+        >>> qp = mo.NullSpaceQP(state.J_tip, state.J_wrist, v_tip=[0.01, 0, 0], v_wrist=[0.01, 0, 0],
+        ...                     grad_mu=state.grad_mu, lower=-robot.v_max, upper=robot.v_max)
+        >>> qp.A.shape, qp.P.shape, qp.reduced().A.shape, qp.copy() == qp
+        ((6, 7), (7, 7), (5, 7), True)
+        >>> solution = mo.solvers.create("exact").start(qp).solve(qp)
+        >>> bool(qp.residuals(solution.x, solution.y).verified()), qp.objective(solution.x) < 0.0
+        (True, True)
+        >>> mo.NullSpaceQP.from_row(qp.row.copy()) == qp
+        True
     """
 
     row: Array
@@ -168,11 +181,11 @@ class NullSpaceQP:
         return self
 
     def copy(self) -> NullSpaceQP:
-        """Return the same subproblem in memory of its own: what is done to one leaves the other as it is."""
+        """Return a copy of the subproblem in its own memory."""
         return NullSpaceQP.from_row(self.row.copy())
 
     def _adopt(self, row: Array, n: int) -> None:
-        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code takes both for granted
+        if row.strides != _CLOSE or row.dtype is not _DOUBLE:  # compiled code requires both
             row = np.array(row, dtype=np.float64).ravel()
         row.setflags(write=False)
         own = self.__dict__  # around our own __setattr__, which refuses everybody else

@@ -26,7 +26,7 @@ def batch_residuals(rows: Array, x: Array, y: Array) -> Residuals:
     """Do ``compute_residuals`` for answers x (k, n), y (k, 6) to the subproblems ``rows`` (k, 10 n + 10)."""
     rows, x, y = (np.ascontiguousarray(given, dtype=np.float64) for given in (rows, x, y))
     found = np.empty((len(x), 6))
-    left = ~_JUDGE.code(rows, x, y, found) if len(x) else np.zeros(0, dtype=np.bool_)
+    left = ~_FILL.code(rows, x, y, found) if len(x) else np.zeros(0, dtype=np.bool_)
     if left.any():
         found[left] = np.stack(compute_residuals(rows[left], x[left], y[left]), axis=1)
     return Residuals(*found.T.copy())
@@ -180,7 +180,7 @@ def along_a_line(z: Array, m: int, slope: float, rho: float, low: Array, high: A
 
 
 @njit(cache=True, nogil=True)
-def judge_row(row: Array, x: Array, y: Array, out: Array, scratch: Array) -> bool:
+def fill_row(row: Array, x: Array, y: Array, out: Array, scratch: Array) -> bool:
     """Fill ``out`` (6,) with the residuals of one answer; False where they are left to the definition."""
     n = x.shape[0]
     at = offsets(n)
@@ -270,13 +270,13 @@ def judge_row(row: Array, x: Array, y: Array, out: Array, scratch: Array) -> boo
 
 
 @njit(cache=True, nogil=True)
-def judge(rows: Array, x: Array, y: Array, found: Array) -> NDArray[np.bool_]:
+def fill_residuals(rows: Array, x: Array, y: Array, found: Array) -> NDArray[np.bool_]:
     """Fill ``found`` (k, 6) with the residuals of k answers; return which ones are there, (k,)."""
     n = x.shape[1]
     done, scratch = np.zeros(len(x), dtype=np.bool_), np.empty((7, max(n, 6), max(n, 6)))
     for k in range(len(x)):
-        done[k] = judge_row(rows[k], x[k], y[k], found[k], scratch)
+        done[k] = fill_row(rows[k], x[k], y[k], found[k], scratch)
     return done
 
 
-_JUDGE = CompiledKernel(judge, MATRIX, MATRIX, MATRIX, MATRIX)
+_FILL = CompiledKernel(fill_residuals, MATRIX, MATRIX, MATRIX, MATRIX)

@@ -1,9 +1,9 @@
-"""How an answer to the null-space subproblem is judged: one set of residuals for every solver.
+"""Residuals of an answer to the null-space subproblem: one definition for every solver.
 
 All functions take a leading batch shape ``(...,)`` and need numpy only, so that one call judges
 a single tick or a whole recording. None of them uses the status that the solver reports.
 
-On A x = b the tracking terms of the cost are constant. What is left, rho/2 |x|^2 - c2 grad_mu^T x, is a sum over
+On A x = b the tracking terms of the cost are constant. The rest, rho/2 |x|^2 - c2 grad_mu^T x, is a sum over
 independent parts: each idle joint (its column of A is zero) on its own interval, and the other joints together on
 their part of ker A. With one freedom that is an interval too; with more ``moc_opt.qp.extremes`` finds best and worst.
 
@@ -27,7 +27,7 @@ from moc_opt.qp.extremes import extremes
 
 # One rule for the rank of A, here and wherever else one is decided: its sixth singular value counts as zero below
 # TIED |A|_F, the others below RANK_TOLERANCE |A|_F. A rigid tool makes one of the six rows repeat the others, and
-# Jacobians rounded to 7 decimals leave up to 7e-8 of it; what such a row does to tip and wrist stays within the primal
+# Jacobians rounded to 7 decimals leave up to 7e-8 of it; its effect on tip and wrist stays within the primal
 # tolerance at joint speeds of a few rad/s. Nothing but a straight elbow makes the fifth one small: it is a constraint.
 TIED = 1e-7
 RANK_TOLERANCE = 1e-12
@@ -52,12 +52,18 @@ class Residuals(NamedTuple):
             optimum's y stands for the best one: never too small, and zero at an optimum.
         relative: ``natural_best`` of the same problem with its cost divided by the size of its reduced
             gradient: max(c2 |Z Z^T grad_mu|_inf, rho times 1 rad/s), Z a basis of ker A; idle joints
-            have one of their own. A gradient of which almost nothing is left on ker A hides nothing [rad/s].
+            have one of their own. So errors show even if the gradient has almost no component on ker A [rad/s].
         loss: share of the cost's range over the feasible set that x gives away, in [0, 1]: 0 is the optimum,
-            1 the worst point. Of independent parts the one that loses most counts. Never too small; where the
+            1 the worst point. The independent part with the largest loss counts. Never too small; where the
             worst is not known (see ``moc_opt.qp.extremes``) it may be too large.
         distance: |x - x*|_inf to the nearest optimum x* [rad/s]; to the one nearest in the Euclidean norm where
             it is not unique. Infinite where no x* is found: the box leaves nothing of A x = b.
+
+    Example:
+        >>> from moc_opt.qp.residuals import Residuals
+        >>> near = Residuals(primal=1e-9, natural=1e-9, natural_best=1e-9, relative=1e-7, loss=0.0, distance=1e-8)
+        >>> bool(near.verified()), bool(near._replace(loss=0.2, distance=0.1).verified())
+        (True, False)
     """
 
     primal: Array
@@ -192,7 +198,7 @@ def _moving_joints(problem: Problem, x: Array, Z: Array, slack: Array, size: Arr
     """Return natural_best, relative, loss and distance (4, k) of joints that move tip or wrist, along Z (k, n, r)."""
     _, _, c2, rho = problem.weights.T
     n, r = Z.shape[1:]
-    # Onto A x = b: what is missing there is judged by `primal`.
+    # Project onto A x = b: the distance to it is judged by `primal`.
     on = x - np.einsum("kni,ki->kn", np.linalg.pinv(problem.A, rcond=PROJECTION_TOLERANCE), slack)
     if r == 0:
         nothing = np.zeros(len(x))
@@ -291,7 +297,7 @@ def _best_natural(problem: Problem, x: Array, Z: Array, reduced: Array) -> Array
 def _facets(null_spaces: bytes, shape: tuple[int, int, int]) -> list[Array]:
     """Return the directions (k, r) orthogonal to r - 1 rows of each Z (k, n, r), for every choice of rows.
 
-    Remembered, as every solver of a comparison is judged on the same problems.
+    Cached, since every solver of a comparison is judged on the same problems.
     """
     k, n, r = shape
     Z = np.frombuffer(null_spaces).reshape(shape)

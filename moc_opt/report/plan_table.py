@@ -65,7 +65,8 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     Args:
         name: of the scenario.
         plan: of it.
-        within: margin_rad, margin_m and speed_share that it was made with, as of `moc_opt.scenario.planned.plan`.
+        within: margin_rad, margin_m, speed_share and shaft_margin that it was made with, as of
+            `moc_opt.scenario.planned.plan`.
     """
     rows: list[dict[str, Any]] = [
         {"what": "can be executed from this start", "value": "yes" if plan.executable else "no"}
@@ -80,6 +81,8 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     share = 100.0 * within.get("speed_share", 1.0)
     limits = f"{kept} from the joint limits" if kept else "the joint limits"
     rows.append({"what": "planned within", "value": f"{limits}, {share:.3g} % of their speed limits"})
+    if (shaft := within.get("shaft_margin", 0.0)) > 0.0:
+        rows.append({"what": "shaft", "value": f"kept at {shaft:.3g} of its lever's square, where there is a way"})
     rows.append({"what": "swivel at the start", "value": _degrees(plan.start_swivel_rad)})
     rows.append({"what": "swivel of the best start", "value": _degrees(plan.best_swivel_rad)})
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):

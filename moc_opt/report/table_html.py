@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from string import ascii_lowercase
 from textwrap import wrap
 from typing import Any
@@ -29,7 +30,7 @@ def draw(table: Table, number: int | None = None) -> Markup:
         if cell.why is not None and cell.why != Missing()
     ]  # fmt: skip
     notes = dict(zip(dict.fromkeys(reasons), ascii_lowercase, strict=False))
-    drawn = [_column(column, cells, notes) for column, cells in columns.items()]
+    drawn = [_column(column, cells, notes, table.rows) for column, cells in columns.items()]
     headings = [_heading(column, cells) for column, cells in columns.items()]
     made: Markup = macros("table.html").draw(
         number, table.title, table.caption, headings, list(zip(*drawn, strict=True)), notes
@@ -46,14 +47,16 @@ def _heading(column: Column, cells: list[Cell]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _column(column: Column, cells: list[Cell], notes: dict[str, str]) -> list[dict[str, Any]]:
+def _column(
+    column: Column, cells: list[Cell], notes: dict[str, str], rows: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     """Return the cells of one column as the template takes them."""
     align = column.align or alignment(cells)
     numbers = [cell.text for cell in cells if cell.numeric]
     fraction = max(map(fraction_length, numbers), default=0)
     power = max((len(text.partition("e")[2]) for text in numbers), default=0)
     drawn = []
-    for cell in cells:
+    for cell, row in zip(cells, rows, strict=True):
         own = fraction_length(cell.text)
         # An integer in a column of fractions lacks the point as well as the digits after it.
         pad = (POINT_SPACE if fraction and not own else "") + FIGURE_SPACE * (fraction - max(own, 1))
@@ -63,6 +66,7 @@ def _column(column: Column, cells: list[Cell], notes: dict[str, str]) -> list[di
             {
                 "text": cell.text, "sort": cell.sort, "look": align + mark, "numeric": cell.numeric, "best": cell.best,
                 "power": power, "pad": "" if "e" in cell.text else pad, "why": cell.why,
+                "section": row.get(column.sections) or column.section,
                 "letter": notes.get(cell.why.reason) if cell.why else None,
             }
         )  # fmt: skip

@@ -44,6 +44,7 @@ class Column:
         help: one sentence on what it is, shown when the heading is pointed at, and folded below the table.
         among: key of a flag: only rows that have it set compete for the emphasis; "" lets all compete.
         section: title of the section of the same page that explains its values, which link there.
+        sections: key of a row's own such title, where rows are explained in different sections.
     """
 
     key: str
@@ -56,6 +57,7 @@ class Column:
     help: str = ""
     among: str = ""
     section: str = ""
+    sections: str = ""
 
     def __post_init__(self) -> None:
         if self.digits < 1:

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 from moc_opt.errors import RobotError
 
-_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _BLANKS = " \t\r\n"
 """White space as XML has it; other blanks of Unicode are none to most readers."""
 _BLANK = re.compile(f"[{_BLANKS}]+")
@@ -21,11 +21,20 @@ LARGEST: Mapping[str, float] = {
 """Unit -> the largest size of a number of it that an arm can have."""
 
 
+def is_decimal(text: str) -> bool:
+    """Say whether a text is one decimal number: ASCII digits with a point, a sign and an exponent where wanted.
+
+    One too large for a double is decimal too: `float` reads it as infinite, and every limit refuses it by its size.
+    """
+    text = text.strip(_BLANKS)
+    return len(text) <= _LONGEST and _DECIMAL.fullmatch(text) is not None
+
+
 def number(text: str, what: str, unit: str) -> float:
     """Read one decimal number.
 
     Args:
-        text: digits with a point, a sign and an exponent where wanted; no hexadecimal, no underscores, no words.
+        text: see `is_decimal`; no hexadecimal, no underscores, no words.
         what: it is, for the message: "mass of link 'link_1'".
         unit: a key of `LARGEST`.
 
@@ -33,10 +42,11 @@ def number(text: str, what: str, unit: str) -> float:
         RobotError: anything else, or a size that no arm has.
     """
     text = text.strip(_BLANKS)
-    if len(text) > _LONGEST or not _DECIMAL.fullmatch(text):
+    if not is_decimal(text):
         raise RobotError(f"urdf: {what} is {text!r:.80}: write a finite decimal number, such as 0.25 or -1e-3")
     value = float(text)
-    if abs(value) > LARGEST[unit] or 0.0 < abs(value) < SMALLEST:
+    zero = not any(digit in "123456789" for digit in text.lower().partition("e")[0])  # as it is written
+    if abs(value) > LARGEST[unit] or (abs(value) < SMALLEST and not zero):
         raise RobotError(f"urdf: {what} is {text!r}: give 0 or a size from {SMALLEST:g} to {LARGEST[unit]:g} ({unit})")
     return value
 

@@ -22,7 +22,7 @@ def check_engines(robot: RobotModel) -> None:
     It takes about 2 ms.
 
     Raises:
-        RobotError: they differ by more than `TOLERANCE`; the message says in what, and by how much.
+        RobotError: they differ by more than `TOLERANCE`; the message names the quantity and the difference.
         PlantError: MuJoCo cannot take the robot.
     """
     data, rng = robot.data, np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""What a run is, as a validated table: every key of a scenario's TOML."""
+"""The validated table of a run: every key of a scenario's TOML."""
 
 from __future__ import annotations
 
@@ -31,13 +31,29 @@ may come before a sound joint shows a step. Chosen on 85 runs without encoder no
 
 
 class Scenario(Settings):
-    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant."""
+    """One run. ``Scenario()`` is the default: MOC with ``exact`` on a circle, in the realistic plant.
+
+    Every key of the TOML is a field, a table a nested one; each is checked, and a frozen one at that.
+
+    Raises:
+        ScenarioError: a value out of range, or fields that contradict each other; names the field.
+        UnknownNameError: a key, preset, solver or path that does not exist.
+
+    Example:
+        >>> scenario = mo.Scenario(seed=3, task={"path": "spiral"}, solver={"name": "rnn"})
+        >>> scenario.task.path, scenario.control.law
+        ('spiral', 'moc')
+        >>> mo.Scenario(seed=-1)
+        Traceback (most recent call last):
+        moc_opt.errors.ScenarioError: ...
+    """
 
     KIND: ClassVar[str] = "scenario:"
     name: Name = Field(default="circle", description="title of the run")
     seed: int = Field(
-        default=0, ge=0, le=LARGEST_INTEGER, description="of starting pose and swivel, mismatch and noise"
-    )
+        default=0, ge=0, le=LARGEST_INTEGER,
+        description="seed of the random starting pose and swivel, of the plant's mismatch and of its noise",
+    )  # fmt: skip
     robot: RobotTable = RobotTable()
     start: StartTable = StartTable()
     trocar: TrocarTable = TrocarTable()
@@ -45,22 +61,28 @@ class Scenario(Settings):
     control: ControlSettings = ControlSettings()
     solver: SolverTable = SolverTable()
     plant: PlantSettings = PlantSettings.realistic()
-    duration_s: float | None = Field(default=None, gt=0.0, le=MOST_S, description="stop early; None: the whole path")
-    deadline_us: float = Field(default=2000.0, gt=0.0, le=1e9, description="a longer tick is a miss")
+    duration_s: float | None = Field(
+        default=None, gt=0.0, le=MOST_S,
+        description="time after which the run stops early; None: it runs to the end of the path",
+    )  # fmt: skip
+    deadline_us: float = Field(
+        default=2000.0, gt=0.0, le=1e9, description="a tick that takes longer counts as a missed deadline"
+    )
     guard: SafetyFilterSettings = SafetyFilterSettings()
     faults: FaultSettings = FaultSettings()
     wire: WireSettings = WireSettings()
-    judge: bool = Field(default=True, description="judge every answer after the run")
+    judge: bool = Field(default=True, description="whether every answer is judged after the run")
     metrics: tuple[Name, ...] = Field(
         default=(),
-        description="that `moc-opt run` prints, of those that `moc-opt metrics` lists; empty: those to look at first",
+        description="names of the metrics that `moc-opt run` prints; `moc-opt metrics` lists them; empty: a short "
+        "selection",
     )
     bound_samples: int = Field(
-        default=25, ge=0, le=100_000, description="points of the path at which the largest mu is looked for"
+        default=25, ge=0, le=100_000, description="number of points of the path at which the largest mu is searched for"
     )
     best_courses: bool = Field(
         default=False,
-        description="plan the path's best courses after the run, which mu is then compared with; a second or more",
+        description="plan the best courses of the path after the run and compare mu with them; takes a second or more",
     )
 
     @field_validator("control", mode="before")
@@ -118,6 +140,11 @@ class Scenario(Settings):
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
             UnknownNameError: a key or preset that does not exist.
+
+        Example:
+            >>> mo.Scenario(seed=3).save("scenario.toml")
+            >>> mo.Scenario.load("scenario.toml").seed
+            3
         """
         file = as_path(path, "scenario", ScenarioError)
         if file.suffix == ".parquet":
@@ -143,12 +170,18 @@ class Scenario(Settings):
         raise ScenarioError(f"scenario = {shown(scenario)}: give a Scenario, or the path of a scenario's file")
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the TOML that `load` reads as this scenario: what differs from the defaults.
+        """Write the TOML that `load` reads as this scenario: only values that differ from the defaults.
 
         A robot's own file is named by its absolute path.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
+
+        Example:
+            >>> scenario = mo.Scenario(duration_s=2.0)
+            >>> scenario.save("scenario.toml")
+            >>> mo.Scenario.load("scenario.toml") == scenario
+            True
         """
         saving.save(self, path)
 
@@ -158,11 +191,19 @@ class Scenario(Settings):
     __str__ = __repr__
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
+        """Return HTML for a notebook."""
         return table_html("Scenario, where it differs from the default", saving.changes(self) or {"nowhere": ""})
 
     def change(self, **tables: Any) -> Self:
-        """Copy the scenario with some fields changed; a mapping changes fields inside a table."""
+        """Copy the scenario with some fields changed; a mapping changes fields inside a table.
+
+        Raises:
+            ScenarioError, UnknownNameError: as for the constructor.
+
+        Example:
+            >>> mo.Scenario(seed=3).change(duration_s=1.0, plant={"friction": 0.0})
+            Scenario(seed=3, plant={'friction': 0.0}, duration_s=1.0)
+        """
         values: dict[str, Any] = {}
         for name in type(self).model_fields:
             old = getattr(self, name)
@@ -174,7 +215,7 @@ class Scenario(Settings):
 
     @property
     def told_guard(self) -> SafetyFilterSettings:
-        """``[guard]``, and what it is told of the encoders where it does not say it itself."""
+        """``[guard]``, with levels computed from the encoders' settings where it leaves them out."""
         guard, plant, told = self.guard, self.plant, dict[str, float | None]()
         encoder = plant.encoder_noise_rad, plant.encoder_resolution_rad
         if guard.repeat_joint_ticks is None:

@@ -25,7 +25,7 @@ AT_ONCE = 5000
 
 
 def model_errors(columns: Columns, robot: RobotModel, plant: Plant, offset: TaskOffset) -> dict[str, NDArray[Any]]:
-    """Compute tip and RCM error as the robot's own kinematics have them; none where its encoders see no links."""
+    """Compute tip and RCM error by the robot's own kinematics; none if the encoders are not on the links."""
     settings, mismatch = plant.settings, plant.mismatch
     if settings.elastic and settings.encoder_side == "motor":
         return {}

@@ -28,7 +28,7 @@ TICKS = 50
 
 
 class Exported(NamedTuple):
-    """What was written."""
+    """The files that were written."""
 
     files: list[Path]
     operations: dict[str, int]

@@ -1,4 +1,4 @@
-"""Whether the third level of a scenario can follow the course that was planned for it, and what is in its way."""
+"""Whether the third level of a scenario can follow the course planned for it, and the reason if not."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from moc_opt.errors import ControlError
 from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan
+from moc_opt.planning.shaft import COURSE_SHARE
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.planned import plan
 
@@ -16,11 +17,12 @@ ROUNDING = 1e-6
 
 
 class Within(TypedDict):
-    """What a plan was made within, as `moc_opt.scenario.planned.plan` takes it."""
+    """The limits of a plan, as arguments of `moc_opt.scenario.planned.plan`."""
 
     margin_rad: float
     margin_m: float
     speed_share: float
+    shaft_margin: float
 
 
 def followable_plan(
@@ -30,7 +32,7 @@ def followable_plan(
     """Plan within what the scenario's third level keeps to where it follows a course, else within the arm's own limits.
 
     Args:
-        scenario: what would be run.
+        scenario: of the run.
         margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
         objective, acceleration: as of `moc_opt.scenario.planned.plan`.
 
@@ -41,12 +43,15 @@ def followable_plan(
     follows = settings.follows
     if speed_share is None:
         speed_share = settings.course_speed_fraction if follows else 1.0
+    shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0
     # The two margins that `guided` tries, too.
     slides = scenario.robot.arm().chain.prismatic.any()
     margins = [(settings.course_margin_rad, settings.limit_margin_m if slides else 0.0)] if follows else []
     given = margin_rad is not None or margin_m is not None
     for turning, sliding in [(margin_rad or 0.0, margin_m or 0.0)] if given else [*margins, (0.0, 0.0)]:
-        within: Within = {"margin_rad": turning, "margin_m": sliding, "speed_share": speed_share}
+        within: Within = {
+            "margin_rad": turning, "margin_m": sliding, "speed_share": speed_share, "shaft_margin": shaft
+        }  # fmt: skip
         found = plan(scenario, objective=objective, acceleration=acceleration, **within)
         if found.executable:
             break

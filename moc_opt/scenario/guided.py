@@ -1,4 +1,4 @@
-"""What the third level of a scenario follows in place of the climb of mu: the guides of ``[control] third_level``."""
+"""The guides of ``[control] third_level``, which replace the climb of mu in the third level."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.receding import HURRY, NODES, Receding
 from moc_opt.planning.refine import SETTLED_S, refine
+from moc_opt.planning.shaft import COURSE_SHARE, keeping_shaft
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
@@ -33,14 +34,14 @@ without braking."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}
-"""What acceleration costs a course [s^4/rad^2], see `moc_opt.planning.refine`: tip and RCM errors come of it."""
+"""Weight of a course's acceleration [s^4/rad^2], see `moc_opt.planning.refine`; it lowers tip and RCM errors."""
 
 
 def guides(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable[[], Guide] | None:
     """Compute once what ``[control] third_level`` needs, and return what makes a guide of it for each controller.
 
     Both keep to `course_speed_fraction` of the joint speeds, to `course_margin_rad` from the joint limits, or to no
-    margin where the path cannot be executed with it.
+    margin where the path cannot be executed with it, and to `COURSE_SHARE` of `shaft_margin` where there is a way.
 
     Returns:
         None: the third level climbs where it is.
@@ -74,18 +75,21 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
     fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
     path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
     smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
+    shaft = COURSE_SHARE * settings.shaft_margin
+    lowered = keeping_shaft(found, robot, shaft)
 
     def made(share: float, brake: float) -> Callable[[], Receding]:
         for margin in _margins(scenario, robot):
             usual = float(np.nanmean(found.highest(margin)))
-            to_go = ToGo(found, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
+            to_go = ToGo(lowered, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
             if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
                 break
         else:
             raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
         horizon = Horizon(
-            robot, NODES, mu=usual, margin=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake
-        )
+            robot, NODES, mu=usual, margin=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake,
+            shaft_margin=shaft,
+        )  # fmt: skip
         return lambda: Receding(  # one program, of which each controller makes a solver of its own
             to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
             rate_per_s=settings.replan_per_s,
@@ -107,16 +111,20 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     """Return the best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
+    shaft, known = COURSE_SHARE * settings.shaft_margin, map_of(robot, layout.q, targets)
     for margin in _margins(scenario, robot):
         for part in SPEEDS:
             share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
-            found = make_plan(robot, layout.q, targets, margin=margin, speed_share=share)
+            found = make_plan(
+                robot, layout.q, targets, margin=margin, speed_share=share, shaft_margin=shaft, elsewhere=False,
+                known=known,
+            )  # fmt: skip
             if found.from_start is None:
                 break
             for rule in rules:
                 course = refine(
                     robot, targets, found.from_start, margin=margin, speed_share=share,
-                    smoothness=SMOOTHNESS["planned"], brake=rule,
+                    smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=shaft,
                 )  # fmt: skip
                 if course is not found.from_start or rule == np.inf:
                     return course

@@ -1,4 +1,4 @@
-"""What a scenario's task amounts to from one start: the registered trocar, the reference of the tip, the duration."""
+"""A scenario's task from one start: the registered trocar, the reference of the tip, the duration."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Layout:
     trocar: Array
     """(3,) at rest, as registered [m]"""
     registered: Trocar
-    """What the controller is told."""
+    """The registered trocar, which the controller is given."""
     reference: Reference
     duration_s: float
 

@@ -66,7 +66,7 @@ class Objects:
         self.duration_s = layout.duration_s
         self._fault_seed = fault_seed
         self.guide: Guide | None = None
-        """What the third level of the last controller follows."""
+        """The guide of the last controller's third level; None without one."""
         self._replayed_us = recorded_times(scenario)
         if not realtime:
             self._build_plant(plant_seed)

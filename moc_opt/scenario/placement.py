@@ -18,6 +18,7 @@ from moc_opt.planning.course import Objective, make_course
 from moc_opt.planning.placement import Placement
 from moc_opt.planning.plan import map_of
 from moc_opt.planning.search import search
+from moc_opt.planning.shaft import keeping_shaft
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
@@ -43,6 +44,7 @@ def place(
     margin_rad: float = 0.0,
     margin_m: float = 0.0,
     speed_share: float = 1.0,
+    shaft_margin: float = 0.0,
 ) -> list[Placement]:
     """Search a cube for the place that serves the path best; the best first, the present place among them.
 
@@ -51,7 +53,7 @@ def place(
         box_m: half the edge of the cube about the present place [m].
         candidates: drawn evenly from the cube.
         best: places that are planned on the finer grid and returned, besides the present one.
-        objective, margin_rad, margin_m, speed_share: as of `moc_opt.scenario.planned.plan`.
+        objective, margin_rad, margin_m, speed_share, shaft_margin: as of `moc_opt.scenario.planned.plan`.
 
     Raises:
         ScenarioError: an argument is out of range.
@@ -76,7 +78,7 @@ def place(
             targets = _targets(robot, layout, what, shift, times)
         except TaskError:  # the trocar is off the shaft somewhere
             return Placement(moved, None, depth)
-        found = map_of(robot, layout.q, targets, swivels)
+        found = keeping_shaft(map_of(robot, layout.q, targets, swivels), robot, shaft_margin)
         step = speed_share * robot.v_max * targets.period_s
         q = search(found, step, objective, margin=margin).q_rad
         if q is not None:

@@ -33,6 +33,7 @@ def plan(
     margin_m: float = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
+    shaft_margin: float = 0.0,
     refined: bool = True,
 ) -> Plan:
     """Plan a scenario's run: whether it can be executed, from which swivel, how well, and along which course.
@@ -41,14 +42,23 @@ def plan(
     tick to the last. A random start is drawn as the run draws it.
 
     Args:
-        scenario: what would be run, or the path of its file.
-        objective: what a course is best in: "mean" mu, "worst" mu, or the mean of "log" mu.
+        scenario: of the run, or the path of its file.
+        objective: maximised by the best course: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         margin_rad: that every joint keeps from its limits; margin_m: the same of one that slides.
-        swivels, speed_share, acceleration, refined: as of `moc_opt.planning.plan.make_plan`.
+        swivels: samples of one turn of the elbow, on an arm with a closed form.
+        speed_share: of the joints' speed limits that a course may use, above 0 to 1.
+        acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
+        shaft_margin: least share of the squared lever that the shaft's manipulability keeps, where there is a way.
+        refined: whether courses are improved beyond the grid.
 
     Raises:
         MocOptError: the scenario's start, path or trocar is not usable, or an argument is out of range.
+
+    Example:
+        >>> plan = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False)
+        >>> plan.blocked is None, abs(plan.best_swivel_rad) < 0.2
+        (True, True)
     """
     scenario = Scenario.given(scenario)
     if times is not None and (not isinstance(times, numbers.Integral) or not 2 <= times <= 100_000):
@@ -58,7 +68,7 @@ def plan(
     return make_plan(
         robot, layout.q, targets_of(robot, layout, times), objective, swivels=swivels,
         margin=margin_of(robot, margin_rad, margin_m), speed_share=speed_share, acceleration=acceleration,
-        refined=refined,
+        shaft_margin=shaft_margin, refined=refined,
     )  # fmt: skip
 
 

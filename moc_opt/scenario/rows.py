@@ -1,4 +1,4 @@
-"""The rows of a run before it begins: references by the block, and whether there is room for what it leaves."""
+"""The rows of a run before it begins: references by the block, and a check that its record fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scenario as the TOML that makes it: what differs from the defaults, and nothing else."""
+"""A scenario as the TOML that makes it: only values that differ from the defaults."""
 
 from __future__ import annotations
 

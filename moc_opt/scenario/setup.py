@@ -1,4 +1,4 @@
-"""Run a scenario with the objects built from it, and put together what its trace holds."""
+"""Run a scenario with the objects built from it, and collect the columns of its trace."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class Setup(Objects):
 
         Args:
             watch: called with the number of every tick before it.
-            to: a Parquet file that the trace goes into while it grows, ``block`` ticks at a time; what is returned
-                then stays in the file (`Trace.open`). None: the whole trace is kept in memory.
+            to: a Parquet file to which the trace is written during the run, ``block`` ticks at a time; the columns
+                of the returned trace then stay in the file (`Trace.open`). None: the whole trace is kept in memory.
             block: see ``to``.
 
         Raises:
             MocOptError: the run does not fit into the memory or onto the disk; or the arm ran away, and the error
-                holds the trace. Where a run into a file ends by any exception, the rows so far are in it.
+                holds the trace. If a run to a file ends by an exception, the file has the rows so far.
         """
         if watch is not None and not callable(watch):
             raise ScenarioError(f"watch = {shown(watch)}: give a function of a tick's number, or None")
@@ -79,12 +79,18 @@ class Setup(Objects):
         def trocar(t: Array) -> Array:
             return faults.slip(np.stack(self.trocar.at(t), axis=1), t)
 
-        with Interpreter():  # what a solver changed of it ends with the run
+        controller, safety_filter = self.adapter(), make_safety_filter(self.robot, self.scenario)
+        around = faults if wrong.around_the_arm else None
+        compiled = None
+        if self.scenario.control.backend == "c":
+            from moc_opt.scenario.steps import compiled_steps  # late, as all that needs the generated C
+
+            compiled = compiled_steps(self.plant, controller, safety_filter, around)
+        with Interpreter():  # restored after the run if a solver changed it
             found = simulate(
-                self.plant, self.adapter(), Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
+                self.plant, controller, Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),
                 Timed(trocar, period, ticks), Timed(lambda t: np.stack(self.registered.at(t), axis=1), period, ticks),
-                safety_filter=make_safety_filter(self.robot, self.scenario),
-                faults=faults if wrong.around_the_arm else None,
+                safety_filter=safety_filter, faults=around, compiled=compiled,
                 stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
             )  # fmt: skip
         told = self.guide.told if isinstance(self.guide, Receding | Follower) else {}
@@ -133,7 +139,7 @@ class Setup(Objects):
         return found | (residual_columns(columns) if self.scenario.judge else {})
 
     def _yardsticks(self, trace: Trace) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return what mu is held against: the largest at single ticks, and best courses; columns, and meta."""
+        """Return the references of mu: the largest at single ticks, and best courses; columns, and meta."""
         bound, method = largest_mu(trace.q_rad, self.robot, self.scenario.bound_samples)
         best, told = against_best(self.scenario, trace) if self.scenario.best_courses else ({}, {})
         return {"mu_bound": bound, **best}, {**method, **told}
@@ -143,9 +149,23 @@ def run(
     scenario: Scenario | str | os.PathLike[str], watch: Callable[[int], None] | None = None,
     to: str | os.PathLike[str] | None = None, *, solver: Solver | None = None,
 ) -> Trace:  # fmt: skip
-    """Run one scenario, or that of a file; arguments as `Setup` and `Setup.trace`.
+    """Run one scenario, or that of a file.
+
+    Args:
+        scenario: what to run, or the path of its file.
+        watch: called with the number of every tick before it.
+        to: a Parquet file that the trace goes into while it grows, for a run larger than the memory.
+        solver: in place of the one that the scenario names.
+
+    Returns:
+        one row a tick; ``meta["ended"]`` says how it ended.
 
     Raises:
-        MocOptError: what is wrong with it, before anything moves; or that the arm ran away.
+        MocOptError: the scenario is not usable (raised before the run), or the arm ran away.
+
+    Example:
+        >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0), solver=mo.solvers.create("exact"))
+        >>> trace.x_rad_per_s.shape, bool((trace.status == "solved").all())
+        ((50, 7), True)
     """
     return Setup(Scenario.given(scenario), solver).trace(watch, to)

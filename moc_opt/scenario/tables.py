@@ -20,15 +20,17 @@ MOST_S = 100_000.0
 
 
 class RobotTable(Settings):
-    """Which arm, and which tool on it."""
+    """The arm and its tool."""
 
     KIND: ClassVar[str] = "[robot]"
     MEANT_KEY: ClassVar[str] = "name"
     name: str = Field(default="lwr4", description="a robot of the package, or a path to a URDF or TOML")
     tool_length_m: float | None = Field(
-        default=None, gt=0.0, le=10.0, description="mount to tip; None: that of the robot's file"
+        default=None, gt=0.0, le=10.0, description="length from mount to tip; None: the length in the robot's file"
     )
-    tool_mass_kg: float | None = Field(default=None, gt=0.0, le=1000.0, description="None: that of the robot's file")
+    tool_mass_kg: float | None = Field(
+        default=None, gt=0.0, le=1000.0, description="None: the mass in the robot's file"
+    )
 
     def arm(self) -> RobotModel:
         """Load the robot, and build its model.
@@ -38,35 +40,37 @@ class RobotTable(Settings):
         """
         return load_robot(self.name, tool_length=self.tool_length_m, tool_mass=self.tool_mass_kg)
 
-    def freedoms(self) -> Freedoms:
-        """Return what tip and shaft leave the arm, at the pose where that is most; raises as ``arm``."""
-        return best_freedoms(self.arm())
+    def arm_and_freedoms(self) -> tuple[RobotModel, Freedoms]:
+        """Return the arm, and what tip and shaft leave of it at the pose where that is most; raises as ``arm``."""
+        arm = self.arm()
+        return arm, best_freedoms(arm)
 
 
 class StartTable(Settings):
-    """The pose of the arm at t = 0; tip and wrist are those of q whatever the swivel."""
+    """The pose of the arm at t = 0. The swivel moves the elbow, and neither tip nor wrist."""
 
     KIND: ClassVar[str] = "[start]"
     pose: Literal["home", "random"] = Field(
-        default="home", description="'random': drawn by the seed until the whole task can be done from it"
+        default="home", description="'random': a pose drawn by the seed, from which the whole task can be done"
     )
-    q_rad: tuple[float, ...] | None = Field(default=None, description="in place of the robot's home pose")
+    q_rad: tuple[float, ...] | None = Field(
+        default=None, description="joint positions that replace the robot's home pose"
+    )
     swivel: float | Literal["given", "random"] = Field(
         default="given",
-        description="of the elbow: share of the range that the joint limits leave, 0 to 1; 'given' leaves q; "
-        "'random' is drawn by the seed",
+        description="place of the elbow, as a share from 0 to 1 of the range that the joint limits leave; 'given': "
+        "that of q; 'random': drawn by the seed",
     )
     limit_margin_rad: float = Field(
-        default=0.05,
-        ge=0.0,
-        le=3.0,
-        description="under pose 'random': what a joint keeps from its limits at the start and along the path; below "
-        "control.limit_margin_rad the third level begins with a joint on its way back from the limit",
-    )
-    limit_margin_m: float = Field(default=0.05, ge=0.0, le=3.0, description="the same for a joint that slides")
+        default=0.05, ge=0.0, le=3.0,
+        description="under pose 'random': least distance of a joint from its limits, at the start and along the path. "
+        "A smaller one than control.limit_margin_rad lets the run begin with a joint outside the third level's box, "
+        "which then moves back from the limit",
+    )  # fmt: skip
+    limit_margin_m: float = Field(default=0.05, ge=0.0, le=3.0, description="limit_margin_rad for a sliding joint")
     check_path: bool = Field(
         default=True,
-        description="refuse a path that kinematics alone cannot follow; the search may miss a way that exists",
+        description="refuse a path that the kinematics cannot follow; the search can miss a way that exists",
     )
 
     @field_validator("swivel")
@@ -84,15 +88,20 @@ class StartTable(Settings):
 
 
 class TrocarTable(Settings):
-    """Where the shaft enters: a point on it at t = 0, then fixed or breathing."""
+    """The trocar: a point on the shaft at t = 0, which then rests or moves with the breathing."""
 
     KIND: ClassVar[str] = "[trocar]"
-    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="of the tip below the trocar at t = 0")
-    breathing_amplitude_m: float = Field(default=0.0, ge=0.0, le=0.5, description="of the trocar's motion; 0: it rests")
-    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S, description="of one breath")
-    breathing_direction: Vector = Field(default=(0.0, 0.0, 1.0), description="of that motion, base axes, any length")
+    depth_m: float = Field(default=0.15, gt=0.0, le=10.0, description="depth of the tip below the trocar at t = 0")
+    breathing_amplitude_m: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="amplitude of the trocar's motion; 0: it rests"
+    )
+    breathing_period_s: float = Field(default=4.0, gt=0.0, le=MOST_S, description="period of one breath")
+    breathing_direction: Vector = Field(
+        default=(0.0, 0.0, 1.0), description="direction of the breathing in base axes, of any length"
+    )
     breathing_known: bool = Field(
-        default=True, description="whether the registered trocar follows the breathing"
+        default=True,
+        description="whether the registered trocar, which the controller is given, moves with the breathing",
     )
 
 
@@ -102,25 +111,29 @@ class TaskTable(Settings):
     KIND: ClassVar[str] = "[task]"
     MEANT_KEY: ClassVar[str] = "path"
     path: Name = Field(
-        default="circle", description="`moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m"
+        default="circle",
+        description="name of the path; `moc-opt tasks` lists them; 'waypoints': a smooth curve through waypoints_m",
     )
     sizes: dict[Name, Annotated[float, Field(ge=-1e3, le=1e3)]] = Field(
-        default_factory=dict, description="of the path [m]; see moc_opt.tasks"
+        default_factory=dict, description="sizes of the path [m]; `moc-opt tasks` lists those of each path"
     )
     waypoints_m: tuple[Vector, ...] | None = Field(
         default=None,
-        description="where the tip goes, from where it starts: along the heading, to the left, along the normal",
+        description="points of the tip relative to its start: along the heading, to the left, along the normal",
     )
-    normal: Vector = Field(default=(0.0, 0.0, 1.0), description="of the path's plane, base axes, any length")
+    normal: Vector = Field(
+        default=(0.0, 0.0, 1.0), description="normal of the path's plane in base axes, of any length"
+    )
     heading: Vector = Field(
-        default=(1.0, 0.0, 0.0), description="in which the path begins; its part along the normal is taken out"
-    )
+        default=(1.0, 0.0, 0.0),
+        description="direction in which the path begins, in base axes; only its part in the path's plane counts",
+    )  # fmt: skip
     v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3, description="largest speed of the tip")
     a_max_m_per_s2: float = Field(
-        default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, bends included"
+        default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too"
     )
-    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path")
-    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after it")
+    wait_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest before the path begins")
+    hold_s: float = Field(default=0.5, ge=0.0, le=MOST_S, description="rest after the path has ended")
 
     @model_validator(mode="before")
     @classmethod
@@ -156,19 +169,20 @@ class TaskTable(Settings):
 
 
 class SolverTable(Settings):
-    """Which solver the third level asks."""
+    """The solver of the third level."""
 
     KIND: ClassVar[str] = "[solver]"
     MEANT_KEY: ClassVar[str] = "name"
-    name: Name = Field(default="exact", description="`moc-opt solvers --list` lists them")
-    settings: dict[Name, Any] = Field(default_factory=dict, description="of that solver: docs/solvers.md")
+    name: Name = Field(default="exact", description="name of the solver; `moc-opt solvers --list` lists them")
+    settings: dict[Name, Any] = Field(default_factory=dict, description="settings of that solver: docs/solvers.md")
     replay_us: str | tuple[Annotated[float, Field(ge=0.0, le=1e9)], ...] | None = Field(
         default=None,
-        description="solve times [us], or a .npy file of them, that stand for the clock's where a solve has a time "
-        "budget, over and over: a run with deadlines can then be repeated exactly",
+        description="solve times [us], or a .npy file of them, used over and over in place of measured times where a "
+        "solve has a time budget: a run with deadlines can then be repeated exactly",
     )
     isolation: Literal["none", "process"] = Field(
-        default="none", description="'process': the session runs in a process of its own, which is killed if it hangs"
+        default="none",
+        description="'process': each session of the solver runs in its own process, which is killed when it hangs",
     )
     process: ProcessSettings = ProcessSettings()
 

@@ -40,7 +40,7 @@ class PlantServer(Setup):
     """The plant of a scenario, for a controller at the other end of a wire.
 
     Args:
-        scenario: what is run.
+        scenario: of the run.
         listen: "HOST:PORT"; port 0 is any free one, see ``address``.
         key: of the check; None: loopback only.
         lock_step: wait for each command instead of keeping the time.

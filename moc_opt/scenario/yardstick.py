@@ -1,8 +1,8 @@
-"""What a run's manipulability is compared with: the best course from its start, and the best over all starts.
+"""The references of a run's manipulability: the best course from its start, and the best over all starts.
 
 Both are courses of dynamic programming, within the arm's own joint limits and speeds, on a grid of 50 ms and 0.5
 degree; refined as `moc_opt.scenario.planned.plan` does they are a little better (docs/planning.md). They are planned
-once for all runs of one path and start, whatever the controller.
+once for all runs of one path and start, for all controllers.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The simulated plant and the closed loop: arm, trocar, sensors, faults. Knows torques; no controller and no solver.
+"""The simulated plant and the closed loop: arm, trocar, sensors, faults. Imports no controller and no solver.
 
 Read first: ``closed_loop`` (the one step of every closed loop), ``filtered`` (controller behind its safety filter) and
 ``loop`` (``simulate``, which records), then ``plant`` (MuJoCo), built by ``mjcf``, and ``period``, its compiled step.
-``protocols`` says what a controller is. ``contact``, ``sensors``, ``actuation``, ``elastic``
+``protocols`` defines a controller. ``contact``, ``sensors``, ``actuation``, ``elastic``
 and ``mismatch`` are its parts; ``faults`` and ``packets`` disturb it; docs/plant.md lists ``settings``.
 Imported by realtime, procedure, vision, scenario and commissioning.
 """

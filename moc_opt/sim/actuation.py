@@ -1,4 +1,4 @@
-"""From commanded to acting torque: finite or refused, cut at the limits, some control periods late."""
+"""From commanded to acting torque: refused if it is not finite, cut at the limits, delayed by control periods."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from moc_opt.numerics.cache import njit
 
 @njit(cache=True, nogil=True)
 def admit(tau: Array, limit: Array, queue: Array, slot: int, applied: Array) -> bool:
-    """Cut a command (n,) at the limits (n,) [Nm] and put the one that is due on the joints; False: not finite.
+    """Cut a command (n,) at the limits (n,) [Nm] and apply the one that is due; False: it is not finite.
 
-    ``queue`` (delay, n) holds those on their way, the one that is due in row ``slot``.
+    ``queue`` (delay, n) holds the delayed commands, the one that is due in row ``slot``.
     """
     for i in range(tau.size):
         if not np.isfinite(tau[i]):
@@ -32,7 +32,7 @@ class Drives:
     """Torque drives without dynamics: saturation, and a delay of whole control periods as a ring buffer.
 
     Attributes:
-        limit, queue, slot, applied: as ``admit`` takes them.
+        limit, queue, slot, applied: as ``admit`` takes them; turns: how many slots there are.
     """
 
     def __init__(self, tau_max: Array, delay_ticks: int, applied: Array) -> None:
@@ -45,7 +45,7 @@ class Drives:
         """
         self.limit, self.applied = tau_max.copy(), applied
         self.queue, self.slot = np.zeros((delay_ticks, tau_max.size)), 0
-        self._turns, self._tau = max(1, delay_ticks), np.zeros(tau_max.size)
+        self.turns, self._tau = max(1, delay_ticks), np.zeros(tau_max.size)
 
     def start(self, tau: Array) -> None:
         """Fill the delay with one torque (n,), as if it had been commanded for long."""
@@ -64,9 +64,9 @@ class Drives:
         self._tau[:] = tau
         return self._tau
 
-    def admitted(self) -> None:
-        """Note that ``admit`` took the command."""
-        self.slot = (self.slot + 1) % self._turns
+    def admitted(self, commands: int = 1) -> None:
+        """Note that ``admit`` took so many commands."""
+        self.slot = (self.slot + commands) % self.turns
 
     def refusal(self) -> PlantError:
         """Make the error of a command that ``admit`` refused."""

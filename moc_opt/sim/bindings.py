@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import mujoco
@@ -23,7 +22,7 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Bindings:
-    """Views on MuJoCo's arrays, and what the kernels of a period are called with.
+    """Views on MuJoCo's arrays, and the arguments of a period's kernels.
 
     Attributes:
         joints, drives, pushes: the arm's joints, their drives, and external forces held on links.
@@ -76,11 +75,9 @@ class Bindings:
             joints.ripple, drives.limit, drives.queue,
         )  # fmt: skip
 
-    def advance(self, encoders: Encoders) -> Callable[..., int]:
-        """Return ``period.advance`` with all that stays the same until the next reset."""
-        return partial(
-            period.ADVANCE.code, *self._before, encoders.memory, encoders.conversion, self.wrench, self.truth
-        )
+    def memory(self, encoders: Encoders) -> period.PlantMemory:
+        """Return what a period works on until the next reset."""
+        return period.PlantMemory(*self._before, encoders.memory, encoders.conversion, self.wrench, self.truth)
 
     def told(self, trocar: ArrayLike | None) -> Array:
         """Return the trocar (2, 3) as contiguous numbers, zeros for none.

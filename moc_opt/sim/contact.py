@@ -1,4 +1,4 @@
-"""What pushes on the arm from outside: the trocar's tissue on the tool shaft, and held external forces.
+"""External forces on the arm: of the trocar's tissue on the tool shaft, and forces held on links.
 
 The trocar is compliant: a spring and a damper between the trocar point and the nearest point of the shaft
 line, acting across the shaft only, so that the tool slides and turns freely in the incision. A rigid ring
@@ -28,7 +28,7 @@ def shaft_force(
     With the tool direction u, the shaft point c nearest to the trocar P and the velocity w of the tool's
     material at c:  force = (I - u u^T) (stiffness (P - c) + damping (dP - w)). Its power on the tool is -d/dt
     of the spring's energy minus what the damper takes, so a trocar at rest can only take energy out of the
-    arm. The line has no ends: the tool is taken to be inserted.
+    arm. The shaft's line has no ends: the tool is assumed to be inserted.
 
     Args:
         tip: (3,) tip of the tool, world axes [m].
@@ -150,7 +150,7 @@ class Pushes:
         self._pack()
 
     def clear(self, link: str | None = None) -> None:
-        """Let go of one link, or of all."""
+        """Remove the force on one link, or on all."""
         if link is None:
             self._held.clear()
         else:

@@ -1,12 +1,12 @@
 """Elastic joints: a motor, a spring, a link; and the torque that reaches the motor, ripple included.
 
 A joint with a spring has two coordinates in MuJoCo, two hinges about one axis: the motor's angle theta with the rotor's
-inertia B, friction and stops, and the spring's deflection delta. The link stands at q = theta + delta, and
+inertia B, friction and stops, and the spring's deflection delta. The link's angle is q = theta + delta, and
 
     M(q) ddq + h = tau_J,   B ddtheta + friction + tau_J = tau,   tau_J = -K delta - D ddelta/dt
 
-which is Spong's model (1987). The rotor inertia of the robot's file is the one that is left once the arm's own torque
-feedback has reduced it (Ott et al. 2008): tau is the input of that loop, so no second one is simulated.
+which is Spong's model (1987). The rotor inertia of the robot's file is the one that the arm's own torque feedback
+has reduced (Ott et al. 2008): tau is the input of that loop, so no second loop is simulated.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can go wrong, seeded and as settings: sensors, packets, bumps, the trocar, the solver."""
+"""Faults, seeded and as settings: of sensors, packets, bumps, the trocar, the solver."""
 
 from __future__ import annotations
 
@@ -19,32 +19,37 @@ GRAVITY = 9.81
 
 
 class FaultSettings(PacketSettings):
-    """Everything is off by default. Times are counted from the start of the run."""
+    """Faults to inject; all are off by default. Times count from the start of the run."""
 
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    encoder_bias_rad: float = Field(default=0.0, ge=-0.1, le=0.1, description="on every joint, with seeded signs")
-    encoder_noise_rad: float = Field(default=0.0, ge=0.0, le=0.01, description="more noise, standard deviation")
-    nan_at_s: float | None = Field(default=None, ge=0.0, description="the encoders say NaN from then on")
-    nan_ticks: int = Field(default=1, ge=1, description="for so many ticks")
-    jump_at_s: float | None = Field(default=None, ge=0.0, description="the encoders jump then, and stay there")
-    jump_rad: float = Field(default=0.2, description="by this much, on every joint")
+    encoder_bias_rad: float = Field(
+        default=0.0, ge=-0.1, le=0.1, description="constant error of every encoder, with seeded signs"
+    )
+    encoder_noise_rad: float = Field(default=0.0, ge=0.0, le=0.01, description="standard deviation of additional noise")
+    nan_at_s: float | None = Field(default=None, ge=0.0, description="time from which the encoders give NaN")
+    nan_ticks: int = Field(default=1, ge=1, description="ticks for which they do")
+    jump_at_s: float | None = Field(
+        default=None, ge=0.0, description="time at which the encoders jump; they do not jump back"
+    )
+    jump_rad: float = Field(default=0.2, description="size of the jump, on every joint")
 
-    bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="sideways push on the elbow")
-    bump_at_s: float = Field(default=2.0, ge=0.0, description="when it begins")
-    bump_s: float = Field(default=0.3, gt=0.0, description="how long it lasts")
+    bump_N: float = Field(default=0.0, ge=0.0, le=200.0, description="force of a sideways push on the elbow")
+    bump_at_s: float = Field(default=2.0, ge=0.0, description="time at which the push begins")
+    bump_s: float = Field(default=0.3, gt=0.0, description="duration of the push")
     bump_link: Name = Field(default="link_4", description="the link that is pushed")
     payload_kg: float = Field(default=0.0, ge=0.0, le=10.0, description="weight hung on the tool, unknown to the model")
 
-    slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="the trocar slips sideways by this")
-    slip_at_s: float = Field(default=2.0, ge=0.0, description="when it does")
+    slip_m: float = Field(default=0.0, ge=0.0, le=0.1, description="distance by which the trocar slips sideways")
+    slip_at_s: float = Field(default=2.0, ge=0.0, description="time at which the trocar slips")
 
     solver: Literal["none", "fail", "nan", "lie", "raise", "outside", "rig", "malformed", "hang"] = Field(
         default="none",
-        description="how solver answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the budget",
+        description="how the solver's answers are corrupted (moc_opt.solvers.faulty); 'hang' takes ten times the "
+        "budget",
     )
-    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="of the answers that are corrupted")
+    solver_share: float = Field(default=0.05, ge=0.0, le=1.0, description="share of the answers that are corrupted")
 
     @property
     def around_the_arm(self) -> bool:
@@ -57,7 +62,7 @@ class Faults:
     """The faults of one run: ``sense`` corrupts measurements, ``act`` pushes, ``slip`` moves the trocar.
 
     Args:
-        settings: what goes wrong.
+        settings: the faults.
         n: joints.
         period: control period [s].
         seed: of signs, noise, drops and directions.
@@ -78,7 +83,7 @@ class Faults:
         self._bump_off = self._bump_on + max(1, round(settings.bump_s / period))
 
     def sense(self, seen: Measurement, tick: int) -> Measurement:
-        """Return what arrives of a measurement."""
+        """Return the measurement with its faults, as it arrives."""
         s, t = self.settings, tick * self._period
         q, v = seen.q + self._bias, seen.v
         if s.encoder_noise_rad > 0.0:

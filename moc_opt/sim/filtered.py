@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,22 @@ from moc_opt.errors import MocOptError
 from moc_opt.numerics.arrays import Array
 from moc_opt.sim.protocols import SafetyFilter, TorqueController
 from moc_opt.sim.sensors import Measurement
+
+
+class Begun(NamedTuple):
+    """What compiled steps have done already of the period that Python goes on with."""
+
+    before: int | None = None
+    """what ``check_measurement`` found"""
+    asked: Array | None = None
+    """(n,) the controller's torque, limits applied [Nm]"""
+    after: int | None = None
+    """what ``limit_torque`` found"""
+    moved: int | None = None
+    """what came of the plant's period"""
+
+
+NOTHING = Begun()
 
 
 class Filtered(ABC):
@@ -55,7 +71,7 @@ class FilteredController(Filtered):
 
     def __init__(self, controller: TorqueController, safety_filter: SafetyFilter | None, applied: Array) -> None:
         self._controller, self._filter, self._applied = controller, safety_filter, applied
-        self._shows_state = self._shows_tip = False
+        self._shows_state, self._shows_tip, self._begun = False, False, NOTHING
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
         """Start controller and safety filter at the first measurement."""
@@ -92,15 +108,16 @@ class FilteredController(Filtered):
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
         """Return this period's torque (n,) [Nm], within its limits; that of a damped stop once one was requested."""
-        safety, controller, applied = self._filter, self._controller, self._applied
+        safety, controller, applied, begun = self._filter, self._controller, self._applied, self._begun
+        self._begun = NOTHING
         if safety is None:
             return controller.tick(seen.q, seen.v, tip_ref, trocar)
         if not safety.reason:
-            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, applied, seen.force, trocar)
+            q, v = safety.check_measurement(seen.q, seen.v, seen.stamp, applied, seen.force, trocar, begun.before)
         if not safety.reason:
             try:
-                asked = controller.tick(q, v, tip_ref, trocar)
-                tau = safety.limit_torque(asked, applied, q, v, *self._seen(tip_ref))
+                asked = controller.tick(q, v, tip_ref, trocar) if begun.asked is None else begun.asked
+                tau = safety.limit_torque(asked, applied, q, v, *self._seen(tip_ref), begun.after)
             except (MocOptError, ArithmeticError, np.linalg.LinAlgError) as error:
                 safety.request_stop(f"the controller failed: {error}")
             else:
@@ -111,8 +128,12 @@ class FilteredController(Filtered):
         self._applied = tau
         return tau
 
+    def took(self, tau: Array, begun: Begun) -> None:
+        """Go on after compiled steps: the torque (n,) [Nm] that they sent last, and what is done of the next tick."""
+        self._applied, self._begun = tau, begun
+
     def _seen(self, tip_ref: Array) -> tuple[Array | None, Any, Array | None]:
-        """Return where the tip has to be, and what the controller shows of its tick: a state, or the tip alone."""
+        """Return the tip's reference, and the state or the tip of the tick, if the controller provides one."""
         controller: Any = self._controller
         if self._shows_state:
             return tip_ref if self._shows_tip else None, controller.state, None

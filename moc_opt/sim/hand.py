@@ -1,4 +1,4 @@
-"""A simulated hand on the tool: it pulls a point of it to a goal, with the force and the patience of a person."""
+"""A simulated hand that pulls a point of the tool to a goal, with a person's force."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Hand:
 
     force = D (wish - velocity) + f, |force| <= force_max, where the wish is a velocity towards the goal,
     (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
-    the hand counts as arrived: a person who sees that the tip stops short pulls harder.
+    the hand has arrived, as a person pulls harder when the tip stops short.
     """
 
     def __init__(self, settings: HandSettings, period_s: float) -> None:

@@ -12,7 +12,7 @@ from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.settings import PlantSettings
 
 _SAGGING_ROUNDS = 12
-"""The weight bends a joint by milliradians, which changes the torque of the weight by a thousandth, and so on."""
+"""Rounds of a fixed point: the weight deflects a joint by milliradians, which changes its torque by a thousandth."""
 
 
 class Joints:

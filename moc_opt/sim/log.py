@@ -1,4 +1,4 @@
-"""What the closed loop writes down, a block of ticks at a time."""
+"""The record of the closed loop, a block of ticks at a time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Sink = Callable[[int, Columns], None]
 
 
 class Trajectory(Protocol):
-    """A reference of every tick: an array (N, rows, 3), or what makes the part that is asked for."""
+    """A reference of every tick: an array (N, rows, 3), or a function that makes a part of it."""
 
     def __len__(self) -> int:
         """Number of ticks, N."""
@@ -120,16 +120,14 @@ class Log:
     def _open(self, first: int) -> Block:
         return self._make(first, min(self._most, self.total - first), self._begin_s)
 
-    def rows(self) -> Iterator[tuple[Block, int, Array, Array, Array]]:
-        """Go through all ticks: the block and the row to fill, and tip reference, trocar and registered trocar."""
+    def blocks(self) -> Iterator[Block]:
+        """Go through the blocks; the next one is made when the one before is full."""
         while True:
-            now = self.block
-            for row, told in enumerate(zip(now.tip_refs, now.trocars, now.registered, strict=True)):
-                yield now, row, *told
-            if now.first + now.ticks >= self.total:
+            yield self.block
+            if self.block.first + self.block.ticks >= self.total:
                 return
             self._hand_over()
-            self.block = self._open(now.first + now.ticks)
+            self.block = self._open(self.block.first + self.block.ticks)
 
     def close(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns so far; none where a sink has them all."""

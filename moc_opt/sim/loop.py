@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.errors import PlantError
-from moc_opt.sim.closed_loop import DEFAULT_STOP, ClosedLoop, Stop
+from moc_opt.sim.closed_loop import DEFAULT_STOP, ClosedLoop, CompiledSteps, Stop
 from moc_opt.sim.faults import Faults
-from moc_opt.sim.log import Log, Sink, TaskOffset, Trajectories, Trajectory
+from moc_opt.sim.log import Block, Log, Sink, TaskOffset, Trajectories, Trajectory
 from moc_opt.sim.plant import Plant
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
 from moc_opt.trace.trace import Trace
@@ -59,11 +59,22 @@ _STOPPED = {
 }  # fmt: skip
 
 
+def _rows(log: Log, loop: ClosedLoop, watch: Callable[[int], None] | None) -> Iterator[tuple[Block, int]]:
+    """Go through the rows that are left to ``step``: compiled steps take all others."""
+    for now in log.blocks():
+        while now.done < now.ticks:
+            if watch is not None:
+                watch(loop.ticks)
+            if not loop.advance(now, now.ticks - now.done if watch is None else 1):
+                yield now, now.done
+
+
 def simulate(
     plant: Plant, controller: LoggedController, tip_refs: Trajectory, trocars: Trajectory, registered: Trajectory, *,
     safety_filter: SafetyFilter | None = None, faults: Faults | None = None, stop: Stop = DEFAULT_STOP,
     offset: TaskOffset | None = None, watch: Callable[[int], None] | None = None,
     meta: Mapping[str, Any] | None = None, sink: Sink | None = None, block: int = BLOCK,
+    compiled: CompiledSteps | None = None,
 ) -> Trace:  # fmt: skip
     """Run the closed loop from the plant's present state, and record it.
 
@@ -72,7 +83,7 @@ def simulate(
         controller: computes the torque, and may add columns.
         tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
         trocars: (N, 2, 3) rows P_t, dP_t: where the trocar really is.
-        registered: (N, 2, 3) where the controller believes it to be.
+        registered: (N, 2, 3) the registered trocar.
         safety_filter: checks measurements and limits torques; None: neither.
         faults: disturb sensors and arm; None: nothing does.
         stop: how the arm is stopped once the safety filter has requested it.
@@ -83,6 +94,7 @@ def simulate(
         sink: takes the rows, ``block`` ticks at a time and what there is when the loop ends, in whatever way; the
             trace that is returned then has no columns. None: all rows stay in memory.
         block: see ``sink``.
+        compiled: as for `ClosedLoop`, of this plant, controller and safety filter.
 
     Returns:
         One row per tick: the state at its start, and the torque applied then. ``meta["ended"]`` is "completed", or
@@ -97,19 +109,18 @@ def simulate(
     """
     ticks, offset = len(tip_refs), TaskOffset.nothing() if offset is None else offset
     log = Log(plant, controller, Trajectories(tip_refs, trocars, registered), offset, sink, block)
-    loop = ClosedLoop(plant, controller, safety_filter, stop, faults)
+    loop = ClosedLoop(plant, controller, safety_filter, stop, faults, compiled)
     loop.start(log.block.tip_refs[0], log.block.registered[0])
     begin_s = float(log.block.kept["t_s"][0])
     broken: PlantError | None = None
     found: dict[str, Any] = {"period_s": plant.settings.period_s, "ended": "completed"}
     try:
         with no_collector():
-            for now, row, tip_ref, trocar, registered in log.rows():
-                if watch is not None:
-                    watch(loop.ticks)
-                plant.write_truth(now.truth[row])
+            for now, row in _rows(log, loop, watch):
+                if not loop.begun:  # if so, the row has its truth, and the arm may have moved since
+                    plant.write_truth(now.truth[row])
                 try:
-                    loop.step(tip_ref, registered, trocar)
+                    loop.step(now.tip_refs[row], now.registered[row], now.trocars[row])
                 except PlantError as error:
                     broken = error
                 controller.note(row, now.kept)
@@ -128,7 +139,7 @@ def simulate(
                     found["ended"] = f"ran away at t = {now.kept['t_s'][row]:.3f} s"
                     break
     except BaseException:
-        log.close()  # what was measured is not lost, whatever ends the loop
+        log.close()  # the measurements are kept, however the loop ends
         raise
     columns = log.close()
     found |= {"ticks": loop.ticks, "ticks_planned": ticks}

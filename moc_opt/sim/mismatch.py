@@ -15,7 +15,7 @@ from moc_opt.sim.settings import PlantSettings
 
 @dataclass(frozen=True, eq=False)
 class Mismatch:
-    """What the controller's model does not know; arrays are read-only."""
+    """Differences between plant and controller's model; arrays are read-only."""
 
     mass_scale: Mapping[str, float]
     """Link -> factor on its mass and inertia."""

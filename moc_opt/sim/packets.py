@@ -1,4 +1,4 @@
-"""What goes wrong on the way from the encoders to the controller: frozen, late, repeated and drifting measurements.
+"""Faults between the encoders and the controller: frozen, late, repeated and drifting measurements.
 
 Each packet carries the number of the control period in which it was taken. A sensor or a buffer may give a wrong one
 (``forged_stamps``): old readings then come with numbers that are up to date.
@@ -23,38 +23,41 @@ class PacketSettings(Settings):
     KIND: ClassVar[str] = "[faults]"
     ERROR: ClassVar[type[MocOptError]] = PlantError
 
-    drop_share: float = Field(default=0.0, ge=0.0, le=1.0, description="of the measurements that never arrive")
-    late_ticks: int = Field(default=0, ge=0, le=50, description="measurements arrive so much later")
-    frozen_at_s: float | None = Field(default=None, ge=0.0, description="readings repeat themselves from then on")
-    frozen_ticks: int = Field(default=1_000_000, ge=1, description="for so many ticks")
+    drop_share: float = Field(default=0.0, ge=0.0, le=1.0, description="share of the measurements that never arrive")
+    late_ticks: int = Field(default=0, ge=0, le=50, description="ticks by which every measurement arrives late")
+    frozen_at_s: float | None = Field(default=None, ge=0.0, description="time from which readings repeat themselves")
+    frozen_ticks: int = Field(default=1_000_000, ge=1, description="ticks for which they do")
     frozen_joint: int | None = Field(
-        default=None, ge=0, description="of one encoder, counted from 0, whose packets go on; None: whole packets"
-    )
+        default=None, ge=0,
+        description="freeze one encoder only, counted from 0, while its packets go on; None: whole packets",
+    )  # fmt: skip
     frozen_wrench: bool = Field(
-        default=False, description="of the wrench sensor alone: the encoders' packets go on"
+        default=False, description="freeze the wrench sensor only, while the encoders' packets go on"
     )
-    frozen_velocity: Literal["repeated", "zero"] = Field(
-        default="repeated", description="what a frozen reading says of the velocity"
-    )
-    lag_at_s: float | None = Field(default=None, ge=0.0, description="measurements lag more and more from then on")
+    frozen_velocity: Literal["repeated", "zero"] = Field(default="repeated", description="velocity in a frozen reading")
+    lag_at_s: float | None = Field(default=None, ge=0.0, description="time from which measurements lag more and more")
     lag_joint: int | None = Field(
-        default=None, ge=0, description="of one encoder, counted from 0, under up-to-date numbers; None: of all"
-    )
-    lag_ticks: int = Field(default=0, ge=0, le=1000, description="ticks of delay added at once when that begins")
+        default=None, ge=0,
+        description="let one encoder only lag, counted from 0, under up-to-date packet numbers; None: all lag",
+    )  # fmt: skip
+    lag_ticks: int = Field(default=0, ge=0, le=1000, description="ticks of delay added at once at lag_at_s")
     lag_growth: float = Field(default=0.1, gt=0.0, le=1.0, description="ticks of delay added in each tick")
     replay_at_s: float | None = Field(
-        default=None, ge=0.0, description="old packets come once more from then on, in their order, over and over"
+        default=None, ge=0.0, description="time from which old packets arrive again, in their order, over and over"
     )
-    replay_ticks: int = Field(default=100, ge=1, le=5000, description="so many, the last ones before that")
-    drift_at_s: float = Field(default=0.0, ge=0.0, description="when it begins")
+    replay_ticks: int = Field(
+        default=100, ge=1, le=5000, description="number of packets that are replayed: the last ones before replay_at_s"
+    )
+    drift_at_s: float = Field(default=0.0, ge=0.0, description="time at which the drift begins")
     drift_rad_per_s: float = Field(
-        default=0.0, ge=-1.0, le=1.0, description="encoders drift from drift_at_s on, seeded signs"
+        default=0.0, ge=-1.0, le=1.0, description="speed of the encoders' drift, in seeded directions"
     )
     drift_velocity: Literal["included", "apart"] = Field(
-        default="included", description="whether the velocity drifts as well, or is measured apart"
+        default="included",
+        description="'included': the velocity drifts as well; 'apart': it is measured separately and does not",
     )
     forged_stamps: bool = Field(
-        default=False, description="frozen, replayed and lagging packets carry the number of the present period"
+        default=False, description="whether frozen, replayed and lagging packets carry the number of the present period"
     )
 
 
@@ -62,7 +65,7 @@ class Packets:
     """The faults of one run's packets.
 
     Args:
-        settings: what goes wrong.
+        settings: the faults.
         n: joints.
         period: control period [s].
         drops: draws the packets that are lost.
@@ -90,7 +93,7 @@ class Packets:
         self._tape: list[Measurement] = []
 
     def arrive(self, taken: Measurement, tick: int) -> Measurement:
-        """Return what the controller gets at this tick, where ``taken`` is what the sensors show."""
+        """Return the measurement that arrives at this tick; ``taken`` is the sensors' own."""
         s = self.settings
         since = tick * self._period - s.drift_at_s
         if s.drift_rad_per_s != 0.0 and since > 0.0:

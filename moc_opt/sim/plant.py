@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
+from functools import partial
+from typing import NamedTuple, NoReturn
 
 import mujoco
 import numpy as np
@@ -15,21 +16,35 @@ from moc_opt.sim.bindings import Bindings
 from moc_opt.sim.elastic import add_springs, check_substeps
 from moc_opt.sim.mismatch import Mismatch
 from moc_opt.sim.mjcf import build_spec, compile_model, heavy_links
-from moc_opt.sim.period import AWAY, DONE, NO_TORQUE, NO_TROCAR
+from moc_opt.sim.period import ADVANCE, AWAY, DONE, NO_TORQUE, NO_TROCAR, Indices
 from moc_opt.sim.sensors import Encoders, Measurement, WrenchSensor
 from moc_opt.sim.settings import PlantSettings
 
 if mujoco.get_mju_user_warning() is None:
-    # MuJoCo's own writes a log file into whatever folder is the current one; the plant sees for itself that an arm
-    # runs away, and raises.
+    # MuJoCo's own handler writes a log file into the current folder; the plant itself detects an arm that runs away,
+    # and raises an error.
     mujoco.set_mju_user_warning(lambda message: None)
+
+
+class Ahead(NamedTuple):
+    """What compiled steps need beside the plant's memory; as for ``period.advance``."""
+
+    slot: int
+    turns: int
+    """slots of the drives' queue"""
+    tissue: Array
+    pushed: Indices
+    pushes: Array
+    noise: Array
+    """(k, n) of the next periods, as many as are drawn"""
+    wrench_noise: Array
 
 
 class Plant:
     """An arm in MuJoCo with its trocar, its sensors and its delay, advanced one control period at a time.
 
-    What a run gives depends on (data, settings, seed), the start and the torques alone, to the bit: `reset`
-    takes the noise back to its beginning. Plants share nothing, so each thread can have its own. The drives
+    The results of a run depend only on (data, settings, seed), the start and the torques, to the last bit: `reset`
+    restarts the noise. Plants share no state, so each thread can have its own. The drives
     have no dynamics; they cut torques at `data.tau_max`.
 
     Attributes: `data`, `settings`, `mismatch`, and MuJoCo's `mj_model` and `mj_data`, to draw the scene and
@@ -40,7 +55,7 @@ class Plant:
         """Build the arm and put it at rest at `data.q_home`.
 
         Args:
-            data: the robot, as the controller knows it.
+            data: the robot, as in the controller's model.
             settings: how the plant differs from it; None is `PlantSettings.realistic()`.
             seed: of the mismatch and of the noise, 0 or more.
 
@@ -105,37 +120,58 @@ class Plant:
         self._at.drives.start(self._at.joints.bias)
         self._at.joints.start(speed)
         self._at.tell()
-        self._advance = self._at.advance(encoders)
+        self.memory = self._at.memory(encoders)
+        self._advance = partial(ADVANCE.code, self.memory)
         q, v = encoders.start(*self._at.joints.shown)
         self._measurement = Measurement(q, v, sensor.read(self._at.wrench), self._ticks)
 
-    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None) -> None:
+    def step(self, tau: ArrayLike, trocar: ArrayLike | None = None, found: int | None = None) -> None:
         """Advance one control period.
 
         Args:
             tau: (n,) commanded joint torques [Nm]; they act `delay_ticks` periods later, cut at tau_max.
             trocar: (2, 3) rows: trocar point [m] and its velocity [m/s], which it keeps for the period; None:
                 no trocar in this period.
+            found: by ``period.advance``, which compiled steps called for this period already; not ``DONE``.
 
         Raises:
             PlantError: wrong shape or not finite (nothing has moved then), or the arm ran away.
         """
         at = self._at
         told, asked = at.told(trocar), at.drives.command(tau)
-        if self._inserted is not (trocar is not None):
-            self._inserted = trocar is not None
-            at.tissue[:] = self._tissue if self._inserted else 0.0
+        self._insert(trocar is not None)
         reading = np.empty(self._shown)
-        found = self._advance(
-            asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
-            self._encoder_noise.row, self._wrench_noise.row, reading,
-        )  # fmt: skip
+        if found is None:
+            found = self._advance(
+                asked, at.drives.slot, told, at.tissue, at.pushes.bodies, at.pushes.rows,
+                self._encoder_noise.row, self._wrench_noise.row, reading,
+            )  # fmt: skip
         if found != DONE:
             self._refuse(found, trocar)
-        at.drives.admitted()
-        self._encoder_noise.take()
-        self._wrench_noise.take()
-        self._ticks += 1
+        self.took(1, reading)
+
+    def _insert(self, inserted: bool) -> None:
+        if self._inserted is not inserted:
+            self._inserted = inserted
+            self._at.tissue[:] = self._tissue if inserted else 0.0
+
+    def ahead(self) -> Ahead:
+        """Return what the next periods find, all of them with a trocar."""
+        self._insert(True)
+        at = self._at
+        return Ahead(
+            at.drives.slot, at.drives.turns, at.tissue, at.pushes.bodies, at.pushes.rows, self._encoder_noise.ahead,
+            self._wrench_noise.ahead,
+        )  # fmt: skip
+
+    def took(self, periods: int, reading: Array) -> None:
+        """Note periods that ``period.advance`` is through, and what the sensors show (2 n + 6,) after them."""
+        if periods == 0:
+            return
+        self._at.drives.admitted(periods)
+        self._encoder_noise.take(periods)
+        self._wrench_noise.take(periods)
+        self._ticks += periods
         reading.setflags(write=False)
         n = self.data.n
         self._measurement = Measurement(reading[:n], reading[n : 2 * n], reading[2 * n :], self._ticks)
@@ -163,10 +199,10 @@ class Plant:
         return self._measurement
 
     def brake(self, damping_Nm_s_per_rad: float, friction_Nm: ArrayLike = 0.0) -> None:
-        """Close the brakes: more damping and dry friction in every joint, whatever is commanded, until reset.
+        """Close the brakes until reset: more damping and dry friction in every joint, under any command.
 
-        Both act on the true motion, as a real arm's brakes do: no sensor is needed. Damping alone holds nothing: under
-        a load that the torque does not carry the arm sinks.
+        Both act on the true motion, as a real arm's brakes do: no sensor is needed. With damping alone the arm sinks
+        under a load that the torque does not carry.
 
         Args:
             damping_Nm_s_per_rad: of the drives, short-circuited.
@@ -199,7 +235,7 @@ class Plant:
         self._at.pushes.hold(body, force, point)
 
     def clear_pushes(self, body: str | None = None) -> None:
-        """Let go of one link, or of all."""
+        """Remove the force on one link, or on all."""
         self._at.pushes.clear(body)
 
     @property

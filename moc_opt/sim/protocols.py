@@ -1,4 +1,4 @@
-"""What the closed loop asks of controllers and of a safety filter; sim imports neither."""
+"""The closed loop's protocols of controllers and of a safety filter; sim imports neither."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from moc_opt.numerics.arrays import Array
 class TorqueController(Protocol):
     """Computes a torque from a measurement.
 
-    One that shows ``tip`` (3,) [m], where its last tick saw the tip, has its tip error checked; one that shows
-    ``state``, the model's state of that tick, saves the safety filter from computing it again.
+    If it has an attribute ``tip`` (3,) [m], the tip of its last tick, its tip error is checked. If it has ``state``,
+    the model's state of that tick, the safety filter does not compute it again.
     """
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
-        """Forget the past, and prepare for a run that begins at this measurement."""
+        """Reset, and prepare for a run that begins at this measurement."""
 
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] for the measured q (n,) [rad] and v (n,) [rad/s]."""
@@ -49,7 +49,7 @@ class SafetyFilter(Protocol):
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What exceeded a warning level since the start, as JSON values."""
+        """Figures above their warning level since the start, as JSON values."""
 
     def start(self, q: Array, v: Array, stamp: int = 0) -> None:
         """Begin at the first measurement."""
@@ -59,20 +59,22 @@ class SafetyFilter(Protocol):
 
     def check_measurement(
         self, q: Array, v: Array, stamp: int | None = None, applied: Array | None = None,
-        wrench: Array | None = None, trocar: Array | None = None,
+        wrench: Array | None = None, trocar: Array | None = None, found: int | None = None,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Return the measurement, or an extrapolation in place of one that is late, repeated or impossible.
 
-        With the registered trocar (2, 3), RCM error and trocar force are checked too.
+        With the registered trocar (2, 3), RCM error and trocar force are checked too. ``found``: by compiled steps,
+        which looked at it already.
         """
 
     def limit_torque(
         self, tau: Array, before: Array, q: Array, v: Array, tip_ref: Array | None = None, state: Any = None,
-        tip: Array | None = None,
+        tip: Array | None = None, found: int | None = None,
     ) -> Array:  # fmt: skip
         """Return the torque within its limits; ``limited`` is the number of joints that were changed.
 
-        With it, the tip is held against its reference (3, 3), and the motion at (q, v) against the torque ``before``.
+        The tip is also compared with its reference (3, 3), and the motion at (q, v) with the torque ``before``.
+        ``found``: by compiled steps, if they have limited it already.
         """
 
     def stop_torque(self, before: Array) -> Array:

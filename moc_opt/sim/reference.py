@@ -1,4 +1,4 @@
-"""What MuJoCo makes of a robot by itself, without defects, sensors or contact: for comparison with another engine."""
+"""MuJoCo's model of a robot without defects, sensors or contact, for comparison with another engine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the controller gets to see: joint encoders, and the six-axis force/torque sensor at the tool mount."""
+"""The controller's sensors: joint encoders, and the six-axis force/torque sensor at the tool mount."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from moc_opt.sim.settings import PlantSettings
 
 
 class Measurement(NamedTuple):
-    """What the controller sees; read-only arrays."""
+    """The readings that the controller gets; read-only arrays."""
 
     q: Array
     """(n,) joint positions [rad]."""
@@ -22,10 +22,10 @@ class Measurement(NamedTuple):
     force: Array
     """(6,) force [N] and torque [Nm] of the tool on its mount, axes of link "tool", one plant step old."""
     stamp: int = 0
-    """Number of the control period in which it was taken, counted by the arm: what was seen has an age."""
+    """Number of the control period in which it was taken, counted by the arm, which gives the reading's age."""
 
 
-_NOISE_ROWS = 64
+_NOISE_ROWS = 256
 
 
 class _Noise:
@@ -44,10 +44,16 @@ class _Noise:
         self.row = self._rows[0]
         self.take()
 
-    def take(self) -> None:
-        """Move on to the next row."""
-        if self._quiet:
+    @property
+    def ahead(self) -> Array:
+        """(k, m) of the next readings, ``row`` first: as many as are drawn."""
+        return self._block if self._quiet else self._block[self._next - 1 :]
+
+    def take(self, rows: int = 1) -> None:
+        """Move on by so many rows, of those ``ahead`` at most."""
+        if self._quiet or rows == 0:
             return
+        self._next += rows - 1
         if self._next == _NOISE_ROWS:
             self._rng.standard_normal(out=self._block)
             self._block *= self._deviation
@@ -174,7 +180,7 @@ _DEAD = 600.0
 
 
 def repeats_no_reading(noise_rad: float, resolution_rad: float, cutoff_Hz: float, period_s: float) -> bool:
-    """Say whether an encoder never repeats position and velocity together, to the last bit.
+    """Decide whether an encoder never repeats position and velocity together, to the last bit.
 
     While the position repeats itself the filtered velocity dies out, and each value differs from the last one; noise
     ends that long before it is too small a number to change.

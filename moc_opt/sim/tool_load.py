@@ -1,4 +1,4 @@
-"""What the wrench sensor at the mount shows of the tool alone, and what is left of a reading without it."""
+"""The tool's own part of the mount sensor's reading, and the external wrench that is left without it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _GRAVITY = np.array(GRAVITY)
 
 @dataclass(frozen=True, eq=False)
 class ToolLoad:
-    """What the mount sensor shows when nothing touches the tool: its weight, its inertia force, and a bias.
+    """The mount sensor's reading when nothing touches the tool: its weight, its inertia force, and a bias.
 
-    The sensor shows what the tool exerts on the mount, in sensor axes R (world from sensor), about itself:
+    The sensor shows the wrench of the tool on the mount, in sensor axes R (world from sensor), about itself:
         force  = R^T (F + m (g - a)) + bias,   torque = R^T T + com x R^T m (g - a) + bias
     with F, T the external force and torque about the sensor, and a the acceleration of the tool's centre of
     mass. The torque about the centre of mass that angular acceleration needs is left out: m length^2 / 12, or

@@ -1,4 +1,4 @@
-"""What a solver is: frozen settings that start sessions; a session owns memory and answers ticks."""
+"""The interface of a solver: frozen settings that start sessions; a session owns memory and answers ticks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from moc_opt.qp.problem import NullSpaceQP
 
 
 class Status(Enum):
-    """What a solver says of its own answer. The text is the cure."""
+    """A solver's claim about its own answer. The text is the cure.
+
+    Example:
+        >>> mo.solvers.Status.MAX_ITER.label, mo.solvers.Status.MAX_ITER.value
+        ('max_iter', 'raise max_iter or loosen eps')
+    """
 
     SOLVED = "the solver claims an optimum"
     INFEASIBLE = "no velocity inside the box meets the references: slow the path down or raise k0"
@@ -38,6 +43,10 @@ class Solution(NamedTuple):
             (five-row duals are lifted), or None where the solver gives none.
         status: what the solver claims.
         iterations: of the solver's own loop; 0 for closed forms.
+
+    Example:
+        >>> mo.solvers.Solution(np.array([0.1, 0.0]), None, mo.solvers.Status.SOLVED)
+        Solution(status=solved, x=[0.1, 0. ], y=none, iterations=0)
     """
 
     x: Array
@@ -62,7 +71,15 @@ def _row(values: Array) -> str:
 
 
 class Session(Protocol):
-    """The workspace and the warm start of one solver on one stream of subproblems."""
+    """The workspace and the warm start of one solver on one stream of subproblems.
+
+    Example:
+        >>> qp = mo.NullSpaceQP(np.eye(3, 7), np.eye(3, 7), *np.zeros((2, 3)), np.ones(7), -np.ones(7), np.ones(7))
+        >>> session = mo.solvers.create("rnn").start(qp)
+        >>> answers = [session.solve(qp) for _ in range(3)]  # each begins where the last one ended
+        >>> answers[-1].x.shape
+        (7,)
+    """
 
     def solve(self, qp: NullSpaceQP) -> Solution:
         """Answer one subproblem; never raises for a problem the solver cannot solve."""
@@ -81,7 +98,20 @@ class ShownBySettings:
 
 @runtime_checkable
 class Solver(Protocol):
-    """Settings. Two sessions of one solver share nothing."""
+    """Settings. Two sessions of one solver share nothing.
+
+    Example:
+        >>> class Still:
+        ...     name = "still"
+        ...     def supports(self, qp):
+        ...         return None
+        ...     def start(self, qp):
+        ...         return self
+        ...     def solve(self, qp):
+        ...         return mo.solvers.Solution(np.zeros(qp.n), None, mo.solvers.Status.SOLVED)
+        >>> isinstance(Still(), mo.solvers.Solver)
+        True
+    """
 
     @property
     def name(self) -> str:
@@ -89,20 +119,11 @@ class Solver(Protocol):
         ...
 
     def supports(self, qp: NullSpaceQP) -> str | None:
-        """Return None when the problem can be taken, else the reason why not."""
+        """Return None if the solver can take the problem, else the reason why not."""
         ...
 
     def start(self, qp: NullSpaceQP) -> Session:
         """Return a new session with its memory sized and set up for problems like ``qp``."""
-        ...
-
-
-@runtime_checkable
-class UpdatingSession(Protocol):
-    """A session whose ``solve`` begins with ``update``: the two can be timed apart."""
-
-    def update(self, qp: NullSpaceQP) -> None:
-        """Hand a subproblem to the library without solving it."""
         ...
 
 
@@ -116,13 +137,13 @@ class TruncatingSession(Protocol):
 
 
 def no_answer(n: int, status: Status, iterations: int = 0) -> Solution:
-    """Return a solution without an x: NaN, so that using it by mistake shows."""
+    """Return a solution without an answer: its x is NaN, so that a use by mistake is found."""
     return Solution(np.full(n, np.nan), None, status, iterations)
 
 
 @runtime_checkable
 class ObservingSession(Protocol):
-    """A session that wants the measured velocity before each tick; the controller calls ``observe``."""
+    """A session that needs the measured velocity before each tick; the controller calls ``observe``."""
 
     def observe(self, v: Array) -> None:
         """Take the measured joint velocity v (n,) [rad/s]."""

@@ -29,7 +29,7 @@ class Faulty:
     Args:
         inner: the solver that answers otherwise.
         kind: "fail" gives no answer and says so, "nan" claims success for NaN, "lie" claims success for
-            the best answer to the opposite gradient (feasible: only an optimality check sees it),
+            the best answer to the opposite gradient (feasible: only an optimality check finds it),
             "outside" for an answer beyond the box, "raise" raises, "rig" answers 50 rad/s and rewrites the subproblem
             so that this fits, "malformed" gives duals of another kind. The solver inside is not asked then.
         rate: share of faulty ticks, 0 to 1.
@@ -56,7 +56,7 @@ class Faulty:
 
     @property
     def name(self) -> str:
-        """Of the solver inside, and what is wrong with it."""
+        """Name of the wrapped solver, and its fault."""
         return f"{self.inner.name}+{self.kind}"
 
     def supports(self, qp: NullSpaceQP) -> str | None:
@@ -81,7 +81,7 @@ class FaultySession(ShownBySettings):
         self._rng = np.random.default_rng(settings.seed)
         self._false = Exact().start(qp)
         if hasattr(inner, "observe"):
-            self.observe = inner.observe  # the controller looks for it
+            self.observe = inner.observe  # the controller calls ``observe`` if it exists
         self.faults = 0
 
     def solve(self, qp: NullSpaceQP) -> Solution:

@@ -13,7 +13,7 @@ from moc_opt.errors import SolverError
 MOST = 2**31 - 1
 """The largest size of a value; the libraries count in 32 bits."""
 
-# A list of what is allowed, and not of what is forbidden: libraries add options with every version.
+# A list of allowed options, not of forbidden ones: libraries add options with every version.
 ALLOWED: Mapping[str, frozenset[str]] = MappingProxyType({
     name: frozenset(listed.split())
     for name, listed in {

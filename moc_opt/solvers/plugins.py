@@ -46,7 +46,7 @@ def made(name: str, point: EntryPoint, factory: Callable[..., Solver], settings:
     """Make the solver with these settings.
 
     Raises:
-        SolverError: what it makes is no solver.
+        SolverError: the object that it makes is no solver.
         Exception: whatever the factory itself raises.
     """
     solver = factory(**settings)

@@ -42,7 +42,12 @@ def names() -> list[str]:
 
 
 def available() -> dict[str, str | None]:
-    """Name -> None when it can run here, else the reason why not."""
+    """Name -> None when it can run here, else the reason why not.
+
+    Example:
+        >>> mo.solvers.available()["exact"] is None
+        True
+    """
     found: dict[str, str | None] = {}
     for name, (_, _, package) in BUILT_IN.items():
         missing = package and find_spec(package) is None
@@ -97,7 +102,7 @@ def _factory(name: str) -> Callable[..., Solver]:
 
 
 def check_name(name: str) -> None:
-    """Check that there is a solver of that name, without importing it; whether it can run here, `create` finds.
+    """Check that there is a solver of that name, without importing it; `create` finds whether it can run here.
 
     Raises:
         UnknownNameError: with the nearest names.
@@ -131,6 +136,13 @@ def create(name: str, **settings: Any) -> Solver:
     Raises:
         UnknownNameError: with the nearest names.
         SolverError: a package is missing, a plug-in is no solver, or a setting is unknown or out of range.
+
+    Example:
+        >>> mo.solvers.create("exact").name
+        'exact'
+        >>> mo.solvers.create("exacct")
+        Traceback (most recent call last):
+        moc_opt.errors.UnknownNameError: unknown solver 'exacct': did you mean 'exact'? ...
     """
     factory = _factory(name)
     points = [] if _ours(name) else plugins.plugins()[name]

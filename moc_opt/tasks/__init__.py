@@ -1,8 +1,8 @@
-"""What the tool has to do: paths for its tip, the time law along them, the trocar it must pass through.
+"""The task of the tool: paths of its tip, the time law along them, the trocar that it must pass through.
 
 Read first: ``curves`` (shapes; add yours to ``CURVES``) and ``paths`` (a shape put into space), then
 ``kinds`` (paths by name, those of other packages too), ``waypoints`` (any points in space),
-``timelaw`` (``Reference``: X_d and its derivatives) and ``trocar``. ``waiting`` lets one wait.
+``timelaw`` (``Reference``: X_d and its derivatives) and ``trocar``. ``waiting`` makes a reference wait.
 Imports ``errors``, ``inputs`` and numpy alone.
 """
 

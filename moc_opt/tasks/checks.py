@@ -74,15 +74,18 @@ def direction3(name: str, value: ArrayLike) -> Vector:
     return read_only(np.asarray(scaled / math.sqrt(float(scaled @ scaled)), dtype=np.float64))
 
 
-def sampled(name: str, value: TimeLike, rows: Callable[[float], Vector]) -> Vector:
+def sampled(
+    name: str, value: TimeLike, rows: Callable[[float], Vector], columns: Callable[[Vector], Vector] | None = None
+) -> Vector:
     """Evaluate `rows` at one number or at each of a vector of them.
 
-    Both forms go through the same scalar code: what a controller saw at a tick and what a report computes
+    Both forms go through the same arithmetic: the value of a controller at a tick and that of a report
     afterwards for the whole run are then the same to the last bit. numpy's vector sine does not promise that.
 
     Args:
         value: a number, or a vector (k,).
         rows: number -> (m, 3).
+        columns: vector (k,), k > 0 -> (m, k, 3), the same to the last bit; None: ``rows`` at each of them.
 
     Returns:
         (m, 3) for a number, (m, k, 3) for a vector.
@@ -102,6 +105,8 @@ def sampled(name: str, value: TimeLike, rows: Callable[[float], Vector]) -> Vect
         raise TaskError(f"{name} has shape {array.shape}: give a number or a vector (k,)")
     if array.size == 0:
         return np.empty((rows(0.0).shape[0], 0, 3))
+    if columns is not None:
+        return np.ascontiguousarray(columns(array))
     first = rows(float(array[0]))
     found = np.empty((array.size, *first.shape))
     for i, entry in enumerate(array.tolist()):

@@ -95,7 +95,7 @@ def make_path(
 
 
 def _made(kind: str, given: Mapping[str, float]) -> Any:
-    """Return the curve or the points; what another package's code raises is told from what is wrong with the sizes."""
+    """Return the curve or the points; exceptions of another package's code and wrong sizes give different errors."""
     try:
         return _maker(kind)(**given)
     except MocOptError:

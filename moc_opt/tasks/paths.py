@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -70,7 +71,14 @@ class Path:
 
     def point(self, s: float) -> tuple[float, ...]:
         """Return the nine numbers p, dp, ddp at s [m] in [0, length], unchecked: for use at every tick."""
-        x, y, tx, ty, k = self.curve.at(s)
+        return self._in_space(*self.curve.at(s))
+
+    def points(self, s: Vector) -> tuple[Vector, ...]:
+        """Return ``point`` at arc lengths (k,): nine arrays (k,), with the same bits."""
+        # Sines are taken one by one: numpy's of an array differ in the last bit.
+        return self._in_space(*np.array([self.curve.at(entry) for entry in s.tolist()]).T)
+
+    def _in_space(self, x: Any, y: Any, tx: Any, ty: Any, k: Any) -> tuple[Any, ...]:
         (ox, ax, bx), (oy, ay, by), (oz, az, bz) = self._axes
         u, v = -k * ty, k * tx
         return (

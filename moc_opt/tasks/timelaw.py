@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,11 @@ from moc_opt.errors import TaskError
 from moc_opt.tasks.checks import TimeLike, Vector, number, positive, sampled
 from moc_opt.tasks.paths import Path
 
-_PEAK_SPEED = 15.0 / 8.0
 _PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
 
 
-def quintic(u: float) -> tuple[float, float, float]:
-    """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1]; from rest at 0 to rest at 1."""
+def quintic(u: Any) -> tuple[Any, Any, Any]:
+    """Return s(u) = 10 u^3 - 15 u^4 + 6 u^5, ds/du and d2s/du2 at u in [0, 1], a number or an array."""
     w = 1.0 - u
     return (u * u * u * (10.0 + u * (-15.0 + 6.0 * u)), 30.0 * u * u * w * w, 60.0 * u * w * (1.0 - 2.0 * u))
 
@@ -119,8 +119,26 @@ class Reference:
         Raises:
             TaskError: t is no number or vector, or NaN.
         """
-        x, dx, ddx = sampled("t", t, self.rows)
+        x, dx, ddx = sampled("t", t, self.rows, self._columns)
         return x, dx, ddx
+
+    def _columns(self, t: Vector) -> Vector:
+        """Compute ``rows`` at times (k,) as (3, k, 3)."""
+        u = (t - self.t_start) / self.duration
+        u[u <= 0.0], u[u >= 1.0] = 0.0, 1.0
+        if np.isnan(u).any():
+            raise TaskError(f"t = {float(t[np.isnan(u)][0])!r} is not a time: give seconds")
+        s = np.minimum(quintic(u)[0] * self.path.length, self.path.length)
+        return np.moveaxis(np.array(self._motion(u, self.path.points(s))), 2, 1)
+
+    def _motion(self, u: Any, place: tuple[Any, ...]) -> tuple[tuple[Any, Any, Any], ...]:
+        """Return X_d, dX_d, ddX_d at u, where the path has the nine numbers ``place``; numbers, or arrays of them."""
+        length = self.path.length
+        _, ds, dds = quintic(u)
+        v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
+        x, y, z, tx, ty, tz, cx, cy, cz = place
+        c = v * v
+        return (x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)
 
     def rows(self, t: float) -> Vector:
         """Return X_d, dX_d, ddX_d as the rows of one (3, 3) array, for one time [s].
@@ -136,8 +154,4 @@ class Reference:
         elif math.isnan(u):
             raise TaskError(f"t = {t!r} is not a time: give seconds")
         length = self.path.length
-        s, ds, dds = quintic(u)
-        v, a = ds * length / self.duration, dds * length / (self.duration * self.duration)
-        x, y, z, tx, ty, tz, cx, cy, cz = self.path.point(min(s * length, length))
-        c = v * v
-        return np.array(((x, y, z), (v * tx, v * ty, v * tz), (a * tx + c * cx, a * ty + c * cy, a * tz + c * cz)))
+        return np.array(self._motion(u, self.path.point(min(quintic(u)[0] * length, length))))

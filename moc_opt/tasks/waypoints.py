@@ -80,6 +80,10 @@ class Waypoints(Path):
         bend = [(a - along * b) / (speed * speed) for a, b in zip(dd, tangent, strict=True)]
         return (*p, *tangent, *bend)
 
+    def points(self, s: Vector) -> tuple[Vector, ...]:
+        """See `Path.points`."""
+        return tuple(np.array([self.point(entry) for entry in s.tolist()]).T)
+
     def _speed(self, w: Vector) -> tuple[Vector, Vector]:
         """Return |dp/dw| and its derivative at parameters (k,)."""
         piece = np.clip(np.searchsorted(self.knots_m, w, side="right") - 1, 0, len(self._pieces) - 1)

@@ -1,4 +1,4 @@
-"""The columns of a trace: their units, shapes and meaning, and what an array must be to be one."""
+"""The columns of a trace: their units, shapes and meaning, and the conditions on an array."""
 
 from __future__ import annotations
 

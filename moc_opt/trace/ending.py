@@ -1,4 +1,4 @@
-"""How a run ended: the word with which ``meta["ended"]`` begins, and what follows from it."""
+"""How a run ended: the first word of ``meta["ended"]``, and its consequences."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Ending(StrEnum):
-    """The ways in which a run ends; what comes after the word, as in "stopped: the tip ...", is the reason."""
+    """The ways in which a run ends; the reason follows the word, as in "stopped: the tip ..."."""
 
     COMPLETED = "completed"
     OSCILLATED = "oscillated"
@@ -14,7 +14,7 @@ class Ending(StrEnum):
     RAN_AWAY = "ran away"
     FAILED = "failed"
     PART = "part"
-    """Some of the ticks of a run: what follows says how the run ended."""
+    """Some of the ticks of a run; the text after it is the run's ending."""
 
     @classmethod
     def of(cls, ended: str) -> Ending:

@@ -1,4 +1,4 @@
-"""What the entries of a trace's meta must be: pages and tables are made of them, and a trace may come from anywhere."""
+"""The required types of a trace's meta: pages and tables use its entries, and a trace may come from anywhere."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ SHORTEST_S = 1e-6
 
 
 class Shaking(NamedTuple):
-    """What shakes most."""
+    """The largest oscillation of a run."""
 
     joint: int
     """its number, from 0"""
@@ -72,13 +72,13 @@ class Shaking(NamedTuple):
 def shaking(trace: Trace, column: str, limits: ArrayLike | None = None) -> Shaking:
     """Find the largest root mean square above ``ABOVE_HZ`` that a joint keeps up for ``WINDOW_S``.
 
-    A run shorter than two windows is cut in half: what comes before is its start, the rest one window.
+    A run shorter than two windows is cut in half: the first half is its start, the second one window.
 
     Args:
         trace: of consecutive ticks.
         column: ``v_rad_per_s`` or ``tau_Nm``, (N, n).
         limits: of each joint (n,): the largest is that with the largest share of its own, and a jerk is not taken
-            where an oscillation beyond a limit is there too; None: the largest, whatever it is.
+            where an oscillation beyond a limit is there too; None: the largest of all.
 
     Raises:
         MissingDataError: no such column, no time, ticks that lie apart, or fewer than four of them.

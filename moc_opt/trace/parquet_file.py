@@ -1,4 +1,4 @@
-"""One Parquet file of a trace: its footer, its columns as arrays, and what is refused.
+"""One Parquet file of a trace: its footer, its columns as arrays, and its checks.
 
 Columns are arrow arrays of numbers, of fixed-size lists for (N, k), or of dictionary-encoded texts; meta is JSON in the
 schema's metadata.

@@ -1,4 +1,4 @@
-"""What a run leaves behind: one row per control tick, saved as Parquet."""
+"""The record of a run: one row per control tick, saved as Parquet."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # what a notebook completes after plot(), to_pandas() and to_
 
 
 class MissingDataError(TraceError, AttributeError):
-    """A trace lacks what was asked of it: a column, an entry of meta, a second tick."""
+    """A trace lacks a column, an entry of meta, or a second tick that a call needs."""
 
 
 class Trace:
@@ -36,6 +36,13 @@ class Trace:
     `trace.q_rad` is `trace.columns["q_rad"]`; `len(trace)` is the number of ticks. No column is obligatory,
     and a trace may hold others than those of `Trace.COLUMNS`; those named there must have the shape given
     there (N ticks, n joints). Arrays are read-only. Nested values of `meta` are plain JSON; leave them alone.
+
+    Example:
+        >>> trace = mo.run(mo.Scenario(duration_s=0.1, bound_samples=0))
+        >>> len(trace), trace.q_rad.shape, trace.meta["ended"]
+        (50, (50, 7), 'completed')
+        >>> bool(trace.tip_error_m.max() < 0.002)
+        True
     """
 
     COLUMNS: ClassVar[Mapping[str, Column]] = COLUMNS
@@ -100,7 +107,7 @@ class Trace:
         return f"Trace({', '.join(about)}: {', '.join(self.columns)})"
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
+        """Return HTML for a notebook."""
         return views.html(self)
 
     def __dir__(self) -> Iterable[str]:
@@ -112,6 +119,10 @@ class Trace:
 
         Raises:
             TraceError: as for the constructor.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002]}).with_columns(power_W=[3.0, 3.5]).power_W.tolist()
+            [3.0, 3.5]
         """
         return Trace({**self.columns, **arrays}, self.meta)
 
@@ -125,6 +136,11 @@ class Trace:
 
         Raises:
             TraceError: `ticks` is not one flag per tick.
+
+        Example:
+            >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
+            >>> trace.select(trace.mu > 0.295).tick.tolist()
+            [0, 1]
         """
         mask = np.asarray(ticks)
         if mask.dtype != np.bool_ or mask.shape != (len(self),):
@@ -141,6 +157,10 @@ class Trace:
         Raises:
             TraceError: a time is no number, or no tick lies there.
             MissingDataError: the trace has no `t_s`.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002, 0.004]}).between(0.001, 0.003).t_s.tolist()
+            [0.002]
         """
         for name, limit in (("start_s", start_s), ("stop_s", stop_s)):
             if isinstance(limit, bool) or not isinstance(limit, int | float | np.number):
@@ -163,6 +183,11 @@ class Trace:
         Raises:
             ReportError: ``columns`` is empty, no list of names, or names one that no run has or that holds no numbers.
             MissingDataError: it has no `t_s`.
+
+        Example:
+            >>> trace = mo.Trace({"t_s": [0.0, 0.002, 0.004], "mu": [0.30, 0.31, 0.29]})
+            >>> trace.plot(["mu"], name="MOC").layout.xaxis.title.text
+            'time [s]'
         """
         if beside is not None and not isinstance(beside, Trace):
             raise TraceError(f"plot: beside = {shown(beside)}: give a Trace, such as load_trace(path)")
@@ -178,6 +203,10 @@ class Trace:
 
         Raises:
             TraceError: pandas is not installed.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_pandas().columns.tolist()
+            ['tip_m_x', 'tip_m_y', 'tip_m_z']
         """
         return views.frame(self)
 
@@ -186,6 +215,10 @@ class Trace:
 
         Raises:
             TraceError: xarray is not installed.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002], "tip_m": [[0.1, 0.2, 0.3]] * 2}).to_xarray().tip_m.dims
+            ('t_s', 'axis')
         """
         return views.dataset(self)
 
@@ -194,6 +227,10 @@ class Trace:
 
         Raises:
             TraceError: ``ticks`` is no number of ticks.
+
+        Example:
+            >>> len(mo.Trace({"t_s": [0.0, 0.002, 0.004]}).head(2))
+            2
         """
         if isinstance(ticks, bool) or not isinstance(ticks, int | np.integer) or ticks < 0:
             raise TraceError(f"head: ticks = {shown(ticks)}: give an integer of 0 or more")
@@ -222,12 +259,29 @@ class Trace:
 
         Raises:
             TraceError: a value is not JSON.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0]}).with_meta(operator="A. B.").meta["operator"]
+            'A. B.'
         """
         return self._of(self.columns, MappingProxyType(plain({**self.meta, **values})))
 
     @classmethod
     def of_files(cls, columns: trace_file.Stored, meta: Mapping[str, Any]) -> Trace:
-        """Return a trace whose columns stay in their files; meta, and errors, as for the constructor."""
+        """Return a trace whose columns stay in their files: what `open` makes of what it found.
+
+        Args:
+            columns: of `moc_opt.trace.parquet`, each read whenever it is asked for.
+            meta: as for the constructor.
+
+        Raises:
+            TraceError: as for the constructor.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
+            >>> mo.Trace.of_files(mo.Trace.open("run.parquet").columns, {}).t_s.tolist()
+            [0.0, 0.002]
+        """
         for name, dtype in columns.types.items():
             check_column(_name(name), dtype, columns.shape(name))
         return cls._of(columns, MappingProxyType(plain(meta)))
@@ -248,6 +302,9 @@ class Trace:
 
         Raises:
             TraceError: the file cannot be written.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
         """
         trace_file.write(path, self.columns, self.meta)
 
@@ -257,6 +314,11 @@ class Trace:
 
         Raises:
             TraceError: the file is missing, damaged, no trace, or too large for the memory: see `open`.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
+            >>> mo.Trace.load("run.parquet").t_s.tolist()
+            [0.0, 0.002]
         """
         whole, meta = trace_writer.found(path)
         return cls(*trace_file.read(path)) if meta is None else cls(dict(whole), meta)
@@ -270,6 +332,11 @@ class Trace:
 
         Raises:
             TraceError: as for `load`; a damaged column may show only when it is asked for.
+
+        Example:
+            >>> mo.Trace({"t_s": [0.0, 0.002]}).save("run.parquet")
+            >>> len(mo.Trace.open("run.parquet"))
+            2
         """
         columns, meta = trace_writer.found(path)
         return cls.of_files(columns, columns.meta if meta is None else meta)
@@ -283,5 +350,17 @@ def _name(name: str) -> str:
 
 
 def load_trace(path: str | os.PathLike[str]) -> Trace:
-    """Read a saved trace whole; see `Trace.load`, and `Trace.open` for one that is larger than the memory."""
+    """Read a saved trace whole; see `Trace.load`, and `Trace.open` for one that is larger than the memory.
+
+    Args:
+        path: of a file that `Trace.save`, or a command's ``--trace``, wrote.
+
+    Raises:
+        TraceError: the file is missing, damaged, no trace, or too large for the memory.
+
+    Example:
+        >>> mo.Trace({"t_s": [0.0, 0.002]}, {"operator": "A. B."}).save("run.parquet")
+        >>> mo.load_trace("run.parquet").meta["operator"]
+        'A. B.'
+    """
     return Trace.load(path)

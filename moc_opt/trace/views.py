@@ -30,7 +30,7 @@ def table(of: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def about(trace: Trace) -> dict[str, str]:
-    """Return what a reader asks first of a run, name -> text; what `meta` does not say is left out."""
+    """Return the main facts of a run, name -> text; entries that `meta` lacks are left out."""
     meta = trace.meta
     scenario = table(meta, "scenario")
     control, solver = table(scenario, "control"), table(scenario, "solver")

@@ -160,7 +160,7 @@ def found(path: str | os.PathLike[str]) -> tuple[Stored, dict[str, Any] | None]:
     ended = KILLED
     try:
         meta = dict(read_json(folder / _META, "trace", TraceError))
-    except (TraceError, TypeError, ValueError) as error:  # the rows are worth more than what is said of them
+    except (TraceError, TypeError, ValueError) as error:  # the rows matter more than the meta
         meta, ended = {}, f"{KILLED}, and what is known of it is damaged ({describe(error)})"
     return columns, {**meta, "ended": ended, "ticks": columns.rows}
 

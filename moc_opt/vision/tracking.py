@@ -79,7 +79,7 @@ class BoardTracker:
         if now <= self._time:
             raise TaskError(f"t = {t!r} s is not after the last picture at {self._time!r} s: keep their order")
         elapsed, self._time = now - self._time, now
-        refused = self._judge(sighting)
+        refused = self._refusal(sighting)
         if sighting is None or refused is not None:
             self._streak.clear()
         elif self.pose is not None and self.state is TrackingState.TRACKING and self._near(self.pose, sighting.pose):
@@ -92,7 +92,7 @@ class BoardTracker:
             self.state = TrackingState.LOST
         return Tracked(self.state, self.pose, refused)
 
-    def _judge(self, sighting: Sighting | None) -> str | None:
+    def _refusal(self, sighting: Sighting | None) -> str | None:
         """Return why the sighting by itself is not good enough."""
         if sighting is None:
             return "no marker seen"

@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import paper
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.paper_experiment import figures, swivel, verdict
 from benchmarks.paper_experiment import procedure as paper_procedure
 from benchmarks.paper_experiment import trials as paper_trials
@@ -37,6 +37,7 @@ from moc_opt.tasks import make_path
 from moc_opt.trace.trace import Trace
 from moc_opt.vision.board import BOARD_TASKS
 from moc_opt.vision.settings import BoardSettings, CameraSettings
+from tests import first_screens
 
 TINY = """
 tasks = ["circle"]
@@ -524,6 +525,7 @@ def test_the_command_leaves_its_files_and_repeats_itself(tmp_path, capsys, monke
         ("circle", BASELINES.get(name, f"MOC, {name}")) for name in (*BASELINES, "exact", "rnn-printed")
     ]
     html = (tmp_path / "a" / "report.html").read_text()
+    first_screens.check(html, pictures=1)  # of one trial there is no interval to draw
     assert 'id="map-circle"' in html
     assert 'href="replay.html"' in html
     assert "Which entry of Table I decides" in html

@@ -12,10 +12,11 @@ import pytest
 from rich.console import Console
 
 from benchmarks import plan
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.planning.first_screen import answer
 from benchmarks.planning.goals import goal_rows
 from benchmarks.planning.tables import summarise
+from tests import first_screens
 
 TINY = """
 robots = ["lwr4"]
@@ -148,6 +149,7 @@ def test_the_report_opens_with_the_answer_and_folds_the_rest(results: Path) -> N
     page = (results / "report.html").read_text(encoding="utf-8")
     places = [page.index(f'id="{name}"') for name in ("gaps", "rcm-cost", "in-the-loop", "courses-and-checks")]
     assert places == sorted(places)
+    first_screens.check(page)
     rows = [row for row in rows_of(results) if row["part"] == "loop"]
     summary = json.loads((results / "summary.json").read_text(encoding="utf-8"))
     screen = Console(file=io.StringIO(), width=80, color_system=None)

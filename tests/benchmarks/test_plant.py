@@ -6,8 +6,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import plant
-from benchmarks.markdown import SectionError
-from benchmarks.output import default_config
+from benchmarks.common.markdown import SectionError
+from benchmarks.common.output import default_config
+from benchmarks.paper_experiment.trials import variant
+from benchmarks.plant_study import runs, tables
 from moc_opt import scenario
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import run
@@ -37,7 +39,7 @@ def results(tmp_path_factory):
     file = out / "tiny.toml"
     file.write_text(TINY)
     assert plant.main([str(file), "--out", str(out / "results"), "--seed", "3"]) == 0
-    return plant.Config.load(file), out / "results"
+    return runs.Config.load(file), out / "results"
 
 
 def test_files_and_figures(results):
@@ -57,13 +59,13 @@ def test_files_and_figures(results):
     environment = json.loads((out / "environment.json").read_text())
     assert (environment["seed"], environment["config"]["effects"]["bias"]) == (3, {"encoder_bias_rad": 0.001})
     job = next(job for job in config.model_copy(update={"seed": 3}).jobs() if job.effect == "bias")
-    again = plant.measure(run(plant.variant(job.trial, "exact")), None)
+    again = runs.measure(run(variant(job.trial, "exact")), None)
     mine = next(row for row in rows if (row["effect"], row["controller"]) == ("bias", "exact"))
     assert mine["tip_error_mean_mm"] == pytest.approx(again["tip_error_mean_mm"], rel=1e-12)
 
 
 def test_every_effect_is_run_on_the_same_trials():
-    config = plant.Config.load(default_config("plant"))
+    config = runs.Config.load(default_config("plant"))
     jobs = config.jobs()
     assert len(jobs) == len(config.presets) * len(config.effects) * config.trials * len(config.tasks)
     starts = {job.effect: [] for job in jobs}
@@ -84,21 +86,21 @@ def test_what_is_wrong_is_said(tmp_path, capsys):
 def test_a_run_that_breaks_off_is_counted(monkeypatch, results):
     config, _ = results
     monkeypatch.setattr(scenario, "run", lambda case: (_ for _ in ()).throw(MocOptError("gone")))
-    rows = [row for job in config.jobs() for row in plant.run_job(job)]
+    rows = [row for job in config.jobs() for row in runs.run_job(job)]
     assert {row["ended"] for row in rows} == {"MocOptError: gone"}
-    assert plant.summarise(config, rows)["tuned"]["bias, exact"] == {"runs": 1, "broke_off": 1}
+    assert tables.summarise(config, rows)["tuned"]["bias, exact"] == {"runs": 1, "broke_off": 1}
 
 
 def test_the_page_keeps_its_words(results, tmp_path):
     config, out = results
-    text = plant.page_text(json.loads((out / "summary.json").read_text()), config)
+    text = tables.page_text(json.loads((out / "summary.json").read_text()), config)
     page = tmp_path / "plant.md"
     page.write_text("before\n<!-- plant -->\nold\n<!-- /plant -->\nafter\n")
-    plant.write_page(text, page)
+    tables.write_page(text, page)
     lines = page.read_text().splitlines()
     assert (lines[0], lines[-1]) == ("before", "after")
     assert "old" not in lines
     assert sum(line.startswith("| bias | ") for line in lines) == 2
     page.write_text("no marks")
     with pytest.raises(SectionError, match="no lines <!-- plant -->"):
-        plant.write_page(text, page)
+        tables.write_page(text, page)

@@ -12,11 +12,13 @@ import pytest
 from rich.console import Console
 
 from benchmarks import realtime
+from benchmarks.common.store import Store
 from benchmarks.latency import clock, wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
+from tests import first_screens
 
 CASE = Case("python", 500, "quiet")
 
@@ -24,7 +26,7 @@ CASE = Case("python", 500, "quiet")
 def run_of(cycles: int, missed: int = 0, ended: str = "completed", clean: bool = True, rcm: float = 0.5) -> Found:
     ramp = np.arange(1.0, cycles + 1.0)
     control = np.where(np.arange(cycles) < missed, np.nan, 10.0)
-    return Found(ramp / 10.0, ramp, control, missed, 0, ended, clean, rcm, {})
+    return Found(ramp / 10.0, ramp, control, missed, 0, ended, clean, rcm, {}, "2020-01-01T00:00:00+00:00")
 
 
 def test_a_case_is_all_cycles_of_its_runs():
@@ -78,6 +80,7 @@ def test_tables_and_headline_say_what_was_found():
     html = page.html()
     places = [html.index(f'id="{name}"') for name in ("wake-500", "cycles-and-stops", "control-500")]
     assert places == sorted(places), "pictures before what is folded"
+    first_screens.check(html, pictures=2)
 
 
 def test_what_harms_under_load_is_said_and_marked():
@@ -140,9 +143,33 @@ def test_the_load_is_there_and_then_is_not(monkeypatch):
 
 def test_cases_and_runs_are_as_many_as_asked_for(monkeypatch):
     assert len(realtime.Config().cases()) == len(set(map(str, realtime.Config().cases()))) == 8
-    monkeypatch.setattr(wire, "run_once", lambda *a: run_of(400, ended="stopped: x"))
-    assert len(wire.measure(CASE, Path("x"), None, 1000, 99, 1.0)) == 3
-    assert len(wire.measure(CASE, Path("x"), None, 1000, 2, 1.0)) == 2
+    asked = []
+
+    def run(number):
+        asked.append(number)
+        return run_of(400, ended="stopped: x")
+
+    assert len(wire.measure(run, 1000, 99)) == 3
+    assert asked == [0, 1, 2]
+    assert len(wire.measure(run, 1000, 2)) == 2
+
+
+def test_a_run_that_is_done_is_not_made_again(tmp_path):
+    made = []
+
+    def run():
+        made.append(run_of(10 + len(made), missed=1))
+        return made[-1]
+
+    what = {"case": str(CASE), "commit": "a"}
+    first = [wire.kept_run(Store(tmp_path), what, run, k) for k in (0, 1)]
+    again = [wire.kept_run(Store(tmp_path), what, run, k) for k in (0, 1)]
+    assert len(made) == 2
+    for one, other in zip(first, again, strict=True):
+        for name, value in one._asdict().items():
+            np.testing.assert_array_equal(getattr(other, name), value)
+    wire.kept_run(Store(tmp_path), what | {"commit": "b"}, run, 0)
+    assert len(made) == 3
 
 
 def test_a_run_by_both_commands(tmp_path):
@@ -168,13 +195,13 @@ def test_of_a_run_that_was_stopped_the_cycles_before_count():
         "v_rad_per_s": np.zeros((100, 7)),
     }  # fmt: skip
     meta = {"wire": {"missed": 50, "overruns": 4, "system": {}}, "ended": "stopped: x", "stopped_at_s": 0.002 * 60}
-    found = wire._read(Trace(columns, meta), {"system": {}})
+    found = wire._read(Trace(columns, meta), {"system": {}}, "now")
     assert (len(found.round_us), found.missed, found.overruns, found.clean) == (61, 11, 4, True)
     moving = columns | {"v_rad_per_s": np.full((100, 7), 0.1)}
     far = columns | {"rcm_error_registered_m": np.full(100, 3e-3)}
     for unclean in (moving, far):
-        assert not wire._read(Trace(unclean, meta), {"system": {}}).clean
-    assert not wire._read(Trace(columns, meta | {"ended": "ran away"}), {"system": {}}).clean
+        assert not wire._read(Trace(unclean, meta), {"system": {}}, "now").clean
+    assert not wire._read(Trace(columns, meta | {"ended": "ran away"}), {"system": {}}, "now").clean
 
 
 def test_a_process_that_fails_is_an_error_and_not_a_figure(tmp_path, monkeypatch):

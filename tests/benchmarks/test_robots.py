@@ -12,11 +12,12 @@ import pytest
 from rich.console import Console
 
 from benchmarks import robots
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.robots_study.first_screen import answer
 from benchmarks.robots_study.report import report
 from benchmarks.robots_study.tables import FINDINGS, summarise
 from moc_opt.robots import available_robots
+from tests import first_screens
 
 TINY = """
 robots = ["xarm7", "lwr4_rail"]
@@ -106,6 +107,7 @@ def test_a_run_that_broke_off_is_counted_and_in_no_mean() -> None:
     assert list(page.figures) == ["arms-gains", "arms-tip", "arms-rcm", "a"]
     html = page.html()
     assert html.index('id="arms-rcm"') < html.index('id="results"') < html.index('id="a"'), "pictures, then folded"
+    first_screens.check(html)
 
 
 def test_the_first_screen_says_what_holds_where() -> None:

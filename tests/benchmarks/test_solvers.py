@@ -7,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import solvers
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
+from benchmarks.common.store import Part
 from benchmarks.solver_study import closed_loop, combine
 from benchmarks.solver_study import tables as study_tables
 from benchmarks.solver_study.answers import ask
@@ -15,7 +16,6 @@ from benchmarks.solver_study.cells import Cell, costs_of, load, totals
 from benchmarks.solver_study.config import PARTS, Config, TestSets
 from benchmarks.solver_study.headline import headline
 from benchmarks.solver_study.settings import SolverSetting
-from benchmarks.solver_study.store import Part
 from benchmarks.solver_study.tables import tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.scenario import Scenario
@@ -360,7 +360,7 @@ def test_qpbenchmark_stands_beside_ours():
 
 def test_kept_parts_do_not_outlive_what_decides_them():
     """What reads a part is not among the sources of its key; what makes it is."""
-    from benchmarks.solver_study.store import SOURCES
+    from benchmarks.solver_study.study import SOURCES
 
     made = [where.removeprefix("benchmarks.").replace(".", "/") for where in (ask.__module__, Cell.__module__)]
     assert made[0] in SOURCES

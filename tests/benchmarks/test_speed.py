@@ -14,9 +14,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import baselines as peers
-from benchmarks import output, speed
+from benchmarks import speed
 from benchmarks.baselines import check
 from benchmarks.baselines.base import TipGradient, wrist_reference
+from benchmarks.common import output
 from benchmarks.latency import goals, limit
 from benchmarks.latency import setup as speed_setup
 from benchmarks.latency import solve as speed_solve
@@ -28,6 +29,7 @@ from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
+from tests import first_screens
 
 INSTALLED = [name for name in BARE if available().get(name, "") is None]
 
@@ -348,6 +350,7 @@ def test_report_and_headline_are_made_of_the_numbers(tmp_path):
     assert rival["times_c"] == pytest.approx(100.0 / 3.0)
     first = answer(summary, {"exact": np.array([1.0, 2.0])})
     page = report(summary, first, {"seed": 0}).html()
+    first_screens.check(page)
     assert "rival" in page
     assert "12.0" in page
     assert page.index("Not reached") < page.index('class="section"')

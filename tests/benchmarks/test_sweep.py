@@ -13,11 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks import sweep
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.sweeps.config import Config
 from benchmarks.sweeps.fields import check_path, paths, random_draws
 from benchmarks.sweeps.plan import Plan
 from moc_opt.errors import MocOptError, SolverError, UnknownNameError
+from tests import first_screens
 from tests.sweeps import TINY, config
 
 
@@ -87,7 +88,7 @@ def test_names_in_values_and_settings_are_checked_before_anything_runs() -> None
 
 def test_solver_that_cannot_run_here_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "benchmarks.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
+        "benchmarks.common.config.available", lambda: {"exact": None, "osqp": "pip install osqp"}
     )
     with pytest.raises(SolverError, match="pip install osqp"):
         Plan(config(solvers=["osqp"]))
@@ -194,7 +195,9 @@ def test_the_command_leaves_its_files_and_keeps_shared_times_out(tmp_path: Path,
     }  # fmt: skip
     assert summary["latency"]["exact"]["tick_p50_us"]["count"] == 2
     assert summary["by control.regularization"]["exact, 0.0001"]["runs"] == 1
-    assert "Manipulability against control.regularization" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Manipulability against control.regularization" in page
+    first_screens.check(page, pictures=2)
     assert (tmp_path / "out" / "environment.json").exists()
 
     whole = (tmp_path / "out" / "rows.parquet").read_bytes()

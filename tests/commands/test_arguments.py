@@ -57,6 +57,6 @@ def test_another_broken_pipe_is_not_taken_for_the_outputs(monkeypatch, capfd):
     def broken(*_):
         raise BrokenPipeError("of a wire")
 
-    monkeypatch.setattr("moc_opt.__main__.export_c", broken)
+    monkeypatch.setattr("moc_opt.commands.exporting.export_c", broken)
     with pytest.raises(BrokenPipeError, match="of a wire"):
         main(["export-c", "--out", "c"])

@@ -32,13 +32,15 @@ def test_a_list_has_every_name(capsys, monkeypatch, command, expected):
 
 def test_what_a_list_says_is_so(capsys):
     main(["tasks", "--json"])
-    assert json.loads(capsys.readouterr().out)["spiral"]["sizes"] == "turns = 2, radius = 0.03"
+    assert json.loads(capsys.readouterr().out)["spiral"]["sizes"] == {"turns": 2, "radius": 0.03}
     main(["metrics", "--json"])
     assert json.loads(capsys.readouterr().out)["mu_mean"]["unit"] == "m^3"
     main(["robots", "--json"])
     assert json.loads(capsys.readouterr().out)["lwr4_rail"]["joints"] == 8
     main(["solvers", "--list", "--json"])
-    assert json.loads(capsys.readouterr().out)["exact"]["here"] == "yes"
+    assert json.loads(capsys.readouterr().out)["exact"] == {"here": "yes", "settings": {"tolerance": 1e-9}}
+    main(["tasks"])
+    assert "turns = 2, radius = 0.03" in capsys.readouterr().out
 
 
 def test_the_version_is_printed(capsys):

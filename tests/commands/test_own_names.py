@@ -76,7 +76,7 @@ def test_own_path_and_metric_on_the_command_line(package, tmp_path, capsys):
     assert main(["run", str(short), "--task", "helix"]) == 2
     assert "[task] a helix needs its radius" in capsys.readouterr().err  # sizes of another path are not kept
     assert main(["tasks", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["helix"]["sizes"] == "radius, pitch = 0.01"
+    assert json.loads(capsys.readouterr().out)["helix"]["sizes"] == {"radius": None, "pitch": 0.01}
     assert main(["metrics", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["own_travel_rad"]["unit"] == "rad"
     assert main(["run", str(short), "--metric", "own_travel"]) == 2

@@ -92,8 +92,8 @@ def test_an_answer_is_judged_as_in_python(
     Z = null_space(qp.fields.A)
     x += rng.choice([0.0, 1e-3, 0.1]) * (Z.T @ rng.normal(size=len(Z)))
     five: Any = type("Residuals", (ctypes.Structure,), {"_fields_": [("x", ctypes.c_double * 5)]})
-    library.moc_judge.restype = five
-    found = list(library.moc_judge(at(np.array(qp.row)), at(Z), len(Z), at(x)).x)
+    library.moc_compute_residuals.restype = five
+    found = list(library.moc_compute_residuals(at(np.array(qp.row)), at(Z), len(Z), at(x)).x)
     expected = answer_residuals(qp.row, qp.n, Z, x)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 

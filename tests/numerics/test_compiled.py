@@ -2,13 +2,24 @@
 
 import ctypes
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from numba import float64, njit
 from numba.core.errors import TypingError
 
-from moc_opt.numerics.compiled import MATRIX, VECTOR, CompiledKernel, borrowed, call
+from moc_opt.numerics.compiled import (
+    INTEGER,
+    MATRIX,
+    REAL,
+    VECTOR,
+    CompiledKernel,
+    ask,
+    borrowed,
+    call,
+    named,
+)
 
 
 def scaled_sums():
@@ -95,3 +106,42 @@ def test_c_is_called_alike_from_a_kernel_and_from_python():
     for run in (kernel, kernel.py_func):
         run(address, 3, 1 << 40)
     assert seen == 2 * [(3, 1 << 40), (1 << 40, 3)]
+
+
+class Memory(NamedTuple):
+    scale: float
+    rows: int
+    A: np.ndarray
+    out: np.ndarray
+
+
+def test_a_named_tuple_is_one_argument_and_lends_all_its_arrays():
+    @njit
+    def kernel(memory):
+        lent = borrowed(memory)
+        for i in range(lent.rows):
+            lent.out[i] = lent.scale * lent.A[i].sum()
+
+    memory = Memory(2.0, 2, np.arange(12.0).reshape(3, 4), np.zeros(3))
+    counts = [sys.getrefcount(part) for part in memory[2:]]
+    code = CompiledKernel(kernel, named(Memory, REAL, INTEGER, MATRIX, VECTOR)).code
+    for _ in range(100):
+        code(memory)
+    np.testing.assert_array_equal(memory.out, [12.0, 44.0, 0.0])
+    assert [sys.getrefcount(part) for part in memory[2:]] == counts
+    assert borrowed(memory) is memory
+
+
+def test_a_c_function_is_asked_by_its_address():
+    """In Python and in a kernel; what it answers keeps its sign."""
+    kind = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+    def differ(*addresses):
+        first, second, third = (ctypes.cast(at, ctypes.POINTER(ctypes.c_double))[0] for at in addresses)
+        return int(first - second * third)
+
+    function = kind(differ)
+    numbers = np.array([3.0, 4.0, 5.0])
+    given = tuple(numbers.ctypes.data + 8 * i for i in range(3))
+    address = ctypes.cast(function, ctypes.c_void_p).value
+    assert ask(address, given) == njit(lambda f, g: ask(f, g))(address, given) == -17

@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from moc_opt.model.robot_model import RobotModel
+from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.course import make_course
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.search import search
+from moc_opt.planning.shaft import shaft_shares
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
 from tests.conftest import Array
 from tests.planning.test_search import map_of
+from tests.planning.test_shaft import MARGIN, planned
 
 NODES = 8
 
@@ -62,3 +64,21 @@ def test_a_smoother_course_is_had_for_a_higher_price(robot: RobotModel) -> None:
         q = np.concatenate([start[None], made.solve(guess, start, np.zeros(robot.n), there, nothing(start))])
         rough.append(float((np.diff(q, axis=0) ** 2).sum()))
     assert rough[1] < rough[0]
+
+
+def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it() -> None:
+    """From this start the best course lies below the margin."""
+    plan, along = planned(10, MARGIN)
+    assert plan.from_start is not None
+    way, path, k = plan.from_start.q_rad, plan.targets, int(np.argmin(along[10:40])) + 10
+    part, arm = slice(k + 1, k + 1 + NODES), load_robot("lwr4")
+    there = Targets(path.t_s[part], path.tip[part], path.wrist[part], path.arc_length_m[part])
+    shares = []
+    for kept in (0.0, MARGIN):
+        made = Horizon(arm, NODES, mu=0.1, margin=0.0, speed=arm.v_max, smoothness=1e-5, shaft_margin=kept)
+        answer = made.solve(way[part], way[k], np.zeros(arm.n), there, nothing(way[k + NODES]))
+        assert make_course(arm, there, answer).violation < 1e-3
+        shares.append(shaft_shares(arm, answer))
+    floor = np.minimum(along[part], MARGIN)
+    assert (shares[0] < floor - 5e-3).any()
+    assert (shares[1] > floor - 2e-3).all()

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
+from benchmarks.common.store import Store
 from benchmarks.solver_study import closed_loop
-from benchmarks.solver_study.cases import BASELINE, placed, trials, variant
+from benchmarks.solver_study.cases import trials
 from benchmarks.solver_study.closed_loop import Run, run_all, run_one, with_steady_errors
 from benchmarks.solver_study.combine import combined, summary
-from benchmarks.solver_study.store import Store
+from moc_opt.comparison.trials import BASELINE, placed, variant
 from moc_opt.scenario import Scenario, run
 from moc_opt.trace.metrics import summarize
 from tests import broken_solvers

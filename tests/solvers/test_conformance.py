@@ -17,7 +17,7 @@ import pytest
 from moc_opt.errors import SolverError
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers import Solver, Status, create, registry
-from moc_opt.solvers.base import TruncatingSession, UpdatingSession
+from moc_opt.solvers.base import TruncatingSession
 from moc_opt.solvers.registry import available
 from tests.hard_problems import hard_problems
 from tests.problems import infeasible_problem, random_arm, random_problem, smooth_sequence
@@ -231,7 +231,7 @@ def test_who_updates_and_who_can_be_stopped():
     for name in ("exact", "rnn", *UPDATING):
         if name in NAMES:
             session = solver(name).start(qp)
-            assert isinstance(session, UpdatingSession) == (name in UPDATING)
+            assert hasattr(session, "update") == (name in UPDATING)
             assert isinstance(session, TruncatingSession) == (name in TRUNCATING)
 
 
@@ -351,7 +351,7 @@ def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
     stream = chosen.start(taken[0])
     for qp in taken:
         cold = chosen.start(qp)
-        if isinstance(stream, UpdatingSession):
+        if hasattr(stream, "update"):
             stream.update(qp)
         for solution in (cold.solve(qp), stream.solve(qp)):
             assert isinstance(solution.status, Status)

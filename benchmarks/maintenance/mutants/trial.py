@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.processes import Crashed, Hung, Raised, Worker
+from benchmarks.common.processes import Crashed, Hung, Raised, Worker
 
 OURS = ("moc_opt", "benchmarks", "tests")
 COMPILERS = ("numba", "moc_opt.numerics.cache")

@@ -17,7 +17,7 @@ static double largest(double a, double b)
     return a > b ? a : b;
 }
 
-moc_residuals moc_judge(const double *record, const double *Z, int rows, const double *x)
+moc_residuals moc_compute_residuals(const double *record, const double *Z, int rows, const double *x)
 {
     const double *grad = record + MOC_GRAD, *lower = record + MOC_LOWER, *upper = record + MOC_UPPER;
     double c2 = record[MOC_C2], rho = record[MOC_RHO];

@@ -13,7 +13,7 @@ typedef struct {
 } moc_residuals;
 
 /* Judge x (n,) by its record, on the line of self-motion that Z (rows,n) leaves; see moc_opt/control/solution_check.py. */
-moc_residuals moc_judge(const double *record, const double *Z, int rows, const double *x);
+moc_residuals moc_compute_residuals(const double *record, const double *Z, int rows, const double *x);
 
 /* The smallest self-motion that brings the arm's other motion into the box; zero where none can.
  * See into_the_box in moc_opt/control/null_space.py. */

@@ -148,7 +148,8 @@ int moc_motion_look(const double *q, const double *v, const double *tau, const d
     int found = compare_readings(q, v, tau, wrench, state);
     double most = has_noise(state) ? MOC_REPEAT_WHOLE_TICKS : MOC_REPLAYED_TICKS;
     /* Where no encoder repeats a reading, one that came before is found as soon as one that comes twice. */
-    if (moc_replay_lagging(q, v, &state->replay) > MOC_REPEAT_READING_TICKS && !found)
+    if (MOC_REPEAT_READING_TICKS < HUGE_VAL && moc_replay_lagging(q, v, &state->replay) > MOC_REPEAT_READING_TICKS &&
+        !found)
         found = MOC_STOP_LAGGING;
     if (moc_replay_count(q, v, wrench, &state->replay) > fmin(most, MOC_REPEAT_READING_TICKS))
         return MOC_STOP_REPLAYED;

@@ -22,7 +22,7 @@ static int fault_of(int status, const double *record, const double *Z, int rows,
 {
     if (status != MOC_TICK_OK)
         return status == MOC_TICK_INFEASIBLE ? MOC_FAULT_INFEASIBLE : MOC_FAULT_FAILED;
-    moc_residuals found = moc_judge(record, Z, rows, answer);
+    moc_residuals found = moc_compute_residuals(record, Z, rows, answer);
     if (!(found.primal >= 0.0))
         return MOC_FAULT_NOT_FINITE;
     if (MOC_CHECK && (found.primal > MOC_PRIMAL_LIMIT || found.outside > MOC_PRIMAL_LIMIT))

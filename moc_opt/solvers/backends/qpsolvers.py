@@ -131,7 +131,7 @@ class QPSolver:
 
     @property
     def advice(self) -> Advice:
-        """What is passed on in the end: the scale of the cost and the library's keyword arguments."""
+        """The scale of the cost and the library's keyword arguments, as they are passed on."""
         base = ADVICE.get(self.library, NO_ADVICE) if self.advised else NO_ADVICE
         scale = base.cost_scale if self.cost_scale is None else self.cost_scale
         return Advice(scale, {**base.options, **self.options})

@@ -1,4 +1,4 @@
-"""What the adapters of libraries share: checks, buffers, five or six rows, the cost's scale, the way back.
+"""The common part of the adapters of libraries: checks, buffers, five or six rows, cost scale, duals.
 
 An adapter is the settings of its library, a frozen dataclass derived from `Adapter`, and a `LibrarySession` with three
 calls: set the library up, hand it a subproblem, run it. See docs/extending.md.
@@ -23,7 +23,7 @@ _HAS_X = (Status.SOLVED, Status.MAX_ITER, Status.TIME_LIMIT)
 
 
 class Adapter:
-    """Settings of one library: what every one of them does with its fields.
+    """Settings of one library, and the handling of the fields that all have.
 
     A subclass is a frozen dataclass with at least ``cost_scale``, and ``rows`` where the library takes six rows.
 

@@ -125,7 +125,7 @@ def eliminate(plane: Plane, row: Array) -> int:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def contradicts(W: Array, n: int, m: int, i: int, row: Array, tolerance: float) -> bool:
-    """Return whether no x in the box brings the dropped row i of W to what it asks for."""
+    """Return whether no x in the box fulfils the dropped row i of W."""
     at = offsets(n)
     reach = tolerance
     for j in range(n):
@@ -157,7 +157,7 @@ def direction(plane: Plane, rank: int, free: int, M: Array, z: int) -> None:
 
 
 @inlined
-def swivel(V: Array, row: Array, n: int, m: int, tolerance: float) -> int:
+def swivel(V: Array, row: Array, n: int, tolerance: float) -> int:
     """Solve one freedom: x + s z; the ratio test gives the interval of s, then its best point.
 
     Args:

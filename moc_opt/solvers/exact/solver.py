@@ -1,6 +1,6 @@
 """The exact answer by null-space elimination: the yardstick of every other solver.
 
-On A x = b the c0, c1 terms vanish, and what remains is regularization/2 |x|^2 - c2 grad_mu^T x over the
+On A x = b the c0, c1 terms are constant, and the rest is regularization/2 |x|^2 - c2 grad_mu^T x over the
 box. Elimination with complete pivoting writes x = particular + (free columns) w; joints whose
 column is zero (joint 7 under a tool on its axis) move nothing and are solved on their own. One
 remaining freedom (the elbow swivel) is a ratio test in closed form; several are a projection
@@ -106,7 +106,7 @@ def solve_within(row: Array, tolerance: float, x: Array, y: Array, work: Array, 
     status = OK
     if freedoms == 1:
         direction(plane, rank, plane.order[rank], V, Z)
-        status = elimination.swivel(V, row, n, m, tolerance)
+        status = elimination.swivel(V, row, n, tolerance)
     elif freedoms > 1:
         status = maximise_over_box(plane, rank, freedoms, V, row, tolerance)
     beyond = answer(plane, rank, V, row, x, y)

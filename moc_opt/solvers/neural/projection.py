@@ -7,7 +7,7 @@ With F(Y) = [dL/dx, -dL/dlambda] (the paper's equation (2)) the network is
     eps dl1/dt = k (J_T x - v_T),   eps dl2/dt = k (J_W x - v_W)
 
 integrated by Euler steps of size h = dt/eps. A network cannot tell that a problem is infeasible: its
-multipliers then grow without bound, it says MAX_ITER, and it needs as long again to unwind them.
+multipliers then grow without bound, the status is MAX_ITER, and it needs as long again to unwind them.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class _Call:
             self._buffer.set_res(function.index_out(name), array.data)
 
     def stats(self) -> dict[str, Any]:
-        """Return what the solver says of its last run."""
+        """Return the solver's status of its last run."""
         return self._buffer.stats()  # type: ignore[no-any-return]
 
 

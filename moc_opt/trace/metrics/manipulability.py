@@ -22,7 +22,10 @@ def mu_final(trace: Trace) -> float:
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above that of the baseline [percent of the baseline's]."""
+    """Mean manipulability above that of the baseline [percent of it]; of two third levels compare `mu_mean`.
+
+    The baseline of a run along a course has the course's observer gain, that of a climb the climb's.
+    """
     if baseline is None:
         raise MissingDataError("mu_gain_percent needs a baseline: give the trace of DCAC on the same trial")
     reference = mu_mean(baseline)

@@ -48,7 +48,7 @@ def silently_wrong(trace: Trace) -> float:
 
 @metric
 def faults(trace: Trace) -> float:
-    """Ticks at which the third level's answer was refused or missing, for whatever reason."""
+    """Ticks at which the third level's answer was refused or missing, for any reason."""
     return count((trace.fault != "none") & (trace.fault != "stopped"))
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.common.output import default_config
 from benchmarks.maintenance import mutation
 from benchmarks.maintenance.mutants import make, trial
-from benchmarks.output import default_config
 from moc_opt.errors import UnknownNameError
 
 ROOT = Path(__file__).resolve().parents[3]

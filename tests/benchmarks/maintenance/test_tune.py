@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.common.output import default_config
 from benchmarks.maintenance import tune, tune_space
-from benchmarks.output import default_config
 from benchmarks.paper_experiment.config import STREAM
 from benchmarks.paper_experiment.trials import MATCHED, Measurement, Outcome, seeds
 from moc_opt.control import ControlSettings

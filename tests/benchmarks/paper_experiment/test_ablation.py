@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.output import default_config
+from benchmarks.common.output import default_config
 from benchmarks.paper_experiment import ablation
 from benchmarks.paper_experiment.ablation import ALL, Ablation, Case
 from benchmarks.paper_experiment.config import Config

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
+from benchmarks.common.store import Part, Store
 from benchmarks.solver_study import answers, growth, settings
 from benchmarks.solver_study.answers import Data, Limits, asked, timed
 from benchmarks.solver_study.cells import Cell, asked_all, load, time_figures, totals
 from benchmarks.solver_study.settings import SETTINGS, TIGHT_OPTIONS, SolverSetting, solver_settings
-from benchmarks.solver_study.store import Part, Store
 from moc_opt.scenario import make_solver
 from moc_opt.solvers import available
 from moc_opt.solvers.registry import accepts
@@ -145,7 +145,7 @@ def made(status, x, feasible, rows):
 
 def test_claims_are_counted_by_the_certificate_and_the_judge():
     kept = load("circle", 32)
-    from benchmarks.testsets import TestSet
+    from benchmarks.subproblems.testset import TestSet
 
     x = TestSet.load("circle").x[::32].copy()
     x[1] = 0.0  # claimed, and wrong

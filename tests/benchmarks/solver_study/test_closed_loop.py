@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from benchmarks.processes import Worker
+from benchmarks.common.processes import Worker
+from benchmarks.common.store import Store
 from benchmarks.solver_study import sweeps
 from benchmarks.solver_study.cases import trials
-from benchmarks.solver_study.store import Store
 from benchmarks.solver_study.sweeps import (
     accuracy_sweeps,
     beginning_of_cost,

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from benchmarks.answer import MOST_COLUMNS, Answer
+from benchmarks.common.answer import MOST_COLUMNS, Answer
 from benchmarks.solver_study.first_screen import answer
 from moc_opt.report.document import anchor
 from moc_opt.report.page import Page

@@ -117,12 +117,12 @@ def test_processes_that_hang_or_are_killed_cost_only_their_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MOODY", str(tmp_path / "moody"))
-    asked = config(seeds=7, grid={"control.regularization": [1e-6]}, run_limit_s=0.5)
+    asked = config(seeds=7, grid={"control.regularization": [1e-6]}, run_limit_s=2.0)
     lost = sweep.sweep(asked, tmp_path / "sweep", Impatient(2), hangs_or_kills)
     assert list(lost) == [2]
     errors = pq.read_table(tmp_path / "sweep" / "rows.parquet")["error"].to_pylist()
     assert [i for i, error in enumerate(errors) if error] == [2]
-    assert "took more than 0.5 s" in errors[2]
+    assert "took more than 2 s" in errors[2]
 
 
 def test_workers_are_counted() -> None:

@@ -1,0 +1,187 @@
+"""The test sets for qpbenchmark (2.7.1 or later), which runs what is written here as it is, and its ranking of solvers.
+
+The measures of its report are computed here from its rows, as it prints them only.
+"""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.common.output import parquet_bytes, write_atomically
+from benchmarks.subproblems.recipes import RECIPES
+from benchmarks.subproblems.testset import TestSet
+from moc_opt.errors import MocOptError, UnknownNameError
+from moc_opt.qp.problem import NullSpaceQP
+
+NAME = "null_space"
+SETS = ("circle", "circle-rho0", "random", "joint-limits", "near-singular", "jumps")
+SETTINGS = ("default", "high_accuracy")
+SECONDS = 0.1  # a solve may take this long there: a thousand times what most solvers need
+SHIFT_S, MARGIN_S = 10.0, 600.0
+
+MODULE = '''"""{title}: {count} subproblems of a manipulability controller, each of them feasible.
+
+Written by: python -m benchmarks.export qpbenchmark
+"""
+
+from pathlib import Path
+
+from qpbenchmark import ParquetTestSet
+
+
+class NullSpace(ParquetTestSet):
+    """Subproblems of {joints} joints and {rows} equality rows, from the test sets {sets}."""
+
+    description = "The null-space subproblem of a surgical arm at one control tick: small, with costs of 1e-4."
+    title = "{title}"
+    sparse_only = False
+
+    def __init__(self):
+        super().__init__(Path(__file__).with_suffix(".parquet"))
+
+    def define_tolerances(self, runtime={seconds}):
+        super().define_tolerances(runtime)
+'''
+
+
+class ExportError(MocOptError, RuntimeError):
+    """A test set cannot be handed over."""
+
+
+def problems(names: Sequence[str], every: int = 1) -> dict[str, NullSpaceQP]:
+    """Map name to each every-th problem of those sets that has an answer.
+
+    Raises:
+        UnknownNameError: no such set.
+    """
+    found = {}
+    for name in names:
+        if name not in RECIPES:
+            raise UnknownNameError("test set", name, RECIPES)
+        kept = TestSet.load(name)
+        for index in range(0, len(kept.rows), every):
+            if kept.feasible[index]:
+                found[f"{name.replace('-', '_').upper()}_{index:03d}"] = NullSpaceQP.from_row(kept.rows[index].copy())
+    return found
+
+
+def write_qpbenchmark(folder: Path, names: Sequence[str] = SETS, every: int = 1, rows: int = 5) -> Path:
+    """Write the two files; returns the module's path.
+
+    qpbenchmark counts an unsolved problem against a solver, so problems without an answer are left out. The format
+    is that of its ``ProblemList``: matrices by rows in flat columns.
+
+    Raises:
+        ExportError: nothing is left to write.
+        UnknownNameError: no such set.
+    """
+    import pyarrow as pa
+
+    chosen = problems(names, every)
+    if not chosen:
+        raise ExportError(f"sets = {', '.join(names)}: no problem in them is feasible; take other sets")
+    table: dict[str, list[Any]] = {key: [] for key in ("P", "q", "G", "h", "A", "b", "lb", "ub", "name")}
+    for name, qp in chosen.items():
+        A, b = (qp.A, qp.b) if rows == 6 else qp.reduced()[:2]
+        values = {"P": qp.P, "q": qp.p, "A": A, "b": b, "lb": qp.lower, "ub": qp.upper}
+        for key in table:
+            table[key].append(name if key == "name" else np.ravel(values[key]).tolist() if key in values else None)
+    kinds = {key: pa.string() if key == "name" else pa.list_(pa.float64()) for key in table}
+    columns = {key: pa.array(column, kinds[key]) for key, column in table.items()}
+    write_atomically(folder / f"{NAME}.parquet", parquet_bytes(pa.table(columns)))
+    text = MODULE.format(
+        title="Null-space subproblems", count=len(chosen), rows=rows, sets=", ".join(names), seconds=SECONDS,
+        joints=next(iter(chosen.values())).n,
+    )  # fmt: skip
+    module = folder / f"{NAME}.py"
+    write_atomically(module, text.encode())
+    return module
+
+
+def run_qpbenchmark(module: Path, solvers: Sequence[str] | None = None) -> list[dict[str, Any]]:
+    """Let qpbenchmark run a test set in a process of its own; the rows of its results.
+
+    Args:
+        module: the test set's Python file; results and report are written beside it.
+        solvers: as qpsolvers spells them; None: all that it finds.
+
+    Raises:
+        ExportError: it is not installed, failed, or did not end in time.
+    """
+    if find_spec("qpbenchmark") is None:
+        raise ExportError("qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'")
+    results = module.with_name("results.csv")
+    start = [sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(results)]
+    for solver in [None] if solvers is None else solvers:
+        # under all of its settings: with one of them alone its own report fails
+        command = [*start, "run", "--author", "moc_opt", *([] if solver is None else ["--solver", solver])]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=MARGIN_S)
+        except subprocess.TimeoutExpired as error:
+            raise ExportError(f"qpbenchmark {solver or ''} took more than {MARGIN_S:g} s: {error}") from error
+        if done.returncode != 0:
+            raise ExportError(f"qpbenchmark {solver or ''} failed: {done.stderr[-500:]}")
+    with results.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def ranking(folder: Path, names: Sequence[str], every: int = 16) -> dict[str, dict[str, Any]]:
+    """Ask qpbenchmark for its ranking of a part of the sets: solver@settings -> its figures, or why there is none.
+
+    Args:
+        folder: for the exported set and the results.
+        names: of our solvers; those that begin with ``qpsolvers:`` are asked.
+        every: takes each every-th problem.
+    """
+    solvers = [name.removeprefix("qpsolvers:") for name in names if name.startswith("qpsolvers:")]
+    if not solvers:
+        return {"none": {"reason": "no solver of the selection is called through qpsolvers"}}
+    from qpsolvers import available_solvers
+
+    module = write_qpbenchmark(folder, every=every)
+    module.with_name("results.csv").unlink(missing_ok=True)
+    try:
+        # All of them in one process: each start of it takes seconds.
+        return figures(run_qpbenchmark(module, None if set(solvers) >= set(available_solvers) else solvers))
+    except ExportError as error:
+        return {"none": {"reason": str(error)}}
+
+
+def figures(rows: Sequence[Mapping[str, str]]) -> dict[str, dict[str, Any]]:
+    """Compute qpbenchmark's measures: success in percent, shifted geometric mean of run times, and ranks.
+
+    As in its report: the shift is 10 s, a failure counts as the time limit, and a solve succeeds within its
+    tolerances (1e-9 under high_accuracy, 1 under default).
+    """
+    tolerance = {"default": 1.0, "high_accuracy": 1e-9}
+    found: dict[str, dict[str, Any]] = {}
+    for settings in SETTINGS:
+        mine: dict[str, dict[str, Any]] = {}
+        for solver in sorted({row["solver"] for row in rows}):
+            chosen = [row for row in rows if row["solver"] == solver and row["settings"] == settings]
+            if not chosen:
+                continue
+            ok = [_succeeds(row, tolerance[settings]) for row in chosen]
+            times = np.array([float(row["runtime"]) if row["found"] == "True" else SECONDS for row in chosen])
+            shifted = float(np.exp(np.mean(np.log(times + SHIFT_S))) - SHIFT_S)
+            mine[solver] = {
+                "problems": len(chosen), "success_percent": 100.0 * float(np.mean(ok)), "shgeom_us": 1e6 * shifted,
+                "runtime_p50_us": 1e6 * float(np.median(times)),
+            }  # fmt: skip
+        order = sorted(mine, key=lambda name: mine[name]["shgeom_us"])
+        for place, solver in enumerate(order, start=1):
+            found[f"{solver}@{settings}"] = {**mine[solver], "rank": place}
+    return found
+
+
+def _succeeds(row: Mapping[str, str], limit: float) -> bool:
+    values = [row[key] for key in ("primal_residual", "dual_residual", "duality_gap")]
+    return row["found"] == "True" and all(value != "" and float(value) < limit for value in values)

@@ -1,0 +1,95 @@
+"""The certified test sets of the subproblem: what they hold, and how they are read.
+
+Every set is an .npz without pickles: ``rows`` (k, 10 n + 10) flat NullSpaceQP records, ``x`` (k, n) the
+certified answers (NaN where none exists) and ``feasible`` (k,).
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.errors import MocOptError
+from moc_opt.inputs.files import read_arrays
+from moc_opt.numerics.arrays import Array
+from moc_opt.qp.problem import NullSpaceQP
+
+VERSION = 1
+ARGUMENTS = (
+    "J_tip", "J_wrist", "v_tip", "v_wrist", "grad_mu", "lower", "upper", "c0", "c1", "c2", "regularization", "q",
+)  # fmt: skip
+FOLDER = Path(__file__).parent / f"v{VERSION}"
+
+
+class CertificateError(MocOptError, ArithmeticError):
+    """A test set holds a problem whose answer cannot be certified."""
+
+
+@dataclass(frozen=True)
+class TestSet:
+    """Problems that belong together, with their certified answers."""
+
+    __test__ = False  # not a class of tests
+
+    name: str
+    rows: Array
+    x: Array
+    feasible: NDArray[np.bool_]
+
+    def problems(self) -> list[NullSpaceQP]:
+        """Return the subproblems, in order: in a sequence neighbours are 2 ms apart."""
+        return [NullSpaceQP.from_row(np.array(row)) for row in self.rows]
+
+    def judged(self) -> Array:
+        """Return ``rows`` as answers are judged: with references that the rigid tool can follow.
+
+        Where those of tip and wrist differ along the shaft, the wrist's are moved; what is certified is the answer
+        to the five rows that this leaves alone.
+        """
+        return np.array([straightened(qp).row for qp in self.problems()])
+
+    def to_bytes(self) -> bytes:
+        """Return the .npz file."""
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, rows=self.rows, x=self.x, feasible=self.feasible)
+        return buffer.getvalue()
+
+    @classmethod
+    def load(cls, name: str, folder: Path = FOLDER) -> TestSet:
+        """Read a set by name.
+
+        Raises:
+            CertificateError: there is no such file.
+        """
+        path = folder / f"{name}.npz"
+        if not path.exists():
+            raise CertificateError(f"test set {name!r}: no file {path}; make it with: python -m benchmarks.testsets")
+        arrays = read_arrays(path, f"test set {name!r}:", CertificateError)
+        try:
+            return cls(name, arrays["rows"], arrays["x"], arrays["feasible"])
+        except KeyError as error:
+            raise CertificateError(f"test set {name!r}: {path} has no array {error}; make it again") from error
+
+
+def straightened(qp: NullSpaceQP) -> NullSpaceQP:
+    """Return the same subproblem with the wrist's reference along the shaft moved to the tip's."""
+    five = qp.reduced()
+    b = np.linalg.lstsq(five.lift, five.b, rcond=None)[0] if len(five.b) == 5 else np.array(qp.b)
+    b[3:] += five_row_gap(qp, b)
+    return changed(qp, v_tip=b[:3], v_wrist=b[3:], q=None)
+
+
+def changed(qp: NullSpaceQP, **values: Any) -> NullSpaceQP:
+    """Return the same subproblem with other values of some of its arguments."""
+    return NullSpaceQP(**{name: getattr(qp, name) for name in ARGUMENTS} | values)
+
+
+def five_row_gap(qp: NullSpaceQP, b: NDArray[np.floating]) -> Array:
+    """Return what is missing along the shaft for the wrist to follow the tip, (3,) [m/s]."""
+    u = np.linalg.svd(qp.J_tip - qp.J_wrist)[0][:, 2]
+    return np.asarray(u * (u @ (b[:3] - b[3:])))

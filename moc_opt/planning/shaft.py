@@ -1,0 +1,72 @@
+"""What a course keeps from losing the shaft: the margin of ``[control] shaft_margin``, as the local climb has it.
+
+With the tip held, the wrist is moved across the shaft by mu_shaft (`model.manipulability_kernels`). Where its share of
+the squared lever is small the joints have to turn fast to keep the shaft in the trocar, and what they lag of it is RCM
+error. On the map a pose below the margin m is worth less, so that a course goes there only where the path, or the
+start, leaves it no other way, and then as little as can be:
+
+    mu - WORTH mu_max (1 - share/m)^2,  share < m
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from moc_opt.model.kinematics_kernels import point_jacobian
+from moc_opt.model.manipulability_kernels import shaft_manipulability
+from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.cache import njit
+from moc_opt.planning.pose_map import PoseMap
+from moc_opt.redundancy.continuation import Constraint, forward
+
+COURSE_SHARE = 0.5
+"""Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
+half of it and no further."""
+WORTH = 10.0
+"""Times the largest mu of the map that a pose at which the shaft is lost is worth less."""
+
+
+def keeping_shaft(found: PoseMap, robot: RobotModel, margin: float) -> PoseMap:
+    """Return the map with mu lowered where the shaft's share is below the margin, for a search alone."""
+    if margin <= 0.0:
+        return found
+    # Every branch of a swivel has the same columns of A up to their signs.
+    share = np.array([shaft_shares(robot, found.poses(k)[0]) for k in range(len(found.targets))])[:, None]
+    with np.errstate(invalid="ignore"):
+        short = np.maximum(1.0 - share / margin, 0.0)
+    return replace(found, mu=found.mu - WORTH * np.nanmax(found.mu) * short**2)
+
+
+def shaft_shares(robot: RobotModel, poses: Array) -> Array:
+    """Compute mu_shaft over the squared distance from wrist to tip, (k,), at the poses (k,n) [rad]; NaN stays NaN."""
+    chain, rows = robot.chain, np.ascontiguousarray(poses)
+    active = np.flatnonzero(robot.moves.any(axis=0)).astype(np.int64)
+    arm = Constraint(
+        chain.joints, chain.offsets, robot.moves, robot.q_min, robot.q_max, active=active, target=np.zeros((2, 3))
+    )
+    shares = np.empty(len(rows))
+    _fill_shares(arm, rows, shares)
+    return shares
+
+
+@njit(cache=True)
+def _fill_shares(arm: Constraint, poses: Array, shares: Array) -> None:
+    n = poses.shape[1]
+    axes, points, A, u, slope = np.empty((n, 6)), np.empty((2, 3)), np.empty((6, n)), np.empty(3), np.empty(n)
+    for k in range(poses.shape[0]):
+        if np.isnan(poses[k, 0]):
+            shares[k] = np.nan
+            continue
+        forward(arm, poses[k], axes, points)
+        point_jacobian(axes, points[0], arm.moves[0], A[0:3])
+        point_jacobian(axes, points[1], arm.moves[1], A[3:6])
+        square = 0.0
+        for i in range(3):
+            u[i] = points[0, i] - points[1, i]
+            square += u[i] * u[i]
+        for i in range(3):
+            u[i] /= np.sqrt(square)
+        shares[k] = shaft_manipulability(axes, A, u, slope) / square

@@ -1,0 +1,123 @@
+"""The test sets for qpbenchmark: what is written is what the published tool reads, and runs unchanged."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from benchmarks import export
+from benchmarks.subproblems import qpbenchmark
+from benchmarks.subproblems.qpbenchmark import (
+    ExportError,
+    figures,
+    problems,
+    run_qpbenchmark,
+    write_qpbenchmark,
+)
+from moc_opt.errors import UnknownNameError
+from moc_opt.solvers import create
+
+needs_qpbenchmark = pytest.mark.skipif(
+    find_spec("qpbenchmark") is None,
+    reason="qpbenchmark is not installed: pip install 'moc-opt[qpbenchmark]'",
+)
+
+
+@needs_qpbenchmark
+def test_the_published_tool_runs_it_unchanged_with_two_solvers(tmp_path):
+    """By its own command line, in a process of its own."""
+    assert (
+        export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circle", "random", "--every", "64"])
+        == 0
+    )
+    module = tmp_path / "null_space.py"
+    for solver in ("daqp", "quadprog"):
+        command = [
+            sys.executable, "-m", "qpbenchmark.benchmark", str(module), "--results-path", str(tmp_path / "results.csv"),
+            "run", "--solver", solver, "--author", "nobody",
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr[-2000:]
+    lines = (tmp_path / "results.csv").read_text().splitlines()
+    count = len(problems(["circle", "random"], 64))
+    assert len(lines) == 1 + 2 * 4 * count  # each under four settings
+    assert "True" in lines[1]
+    assert "Null-space" in (tmp_path / "null_space.md").read_text()  # its report
+
+
+@needs_qpbenchmark
+def test_it_reads_the_problems_that_were_written(tmp_path):
+    from qpbenchmark.benchmark import load_test_set
+
+    write_qpbenchmark(tmp_path, ["circle"], every=32, rows=5)
+    sys.modules.pop("null_space", None)
+    read = {p.name: p for p in load_test_set(str(tmp_path / "null_space.py"))}
+    for name, qp in problems(["circle"], 32).items():
+        np.testing.assert_array_equal(read[name].P, qp.P)
+        np.testing.assert_array_equal(read[name].A, qp.reduced().A)
+        np.testing.assert_array_equal(read[name].lb, qp.lower)
+        assert read[name].G is None
+
+
+@needs_qpbenchmark
+def test_the_ranking_stands_on_its_results(tmp_path):
+    write_qpbenchmark(tmp_path, ["circle"], every=64)
+    rows = run_qpbenchmark(tmp_path / "null_space.py", ["daqp"])
+    found = figures(rows)
+    assert set(found) == {"daqp@default", "daqp@high_accuracy"}
+    assert found["daqp@high_accuracy"]["problems"] == 2
+    assert found["daqp@high_accuracy"]["success_percent"] == 100.0
+    assert 1.0 < found["daqp@default"]["runtime_p50_us"] < 1e5
+
+
+def row(solver, runtime, found="True", primal="1e-12"):
+    return {
+        "solver": solver, "settings": "high_accuracy", "runtime": str(runtime), "found": found,
+        "primal_residual": primal, "dual_residual": "0.0", "duality_gap": "0.0",
+    }  # fmt: skip
+
+
+def test_figures_are_qpbenchmark_s():
+    found = figures([row("a", 1e-5), row("a", 3e-5), row("b", 1e-6), row("b", 1e-6, found="False"),
+                     row("c", 5e-5, primal="1e-6"), row("c", 5e-5)])  # fmt: skip
+    assert found["a@high_accuracy"]["success_percent"] == 100.0
+    assert found["b@high_accuracy"]["success_percent"] == found["c@high_accuracy"]["success_percent"] == 50.0
+    # at microseconds and a shift of 10 s, the geometric mean is the arithmetic one
+    assert found["a@high_accuracy"]["shgeom_us"] == pytest.approx(20.0, rel=1e-4)
+    assert [found[f"{n}@high_accuracy"]["rank"] for n in "abc"] == [1, 3, 2]
+    if find_spec("qpbenchmark") is not None:
+        from qpbenchmark.shgeom import shgeom
+
+        assert found["a@high_accuracy"]["shgeom_us"] == pytest.approx(
+            1e6 * shgeom(np.array([1e-5, 3e-5]), 10.0)
+        )
+
+
+def test_only_feasible_problems_are_handed_over():
+    chosen = problems(["infeasible"], 1)
+    session = create("exact").start(next(iter(chosen.values())))
+    assert 0 < len(chosen) < 128
+    assert all(session.solve(qp).status.label == "solved" for qp in chosen.values())
+    assert all(name.isidentifier() for name in chosen)
+
+
+def test_six_rows_are_those_of_the_paper(tmp_path):
+    import pyarrow.parquet as pq
+
+    write_qpbenchmark(tmp_path, ["circle"], every=64, rows=6)
+    (first, *_) = pq.read_table(tmp_path / "null_space.parquet").to_pylist()
+    assert (len(first["A"]), len(first["b"])) == (42, 6)
+
+
+def test_wrong_input_is_refused(tmp_path, capsys, monkeypatch):
+    assert export.main(["qpbenchmark", "--out", str(tmp_path), "--sets", "circel"]) == 2
+    assert "'circle'" in capsys.readouterr().err
+    with pytest.raises(UnknownNameError):
+        problems(["nothing"])
+    monkeypatch.setattr(qpbenchmark, "find_spec", lambda _: None)
+    with pytest.raises(ExportError, match="pip install"):
+        run_qpbenchmark(tmp_path / "null_space.py", ["daqp"])
+    assert "pip install" in qpbenchmark.ranking(tmp_path, ["qpsolvers:daqp"], every=64)["none"]["reason"]
+    assert "through qpsolvers" in qpbenchmark.ranking(tmp_path, ["exact"])["none"]["reason"]

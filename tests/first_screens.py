@@ -1,0 +1,25 @@
+"""What every report has to begin with, read off its HTML."""
+
+from __future__ import annotations
+
+import re
+
+FOLDS = '<details class="section"'
+
+
+def check(html: str, pictures: int = 3) -> None:
+    """One to three sentences, one table of at most eight columns, so many pictures, links that lead into the folds.
+
+    Raises:
+        AssertionError: something is missing, or a link leads nowhere.
+    """
+    first, rest = html[: html.index(FOLDS)], html[html.index(FOLDS) :]
+    assert 1 <= first.count('<p class="headline">') <= 3
+    assert first.count("<table ") == 1
+    assert 1 < first.count('<th scope="col"') <= 8
+    drawn = first.count('class="chart"')
+    assert drawn == pictures, f"{drawn} pictures"
+    assert all(re.findall(r"<b>Figure \d+\.</b> (.*?)</figcaption>", first))
+    links = set(re.findall(r'<a href="#([^"]+)"', first))
+    assert links
+    assert links <= set(re.findall(r'<details class="section" id="([^"]+)"', rest))

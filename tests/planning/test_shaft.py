@@ -1,0 +1,117 @@
+"""The shaft's share is the model's own, poses below the margin are left where there is a way, no course is lost."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from moc_opt.errors import TaskError
+from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.planning.plan import Plan, make_plan, map_of
+from moc_opt.planning.refine import SHAFT_ROOM, refine
+from moc_opt.planning.shaft import keeping_shaft, shaft_shares
+from tests.conftest import Array
+from tests.planning.test_search import task
+
+MARGIN = 0.2
+
+
+@cache
+def arm(name: str) -> RobotModel:
+    return load_robot(name)
+
+
+def share_of(robot: RobotModel, q: Array) -> float:
+    state = robot.state(q)
+    return state.mu_shaft / state.tool_span**2
+
+
+@given(name=st.sampled_from(["lwr4", "panda", "gen3", "lwr4_rail"]), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_shares_are_the_models_and_the_programs(name: str, seed: int) -> None:
+    """Of the compiled kernel, of the model's state, and of the symbolic function that the programs are given."""
+    robot = arm(name)
+    q = np.random.default_rng(seed).uniform(robot.q_min, robot.q_max)
+    wanted = share_of(robot, q)
+    assert shaft_shares(robot, np.array([q, np.full(robot.n, np.nan), q])) == pytest.approx(
+        [wanted, np.nan, wanted], abs=1e-9, nan_ok=True
+    )
+    assert float(robot.kinematics().shaft(q)) == pytest.approx(wanted**2, abs=1e-9)
+
+
+def start(robot: RobotModel, seed: int) -> Array:
+    return robot.random_regular_pose(np.random.default_rng(seed))
+
+
+@cache
+def planned(seed: int, margin: float, refined: bool = False) -> tuple[Plan, Array]:
+    """The plan and the shares along its course."""
+    robot = arm("lwr4")
+    q = start(robot, seed)
+    plan = make_plan(robot, q, task(robot, q, 60), swivels=360, shaft_margin=margin, refined=refined, elsewhere=False)
+    assert plan.from_start is not None
+    return plan, shaft_shares(robot, plan.from_start.q_rad)
+
+
+def test_the_map_is_lowered_below_the_margin_alone_and_the_more_the_further() -> None:
+    robot = arm("lwr4")
+    q = start(robot, 15)
+    found = map_of(robot, q, task(robot, q, 5), 90)
+    assert keeping_shaft(found, robot, 0.0) is found
+    lowered = keeping_shaft(found, robot, MARGIN)
+    off = found.mu - lowered.mu
+    for k in range(5):
+        for branch in found.poses(k):
+            shares = shaft_shares(robot, branch)
+            np.testing.assert_array_equal(off[k, 0] == 0.0, ~(shares < MARGIN))
+            order = np.argsort(shares)
+            assert (np.diff(off[k, 0][order]) <= 1e-12).all()
+
+
+@pytest.mark.parametrize("seed", [12, 15, 27])
+def test_a_course_keeps_the_margin_where_there_is_a_way(seed: int) -> None:
+    """From these starts the best course loses the shaft almost, and another stays well above."""
+    (free, lost), (kept, held) = planned(seed, 0.0), planned(seed, MARGIN)
+    assert free.from_start is not None
+    assert kept.from_start is not None
+    assert lost.min() < 0.3 * MARGIN
+    assert held.min() > 0.95 * MARGIN
+    assert kept.from_start.mu_mean < free.from_start.mu_mean
+
+
+def test_a_margin_that_no_course_keeps_leaves_one_that_is_as_little_below_as_can_be() -> None:
+    robot = arm("lwr4")
+    (free, below), (kept, less) = planned(15, 0.0), planned(15, 1.0)
+    assert kept.executable == free.executable
+    assert less.max() < 1.0
+    assert ((1.0 - less) ** 2).mean() < ((1.0 - below) ** 2).mean()
+    assert less.min() == pytest.approx(min(share_of(robot, start(robot, 15)), less[1:].min()))
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 1e-4])
+def test_refinement_goes_no_further_below_than_the_course_that_it_begins_at(smoothness: float) -> None:
+    """mu is higher below the margin here: without it the program goes there."""
+    robot = arm("lwr4")
+    plan, shares = planned(10, MARGIN)
+    course = plan.from_start
+    assert course is not None
+    floor = np.minimum(shares, MARGIN)
+    free = refine(robot, plan.targets, course, smoothness=smoothness)
+    assert (shaft_shares(robot, free.q_rad) < floor - 5.0 * SHAFT_ROOM).any()
+    kept = refine(robot, plan.targets, course, smoothness=smoothness, shaft_margin=MARGIN)
+    assert kept is not course
+    assert kept.kept
+    assert (shaft_shares(robot, kept.q_rad) >= floor - 1.01 * SHAFT_ROOM).all()
+    assert kept.mu_mean < free.mu_mean
+
+
+@pytest.mark.parametrize("margin", [-0.1, 1.5, float("nan"), True, "half"])
+def test_a_margin_out_of_range_is_refused_by_name(margin: object) -> None:
+    robot = arm("lwr4")
+    q = robot.data.q_home
+    with pytest.raises(TaskError, match=r"shaft_margin = .*give a share"):
+        make_plan(robot, q, task(robot, q, 10), shaft_margin=margin)  # type: ignore[arg-type]
