@@ -24,9 +24,9 @@ from moc_opt.numerics.cache import njit
 
 GAP, PEAK, SHOWN, REPEATS, TORQUE, INTEGRAL, RESIDUAL, MEAN, AT_REPEAT, UNSEEN, EXCEEDED, SPEED, WHOLE = range(13)
 """Rows of the memory (ROWS, n): q - integral of v; largest recent |v|; the last q; ticks in a row with the same q; the
-torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; r where the
-joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its mean; the
-last v; ticks so far with the same q and v as the tick before."""
+torque where all had repeated for the patience; the observer's integral, its residual r, and the mean of r; that mean
+where the joint began to repeat, and the speed that it must have gathered since; ticks in a row with r far from its
+mean; the last v; ticks so far with the same q and v as the tick before."""
 ROWS = 13
 FIRST_TICKS = 100.0
 
@@ -134,7 +134,8 @@ def compare_readings(
             memory[REPEATS, i] += 1.0
         else:
             memory[REPEATS, i] = 0.0
-            memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[RESIDUAL, i], 0.0
+            # The mean, as in r itself the velocity that one coarse step shows has its share.
+            memory[AT_REPEAT, i], memory[UNSEEN, i] = memory[MEAN, i], 0.0
         fewest, most = min(fewest, memory[REPEATS, i]), max(most, memory[REPEATS, i])
         memory[SHOWN, i] = q[i]
     still[OLD_READINGS] += 1.0 if all_whole else 0.0

@@ -151,3 +151,17 @@ def test_momentum_is_judged_as_its_definition_says(robot: RobotModel, far_off: f
         np.testing.assert_allclose(memory[kernels.UNSEEN], gathered, rtol=1e-9, atol=1e-15)
         np.testing.assert_array_equal(memory[kernels.EXCEEDED], far)
     assert found == {kernels.NOTHING, told}
+
+
+def test_what_is_gathered_unseen_begins_at_the_mean_of_the_residual():
+    """Not at its last value, in which the velocity that one coarse step shows has its share."""
+    s, rng = MotionSettings(), np.random.default_rng(3)
+    memory, still = np.zeros((kernels.ROWS, N)), np.zeros(13)
+    memory[[kernels.RESIDUAL, kernels.MEAN, kernels.UNSEEN]] = rng.normal(size=(3, N))
+    kept = np.arange(N) < 3
+    memory[kernels.SHOWN] = np.where(kept, 0.1, 0.2)
+    unseen = memory[kernels.UNSEEN].copy()
+    q, rest = np.full(N, 0.1), np.zeros(N)
+    kernels.compare_readings(3, TAU_MAX, s.levels, memory, still, q, rest, rest, np.zeros(6), np.zeros(3), PERIOD)
+    np.testing.assert_array_equal(memory[kernels.AT_REPEAT], np.where(kept, 0.0, memory[kernels.MEAN]))
+    np.testing.assert_array_equal(memory[kernels.UNSEEN], np.where(kept, unseen, 0.0))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from moc_opt.scenario import Scenario, run
+from moc_opt.sim import Plant
 
 QUICK = {"bound_samples": 0, "judge": False}
 SMALL = {"task": {"path": "circle", "sizes": {"radius": 0.003}}}
@@ -262,6 +263,21 @@ def test_a_drift_against_a_velocity_that_is_measured_apart_is_seen(seed):
     assert max(excursion(trace)) < 5e-3
 
 
+@pytest.mark.parametrize(("robot", "joint"), [("lwr4", 1), ("panda", 0), ("gen3", 2)])
+def test_a_velocity_of_the_wrong_sign_is_seen_as_soon_as_its_joint_moves(robot, joint, monkeypatch):
+    measure = Plant.measure
+
+    def turned(plant):
+        seen = measure(plant)
+        return seen._replace(v=np.where(np.arange(seen.v.size) == joint, -1.0, 1.0) * seen.v)
+
+    monkeypatch.setattr(Plant, "measure", turned)
+    trace = run(Scenario(seed=5, robot={"name": robot}, start={"swivel": "random"}, duration_s=4.0, **QUICK))
+    assert "do not follow their velocities" in trace.meta["ended"]
+    moved = np.abs(trace.q_rad[:, joint] - trace.q_rad[0, joint])[trace.t_s <= trace.meta["stopped_at_s"]]
+    assert moved.max() < 0.01
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_sound_runs_are_not_stopped(seed):
     """Wrong masses, friction from none to twice, delay, a payload, coarse and noise-free encoders: 225 more in docs."""
@@ -277,3 +293,34 @@ def test_sound_runs_are_not_stopped(seed):
         faults={"payload_kg": 0.5 * (seed % 3 == 0)}, start={"swivel": "random"}, **QUICK,
     ))  # fmt: skip
     assert trace.meta["ended"] == "completed"
+
+
+@pytest.mark.parametrize(
+    ("robot", "seed", "control", "delay"),
+    [
+        ("xarm7", 363081978, {"preset": "tuned"}, 0),
+        ("xarm7", 1359370278, {"preset": "robust"}, 0),
+        ("panda", 656269444, {}, 2),
+    ],
+)
+def test_coarse_steps_without_noise_stop_nothing(robot, seed, control, delay):
+    """While friction and a step of 0.5 mrad hold the joints, torque and momentum change: three that used to be stopped.
+
+    Of 60 others 7 were stopped before, none is now.
+    """
+    plant = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4, "friction": 2.0, "delay_ticks": delay}
+    trace = run(Scenario(
+        seed=seed, robot={"name": robot}, control=control, start={"swivel": "random"}, plant=plant, duration_s=2.0,
+        **QUICK,
+    ))  # fmt: skip
+    assert trace.meta["ended"] == "completed"
+
+
+@pytest.mark.parametrize(("joint", "at"), [(None, 1.0), (1, 1.06), (3, 1.4)])
+def test_frozen_coarse_encoders_are_found_all_the_same(joint, at):
+    faults = {"frozen_at_s": at, "frozen_joint": joint, "frozen_velocity": "zero", "forged_stamps": True}
+    plant = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
+    trace = run(Scenario(seed=11, faults=faults, plant=plant, duration_s=3.0, **QUICK))
+    assert 0.0 < stopped(trace, at) < 0.3
+    assert max(excursion(trace)) < (0.006 if joint is None else 0.1)  # one joint: by its momentum alone
+    assert force(trace).max() < 25.0

@@ -136,6 +136,7 @@ NARROW = {"k0_per_s": 0.1, "speed_fraction": 0.15}
 """A box in which the references are infeasible for long stretches."""
 UNTOLD = {"repeat_reading_ticks": 10**6}
 """Encoders whose velocities may repeat themselves: what is frozen is found by the other signs."""
+COARSE = {"encoder_noise_rad": 0.0, "encoder_resolution_rad": 5e-4}
 RUNS: dict[str, dict[str, Any]] = {
     "sound": {},
     "tuned": {"control": {"preset": "tuned"}},
@@ -166,6 +167,8 @@ RUNS: dict[str, dict[str, Any]] = {
                            "guard": {"residual_torque": 10.0, **UNTOLD}},
     "frozen-joint-noise": {"faults": {"frozen_at_s": 0.8, "frozen_joint": 3, "frozen_velocity": "zero"},
                            "guard": {"residual_torque": 10.0, "stuck_rad_per_s": 10.0, **UNTOLD}},
+    "coarse": {"plant": COARSE},
+    "frozen-joint-coarse": {"plant": COARSE, "faults": {"frozen_at_s": 0.8, "frozen_joint": 3}},
     "frozen-wrench": {"faults": {"frozen_at_s": 0.4, "frozen_wrench": True}},
     "lagging-joint": {"faults": {"lag_at_s": 0.5, "lag_joint": 3, "lag_growth": 0.05}},
     "lagging-joint-at-once": {"faults": {"lag_at_s": 0.5, "lag_joint": 3, "lag_ticks": 12, "lag_growth": 1e-6}},
@@ -240,7 +243,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str, quickly: Callable[[]
         "frozen-told": "all encoders repeat", "frozen-joint-told": "one encoder repeats",
         "lagging-told": "all encoders repeat", "lagging-joint": "one encoder repeats",
         "lagging-joint-at-once": "one encoder lags",
-        "frozen-wrench": "the wrench sensor repeats",
+        "frozen-wrench": "the wrench sensor repeats", "frozen-joint-coarse": "an encoder repeats",
         "frozen": "measurements are more", "frozen-forged": "the encoders' positions",
         "frozen-forged-still": "all encoders repeat", "frozen-forged-rest": "all encoders repeat",
         "frozen-forged-way": "all encoders repeat", "frozen-joint": "the measured motion is not",
@@ -253,7 +256,7 @@ def test_a_run_has_the_same_torque_at_every_tick(name: str, quickly: Callable[[]
         assert ended.startswith(f"stopped: {stops[name]}")
     if name.startswith("slip"):
         assert twin.opened > 0  # of the brakes, while the trocar pressed
-    if name in ("sound", "tuned", "dcac", "bridged", "frozen-bridged"):
+    if name in ("sound", "tuned", "dcac", "bridged", "frozen-bridged", "coarse"):
         assert ended == "completed"
         assert twin.limited_ticks == 0
     if name in ("violent", "rate", "walls"):

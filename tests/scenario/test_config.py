@@ -288,6 +288,11 @@ def test_the_safety_filter_is_told_of_the_encoders():
     assert [
         Scenario(plant={"velocity_cutoff_Hz": cutoff}).told_guard.motion_lag_s for cutoff in (0.0, 50.0, 15.0)
     ] == pytest.approx([0.012, 0.012, 3.0 / (2.0 * np.pi * 15.0)])
+    # A coarse step hides what moves the joint within it.
+    plants = [{"encoder_resolution_rad": step} for step in (2.4e-5, 1e-4, 5e-4)]
+    assert [Scenario(plant=plant).told_guard.repeat_torque for plant in plants] == pytest.approx([0.06, 0.06, 0.25])
+    assert [Scenario(plant=plant).told_guard.stuck_rad_per_s for plant in plants] == pytest.approx([0.2, 0.2, 0.3])
+    assert Scenario(plant=plants[2], guard={"repeat_torque": 0.4}).told_guard.repeat_torque == 0.4
 
 
 def test_change_makes_a_copy():

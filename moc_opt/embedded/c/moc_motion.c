@@ -94,7 +94,7 @@ static int compare_joint(int i, double q, double v, double elapsed, int *all_who
         state->repeats[i] += 1.0;
     } else {
         state->repeats[i] = 0.0;
-        state->at_repeat[i] = state->residual[i];
+        state->at_repeat[i] = state->mean[i]; /* of its last value a coarse step has its share */
         state->unseen[i] = 0.0;
     }
     state->shown[i] = q;
