@@ -36,7 +36,7 @@ TOO_SHORT = f"Of fewer than {FEW} trials the intervals are too short: of three t
 SOLVER, TRIALS, OSCILLATED = (Column(name, name) for name in ("solver", "trials", "oscillated"))
 VERIFIED, WRONG = Column("verified", "verified", "%", digits=4), Column("silently_wrong", "silently wrong")
 TIMES = (Column("solve_p50_us", "p50", "us"), Column("solve_p99_us", "p99", "us"))
-MU, GAIN = Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%")
+MU, GAIN = Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%", format=".2f")
 TIP, RCM = Column("tip_error_model_mean_mm", "tip", "mm"), Column("rcm_error_model_mean_mm", "RCM", "mm")
 
 
