@@ -193,7 +193,9 @@ class Comparison:
         from moc_opt.figures import box_plots
 
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
-        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
+        unit = METRICS[metric].unit if metric in METRICS else "1"
+        said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
+        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, said)
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.
