@@ -1,1 +1,4 @@
-"""The parts of python -m benchmarks.robots: runs of one trial, and the evaluation of the rows."""
+"""The findings on every arm: what `python -m benchmarks.robots` is made of.
+
+``parts`` runs one trial and reads the rows, ``tables``, ``first_screen`` and ``report`` show them.
+"""

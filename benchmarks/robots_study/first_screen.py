@@ -43,7 +43,8 @@ def _sentences(summary: Mapping[str, Any]) -> list[str]:
     holds = [text for key, text in main.items() if all(by[key] for by in summary["findings"].values())]
     missed = {text: _missed(summary, key) for key, text in main.items()}
     fails = "; ".join(f"{text}: {', '.join(arms)}" for text, arms in missed.items() if arms)
-    said.append((f"On every arm: {'; '.join(holds)}. " if holds else "") + (f"Not on some: {fails}." if fails else ""))
+    told = f"Missed, with the arms: {fails}." if fails else ""
+    said.append((f"On every arm: {'; '.join(holds)}. " if holds else "") + told)
     rho, order = summary["ranking"]["mean"], summary["ranking"]["order"]
     best = dict.fromkeys(names[0] for names in order.values() if names)
     if rho is not None:
@@ -92,8 +93,8 @@ def _table(summary: Mapping[str, Any]) -> Table:
     ]  # fmt: skip
     return Table(
         "Every arm against DCAC with the same gains", columns, rows,
-        "✔ the finding holds, ✘ it does not. Errors in space hold the arm's calibration, which no controller sees; "
-        "own: by the arm's own kinematics, what control answers for.",
+        "✔ the finding holds by the mean, ✘ it does not; intervals are in the pictures. Errors in space hold the arm's "
+        "calibration, which no controller sees; own: by the arm's own kinematics, what control answers for.",
     )  # fmt: skip
 
 
@@ -110,12 +111,13 @@ def _pictures(summary: Mapping[str, Any]) -> Sequence[Picture]:
     """Draw gain, tip and RCM error of every arm with their intervals, coloured by whether the finding holds."""
     asked = {
         "gains": ("gain of mean mu [%]", {"no gain": 0.0, "goal": LEAST_GAIN_PERCENT},
-                  "Gain in mu over DCAC with its 95 % interval over the trials: {} of {} arms lie right of the goal."),
+                  "Gain in mu over DCAC with its 95 % interval over the trials: {} of {} arms lie right of the goal by "
+                  "their mean."),
         "tip": ("change of the settled tip error [%]", {"goal": MOST_CHANGE_PERCENT},
-                "Change of the tip error once no elbow moves: {} of {} arms stay left of the goal."),
+                "Change of the tip error once no elbow moves: {} of {} arms stay left of the goal by their mean."),
         "rcm": ("change of the settled RCM error [%]", {"goal": MOST_CHANGE_PERCENT},
-                "Change of the RCM error from the registered trocar: {} of {} arms stay left of the goal; what of it "
-                "is calibration, the last column of the table says."),
+                "Change of the RCM error from the registered trocar: {} of {} arms stay left of the goal by "
+                "their mean; what of it is calibration, the last column of the table says."),
     }  # fmt: skip
     found = []
     for key, (x_label, limits, says) in asked.items():

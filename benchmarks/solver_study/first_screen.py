@@ -24,6 +24,10 @@ NONLINEAR_TOLD = (
     "; ≠ answers the nonlinear problem of the tick, about 1e-3 m/s off the linear one that the judge knows: right in "
     "its own way"
 )
+DAMAGE_TOLD = (
+    "; worst damage: in closed loop, against the solver to take on the same trials (not DCAC); none: within what "
+    "counts as equal"
+)
 COLORS = {mark: color for mark, color in zip(
     (TAKE, SOUND, GAPS, NEAR, OTHER, AVOID), (GOOD, GOOD, list(SERIES)[4], list(SERIES)[4], MUTED, WORST), strict=True,
 )}  # fmt: skip
@@ -65,7 +69,8 @@ def table(summary: Mapping[str, Any], rows: Sequence[Row]) -> Table:
     ]  # fmt: skip
     return Table(
         "Solvers under the settings we recommend, best first", columns, rows,
-        LEGEND + (NONLINEAR_TOLD if any(row["verdict"] is OTHER for row in rows) else ""),
+        LEGEND + (NONLINEAR_TOLD if any(row["verdict"] is OTHER for row in rows) else "")
+        + (DAMAGE_TOLD if trials else ""),
     )
 
 

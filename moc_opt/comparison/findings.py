@@ -36,7 +36,7 @@ TOO_SHORT = f"Of fewer than {FEW} trials the intervals are too short: of three t
 SOLVER, TRIALS, OSCILLATED = (Column(name, name) for name in ("solver", "trials", "oscillated"))
 VERIFIED, WRONG = Column("verified", "verified", "%", digits=4), Column("silently_wrong", "silently wrong")
 TIMES = (Column("solve_p50_us", "p50", "us"), Column("solve_p99_us", "p99", "us"))
-MU, GAIN = Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%")
+MU, GAIN = Column("mu_mean", "mu", "m^3"), Column("gain", "gain", "%", format=".2f")
 TIP, RCM = Column("tip_error_model_mean_mm", "tip", "mm"), Column("rcm_error_model_mean_mm", "RCM", "mm")
 
 
@@ -193,7 +193,9 @@ class Comparison:
         from moc_opt.figures import box_plots
 
         samples = {name: list(self.values(name, metric).values()) for name in self.solvers}
-        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, metric)
+        unit = METRICS[metric].unit if metric in METRICS else "1"
+        said = metric if unit == "1" or metric.endswith(f"_{unit}") else f"{metric} [{unit}]"
+        return box_plots({name: {"all trials": data} for name, data in samples.items() if data}, said)
 
     def to_pandas(self) -> DataFrame:
         """Return a pandas.DataFrame with one row a run: solver, seed, ended, then every metric.

@@ -11,8 +11,9 @@ from moc_opt.errors import RobotError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 
-RANK_TOLERANCE = 1e-6
-"""Of the largest singular value."""
+HELD = 1e-6
+"""A singular value below this share of the largest holds nothing. Coarser than the rule of ``qp.residuals``, which
+decides for one tick: here random poses are asked how many freedoms an arm is built with."""
 
 
 class Freedoms(NamedTuple):
@@ -62,7 +63,7 @@ def freedoms(robot: RobotModel, q: ArrayLike) -> Freedoms:
     state = robot.state(q)
     idle = tuple(int(j) for j in np.flatnonzero(~robot.moves.any(axis=0)))
     tip, both = (np.linalg.svd(J, compute_uv=False) for J in (state.J_tip, state.A))
-    rank = int(np.sum(both > RANK_TOLERANCE * both[0]))
+    rank = int(np.sum(both > HELD * both[0]))
     five = float(both[4] / both[0]) if len(both) > 4 else 0.0
     return Freedoms(rank, robot.n - rank - len(idle), idle, float(tip[-1] / tip[0]), five)
 

@@ -11,7 +11,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.manipulability_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
-from moc_opt.report.run_table import part, refusals, run_table, warnings
+from moc_opt.report.run_table import below_best, part, refusals, run_table, warnings
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 from moc_opt.trace.views import about, table
@@ -37,9 +37,12 @@ def run_page(
         raise ReportError("no run: give one trace or more")
     styles, page = Styles(traces), Page(title or " and ".join(traces), f"{robot.data.name}, simulated")
     page.section("How it ended")
-    for name, trace in traces.items():
+    for name in sorted(traces, key=lambda name: name not in metrics):  # what was asked for before its baseline
+        trace = traces[name]
         told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
         told += [f"Asked for: {asked(trace)}."] if asked(trace) else []
+        below = below_best(trace) if name in metrics else ""
+        told += [f"{below[0].upper()}{below[1:]}."] if below else []
         page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
     page.section("What to look at first")
     short = {name: run_table(name, traces[name], values, first=True) for name, values in metrics.items()}

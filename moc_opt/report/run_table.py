@@ -150,7 +150,7 @@ def run_table(
         says = MATTER[metric] if first else pretty_units(METRICS[metric].about) if metric in METRICS else ""
         rows.append({"metric": marked, "value": shown, "says": says})
         if metric == "mu_fraction_of_bound" and METHOD in trace.meta:
-            rows.append({"metric": METHOD, "value": str(trace.meta[METHOD])})
+            rows.append({"metric": METHOD, "value": str(trace.meta[METHOD]), "says": "How the largest mu was found."})
     columns = [Column("metric", "metric"), Column("value", "value")]
     columns += [Column("says", "what it says")] if first or explained else []
     told = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []

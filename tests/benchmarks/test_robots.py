@@ -117,7 +117,7 @@ def test_the_first_screen_says_what_holds_where() -> None:
     first = answer(summarise(rows))
     assert "with `exact` over DCAC with the same gains [%], 3 random poses" in first.sentences[0]
     assert "a 21 [20" in first.sentences[0]
-    holds, fails = first.sentences[1].split("Not on some:")
+    holds, fails = first.sentences[1].split("Missed, with the arms:")
     assert FINDINGS["tip"] in holds
     assert f"{FINDINGS['gains']}: b (+6 %)" in fails
     assert f"{FINDINGS['rcm']}: b (+110 %)" in fails

@@ -112,6 +112,8 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
     assert len(frame) == 6
     assert {"solver", "seed", "ended", "mu_mean"} <= set(frame.columns)
     assert len(found.plot("mu_mean").data) == 3
+    assert found.plot("mu_mean").layout.yaxis.title.text == "mu_mean [m³]"
+    assert found.plot("tip_error_max_mm").layout.yaxis.title.text == "tip_error_max_mm"
     with pytest.raises(UnknownNameError, match="unknown metric 'mu_maen': did you mean 'mu_mean'"):
         found.plot("mu_maen")
 

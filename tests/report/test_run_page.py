@@ -62,6 +62,16 @@ def test_a_run_that_cannot_be_mapped_has_its_curves(robot):
     assert "stopped: too far off" in html
 
 
+def test_the_run_comes_before_its_baseline_and_says_what_it_misses(robot):
+    t = np.linspace(0.0, 1.0, 20)
+    plain = Trace({"t_s": t, "mu": 0.1 + 0.0 * t}, {"ended": "completed"})
+    own = Trace({"t_s": t, "mu": 0.2 + 0.0 * t, "mu_best_from_start": 0.25 + 0.0 * t}, {"ended": "completed"})
+    html = run_page({"plain": plain, "own": own}, {"own": {"mu_mean": 0.2}}, robot).html()
+    assert html.index("own completed.") < html.index("plain completed.")
+    assert "Mean mu is 20.0 % below the best course from this start." in html
+    assert html.count("below the best course") == 1
+
+
 def _run(law="moc", ended="completed", ticks=2, solver="osqp"):
     scenario = {
         "seed": 5, "task": {"path": "line"}, "control": {"law": law, "gains": "tuned"}, "solver": {"name": solver},

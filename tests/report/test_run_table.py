@@ -44,6 +44,7 @@ def test_the_share_of_the_largest_mu_comes_with_how_that_was_found():
     found = trace(mu_bound_method="best found of 96 starts")
     rows = run_table("rail", found, figures).rows
     assert [row["metric"] for row in rows[1:3]] == ["mu_fraction_of_bound", "mu_bound_method"]
+    assert rows[2]["says"]
     assert rows[2]["value"] == run_json(found, figures)["mu_bound_method"] == "best found of 96 starts"
     assert "mu_bound_method" not in run_json(trace(), figures)
 

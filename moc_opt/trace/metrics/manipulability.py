@@ -22,9 +22,10 @@ def mu_final(trace: Trace) -> float:
 
 @metric("percent")
 def mu_gain_percent(trace: Trace, baseline: Trace | None) -> float:
-    """Mean manipulability above that of the baseline [percent of it]; of two third levels compare `mu_mean`.
+    """Mean manipulability above the baseline's [percent of it]; between runs compare mu_mean.
 
-    The baseline of a run along a course has the course's observer gain, that of a climb the climb's.
+    The baseline of a run along a course has the observer gain of the course, that of a climb the gain of the climb: so
+    two third levels are not compared by their gains over different baselines.
     """
     if baseline is None:
         raise MissingDataError("mu_gain_percent needs a baseline: give the trace of DCAC on the same trial")
