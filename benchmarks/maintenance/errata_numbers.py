@@ -134,9 +134,9 @@ def true_lambdas(arm: Arm, off_m: float = 0.002) -> list[float]:
         across /= np.linalg.norm(across)
         for task in BOARD_TASKS.values():
             trocar = s.tip - task.depth_m * s.tool_direction + off_m * across
-            wish, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            desired, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
             distance = float(shaft_distance(s.tip, s.wrist, trocar))
-            found.append(distance / float(np.linalg.norm(s.wrist - wish)))
+            found.append(distance / float(np.linalg.norm(s.wrist - desired)))
     return found
 
 

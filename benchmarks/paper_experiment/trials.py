@@ -122,7 +122,7 @@ def variant(trial: Scenario, controller: str, settings: Mapping[str, Any] | None
         return trial.change(control={"law": "dcac", "gains": "dcac", **dict.fromkeys(GAINS)})
     table = control.matched_dcac()
     if controller == DAMPED:
-        # As much damping as MOC's third level gives where its wish is rest.
+        # As much damping as MOC's third level gives where its desired is rest.
         data = load_data(trial.robot.name)
         moc = control.resolve_gains(data.gains, data.n)
         table = {**table, "dcac_damping": (moc.K_N2 + moc.D_N2).tolist()}

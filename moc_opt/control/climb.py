@@ -45,7 +45,7 @@ class ScaledClimb:
     def start(self) -> None:
         """Do nothing: nothing is remembered."""
 
-    def wish(self, state: RobotState) -> Array:
+    def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s]; zero at a top of mu, and where the pose is singular."""
         slope = self._slope(state)
         steepness = float(np.sqrt(slope @ slope))

@@ -211,7 +211,7 @@ class Controller:
         if not self._prepare_third_level(state.record, self._law, tip_ref, trocar, self._Z, row):
             self._Z = null_space(state.A, like=self._Z)
         if self._guide is not None:  # in the place of grad mu
-            row[self._gradient] = self.settings.regularization / self.settings.c2 * self._guide.wish(state)
+            row[self._gradient] = self.settings.regularization / self.settings.c2 * self._guide.desired_velocity(state)
         self.subproblem = qp = NullSpaceQP.from_row(row)
         v = state.v if self._observes else None
         self.solution, self.answer = self._supervisor.solve(session, qp, self._Z, v)

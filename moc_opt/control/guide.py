@@ -18,5 +18,5 @@ class Guide(Protocol):
     def start(self) -> None:
         """Begin at t = 0."""
 
-    def wish(self, state: RobotState) -> Array:
+    def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; its part outside ker A has no effect. Called once a tick."""

@@ -196,8 +196,8 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
             room = min(room, max(x[j] - lower[j], 0.0))
         elif push < -still * abs(slope):
             room = min(room, max(upper[j] - x[j], 0.0))
-    wish = pull / rho if rho > 0.0 else np.inf
-    best, worst = min(max(wish - place, low), high), min(max(-wish - place, low), high)
+    desired = pull / rho if rho > 0.0 else np.inf
+    best, worst = min(max(desired - place, low), high), min(max(-desired - place, low), high)
     natural = min(abs(slope) / total, room)
     if several and natural <= PASSES:
         return primal, outside, natural, 0.0, 0.0

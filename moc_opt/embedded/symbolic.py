@@ -154,8 +154,9 @@ class _Law:
         ddN_d = ddX_d + self.span * ((pull - ca.dot(e, pull) * e) / distance - ca.dot(turn, turn) * e)
         across = ca.vertcat(*((at.R @ ca.SX(b)).T for b in _across(self.arm.offsets[0] - self.arm.offsets[1])))
         A5 = ca.vertcat(at.J_tip, across @ at.J_wrist)
-        wish = ca.vertcat(ddX_d - dynamics.drift(at, at.J_tip, v), across @ (ddN_d - dynamics.drift(at, at.J_wrist, v)))
-        return factor @ _orthogonal_effort(ca.solve(factor, A5.T), wish)
+        tip, wrist = ddX_d - dynamics.drift(at, at.J_tip, v), ddN_d - dynamics.drift(at, at.J_wrist, v)
+        desired = ca.vertcat(tip, across @ wrist)
+        return factor @ _orthogonal_effort(ca.solve(factor, A5.T), desired)
 
     def _third_level(self, solver: Solver | None) -> None:
         """Compute the null space and, under MOC, the solver's answer; the torque that follows it is `moc_level3.c`.
@@ -186,8 +187,8 @@ class _Law:
         """Build this tick's subproblem, see `moc_opt.control.tick.fill_subproblem`, and answer it."""
         robot, settings, q = self.robot, self.settings, self.s["q"]
         v_tip = self.s["tip_ref"][3:6]
-        _, wish = self._desired_wrist(v_tip)
-        gap = v_tip - wish
+        _, desired = self._desired_wrist(v_tip)
+        gap = v_tip - desired
         v_wrist = v_tip - ca.dot(b1, gap) * b1 - ca.dot(b2, gap) * b2  # a rigid tool keeps its length
         # b1, b2, u are right-handed: b1 . omega = -b2 . (v_T - v_W)/L and b2 . omega = b1 . (v_T - v_W)/L.
         rates = ca.vertcat(-ca.dot(b2, gap), ca.dot(b1, gap)) / self.span
@@ -225,28 +226,28 @@ def _tool_pose(robot: RobotModel, at: dynamics.Points) -> SX:
     return ca.vertcat(*(at.R @ ca.SX(axis) for axis in without_dust(robot.mount)), at.tip)
 
 
-def _orthogonal_effort(Y: SX, wish: SX) -> SX:
-    """Compute the shortest y with Y^T y = wish for Y (n,5); the wrist's harder direction as `control.feedforward`."""
+def _orthogonal_effort(Y: SX, desired: SX) -> SX:
+    """Compute the shortest y, Y^T y = desired, for Y (n,5); the wrist's harder direction as `control.feedforward`."""
     columns: list[SX] = ca.horzsplit(Y)
-    wishes: list[SX] = ca.vertsplit(wish)
+    entries: list[SX] = ca.vertsplit(desired)
     effort: SX = ca.SX.zeros(Y.shape[0])
     tip: list[tuple[SX, SX]] = []
     for i in range(5):
         for unit, share in tip:
             along = ca.dot(unit, columns[i])
-            wishes[i] = wishes[i] - along * share
+            entries[i] = entries[i] - along * share
             columns[i] = columns[i] - along * unit
         if i < 3:
             length = ca.norm_2(columns[i])
-            tip.append((columns[i] / length, wishes[i] / length))
+            tip.append((columns[i] / length, entries[i] / length))
             effort = effort + tip[i][1] * tip[i][0]
     one, other = columns[3:]
     product, gap = ca.dot(one, other), ca.dot(one, one) - ca.dot(other, other)
     size = ca.fabs(gap) + ca.sqrt(gap * gap + 4 * product * product)
     tangent = ca.if_else(gap >= 0, 2, -2) * product / ca.if_else(size > 0, size, 1)
     turned = (
-        (one + tangent * other, wishes[3] + tangent * wishes[4]),
-        (other - tangent * one, wishes[4] - tangent * wishes[3]),
+        (one + tangent * other, entries[3] + tangent * entries[4]),
+        (other - tangent * one, entries[4] - tangent * entries[3]),
     )
     mobilities = [ca.dot(row, row) for row, _ in turned]
     for (row, share), mobility in zip(turned, mobilities, strict=True):

@@ -61,16 +61,16 @@ class Follower:
         """When the course was left [s], and what `Receding.told` has since; empty where it was not."""
         return {"left_course_s": self._lost_s, **self._rescue.told} if self._rescue and self._lost_s < np.inf else {}
 
-    def wish(self, state: RobotState) -> Array:
+    def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         if self._rescue is not None and self._lost_s < np.inf:
-            return self._rescue.wish(state)
+            return self._rescue.desired_velocity(state)
         k, tick = min(self._tick, len(self._q) - 1), self._tick
         off = self._q[k] - state.q
         lost = self._rescue is not None and tick % ASKED_EACH == 0 and np.abs(off).max() > LOST_RAD
         if self._rescue is not None and lost and self._rescue.begin(state.q, tick):
             self._lost_s = tick * self._period
-            return self._rescue.wish(state)
+            return self._rescue.desired_velocity(state)
         self._tick += 1
         found: Array = self._v[k] + self._gain * off
         return found

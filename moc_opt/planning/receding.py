@@ -24,7 +24,7 @@ from moc_opt.planning.to_go import NEARBY_RAD, ToGo
 
 NODES = 10
 """Times of the nonlinear program after the measured pose."""
-HURRY = 1.03
+CATCH_UP = 1.03
 """Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up."""
 MOST_OFF = 1e-3
 """Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
@@ -103,7 +103,7 @@ class Receding:
         median, high = np.percentile(times, [50.0, 99.0]).tolist()
         return {"solves": len(self.solve_s), "kept": self.kept, "solve_ms_median": median, "solve_ms_p99": high}
 
-    def wish(self, state: RobotState) -> Array:
+    def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         t = self._tick * self._period
         if self._tick and self._tick % self._every == 0:
@@ -115,8 +115,8 @@ class Receding:
         (q_0, v_0), (q_1, v_1) = self._before.at(t), self._answer.at(t)
         q, v = (1.0 - part) * q_0 + part * q_1, (1.0 - part) * v_0 + part * v_1
         self._tick += 1
-        wish: Array = v + self._gain * (q - state.q)
-        return wish
+        desired: Array = v + self._gain * (q - state.q)
+        return desired
 
     def _solve(self, q: Array, t: float) -> Answer | None:
         """Return the course from a pose at a time; the last one where no answer is usable, or the path is over."""
@@ -130,7 +130,7 @@ class Receding:
         return self._answer if found is None else found
 
     def _found(self, q: Array, t: float, end: int) -> Answer | None:
-        way = self._to_go.way(q, t, end, HURRY)
+        way = self._to_go.way(q, t, end, CATCH_UP)
         if way is None:
             return None
         times, poses, branch, sample = way

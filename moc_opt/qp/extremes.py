@@ -124,18 +124,18 @@ def nonnegative_least_squares(E: Array, f: Array) -> Array:
             if gain[j] <= ROUNDING:
                 return u
             free[j] = True
-            wish = _least_squares(E, f, free)
-            if wish[j] > 0.0:
+            desired = _least_squares(E, f, free)
+            if desired[j] > 0.0:
                 break
             free[j], gain[j] = False, -np.inf  # it gained by rounding only
-        while wish[free].min() <= 0.0:
-            falling = free & (wish <= 0.0)
-            share = (u[falling] / (u[falling] - wish[falling])).min()
-            u = u + share * (wish - u)
+        while desired[free].min() <= 0.0:
+            falling = free & (desired <= 0.0)
+            share = (u[falling] / (u[falling] - desired[falling])).min()
+            u = u + share * (desired - u)
             free &= u > ROUNDING
             u[~free] = 0.0
-            wish = _least_squares(E, f, free)
-        u = wish
+            desired = _least_squares(E, f, free)
+        u = desired
     return u
 
 

@@ -92,12 +92,12 @@ class SwivelCurve:
         turned = start + self._sign * np.mod(self._sign * (swivels - start), 2.0 * np.pi)
         known = self._sign * (self._angles[-1] - turned) >= 0.0
         found = np.full((len(swivels), self._curve.q.shape[1]), np.nan)
-        wish, aim = turned[known], turned[known]
+        desired, aim = turned[known], turned[known]
         poses = found[known]
         for _ in range(3):  # the spline between samples is straight: correct by the remaining error
             fractions = np.interp(self._sign * np.asarray(aim), self._sign * self._angles, self._along)
             poses = np.array([self._curve.at(float(f)) for f in fractions]).reshape(poses.shape)
-            missed = wish - self._elbow.swivel(poses)
+            missed = desired - self._elbow.swivel(poses)
             aim = aim + np.mod(missed + np.pi, 2.0 * np.pi) - np.pi
         found[known] = poses
         return found

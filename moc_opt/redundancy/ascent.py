@@ -38,15 +38,15 @@ def look(arm: Constraint, q: Array, error: Array, a: Array, grad: Array) -> floa
 
 @njit(cache=True)
 def allowed(
-    arm: Constraint, q: Array, a: Array, error: Array, wish: Array, near: float, step: Array
+    arm: Constraint, q: Array, a: Array, error: Array, desired: Array, near: float, step: Array
 ) -> None:
-    """Compute the step (n,) nearest to the wish that moves tip and wrist by the error and leads to no limit.
+    """Compute the step (n,) nearest to the desired one that moves tip and wrist by the error and leads to no limit.
 
     No joint within ``near`` of a limit goes towards it. An active-set method: joints that would leave are held, and
     one that its multiplier draws inwards is let go.
     """
     n = q.shape[0]
-    part, still = a.copy(), wish.copy()
+    part, still = a.copy(), desired.copy()
     held = np.zeros(n)
     for _ in range(4 * n):
         S = gram(part)
@@ -55,7 +55,7 @@ def allowed(
             S[row, row] += DAMPING * trace + 1e-14
         force = error - times(part, still)
         solve_in_place(cholesky(S), force)
-        free = wish + transpose_times(a, force)
+        free = desired + transpose_times(a, force)
         left, drawn, most = False, -1, 0.0
         for j in range(n):
             step[j] = free[j] * (1.0 - held[j])
@@ -72,7 +72,7 @@ def allowed(
             continue
         if drawn < 0:
             return
-        held[drawn], still[drawn] = 0.0, wish[drawn]
+        held[drawn], still[drawn] = 0.0, desired[drawn]
         part[:, drawn] = a[:, drawn]
 
 
@@ -81,12 +81,12 @@ def place(arm: Constraint, q: Array, rounds: int) -> bool:
     """Move q (n,) inside its limits onto tip and wrist by Newton's method; whether it came there."""
     n = q.shape[0]
     error, a, grad = np.empty(6), np.empty((6, n)), np.empty(n)
-    wish, step = np.zeros(n), np.empty(n)
+    desired, step = np.zeros(n), np.empty(n)
     for _ in range(rounds):
         look(arm, q, error, a, grad)
         if np.abs(error).max() < TOLERANCE:
             return True
-        allowed(arm, q, a, error, wish, 0.0, step)
+        allowed(arm, q, a, error, desired, 0.0, step)
         length = np.abs(step).max()
         if not length > 1e-13:
             return False

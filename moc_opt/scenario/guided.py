@@ -15,7 +15,7 @@ from moc_opt.planning.follow import Follower
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.pose_map import Margin
-from moc_opt.planning.receding import HURRY, NODES, Receding
+from moc_opt.planning.receding import CATCH_UP, NODES, Receding
 from moc_opt.planning.refine import SETTLED_S, refine
 from moc_opt.planning.shaft import COURSE_SHARE, keeping_shaft
 from moc_opt.planning.targets import Targets
@@ -26,8 +26,8 @@ from moc_opt.scenario.planned import margin_of, targets_of
 
 V_PERIOD_S = 0.1
 """Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
-FINER = 20
-"""Times as close are the targets that the horizon is interpolated from."""
+TARGETS_PER_TIME = 20
+"""Targets between two times of that map: the horizon interpolates between them."""
 SPEEDS = (1.0, 0.7, 0.4)
 """Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one may go
 without braking."""
@@ -72,8 +72,9 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
         TaskError: no smooth course was found at the start.
     """
     settings, period = scenario.control, scenario.plant.period_s
-    fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=FINER)
-    path = Targets(fine.t_s[::FINER], fine.tip[::FINER], fine.wrist[::FINER], fine.arc_length_m[::FINER])
+    fine = targets_of(robot, layout, period_s=V_PERIOD_S, finer=TARGETS_PER_TIME)
+    each = slice(None, None, TARGETS_PER_TIME)
+    path = Targets(fine.t_s[each], fine.tip[each], fine.wrist[each], fine.arc_length_m[each])
     smooth, found = SMOOTHNESS["receding"], map_of(robot, layout.q, path)
     shaft = COURSE_SHARE * settings.shaft_margin
     lowered = keeping_shaft(found, robot, shaft)
@@ -87,7 +88,7 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
         else:
             raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
         horizon = Horizon(
-            robot, NODES, mu=usual, margin=margin, speed=HURRY * share * robot.v_max, smoothness=smooth, brake=brake,
+            robot, NODES, mu=usual, margin=margin, speed=CATCH_UP * share * robot.v_max, smoothness=smooth, brake=brake,
             shaft_margin=shaft,
         )  # fmt: skip
         return lambda: Receding(  # one program, of which each controller makes a solver of its own

@@ -37,7 +37,7 @@ class HandSettings(Settings):
 class Hand:
     """A spring and a damper to the goal, with a slow correction; the force is bounded.
 
-    force = D (wish - velocity) + f, |force| <= force_max, where the wish is a velocity towards the goal,
+    force = D (desired - velocity) + f, |force| <= force_max, where desired is a velocity towards the goal,
     (stiffness/D) times the distance, cut at speed_max, and f grows by correction stiffness distance a second until
     the hand has arrived, as a person pulls harder when the tip stops short.
     """
@@ -58,8 +58,8 @@ class Hand:
         distance = math.sqrt(float(way @ way))
         if not math.isfinite(distance + float(velocity @ velocity)):
             raise PlantError(f"the hand lost the tool at {place.tolist()} m: the arm ran away")
-        wish = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
-        pull = hand.damping_Ns_per_m * (wish - velocity) + self._extra
+        desired = _cut(hand.stiffness_N_per_m / hand.damping_Ns_per_m * way, hand.speed_max_m_per_s)
+        pull = hand.damping_Ns_per_m * (desired - velocity) + self._extra
         force = _cut(pull, hand.force_max_N)
         # More only near the goal, and not beyond what the arm has strength for, or it would overshoot by far;
         # less at any place, or a tool that comes loose would be pushed past the goal for ever.

@@ -25,31 +25,31 @@ def test_near_a_top_the_wish_is_the_way_to_it(robot: RobotModel) -> None:
     assert 40 < top < len(q) - 40, "the top is inside the joint limits"
     for off in (-12, -5, 5, 12):
         state = robot.state(q[top + off])
-        wish = climb.wish(state)
+        desired = climb.desired_velocity(state)
         way = np.linalg.norm(np.diff(q[min(top, top + off) : max(top, top + off) + 1], axis=0), axis=1).sum()
-        assert np.linalg.norm(wish) / RATE_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
-        assert wish @ (q[top] - state.q) > 0.0
+        assert np.linalg.norm(desired) / RATE_PER_S == pytest.approx(way, rel=0.2, abs=0.01)
+        assert desired @ (q[top] - state.q) > 0.0
 
 
 def test_the_wish_moves_neither_tip_nor_wrist_climbs_and_is_never_longer_than_told(robot: RobotModel) -> None:
     rng, climb, longest = np.random.default_rng(0), ScaledClimb(robot), 0
     for _ in range(50):
         state = robot.state(robot.random_regular_pose(rng, margin=0.1))
-        wish = climb.wish(state)
-        length = float(np.linalg.norm(wish))
-        assert np.abs(state.A @ wish).max() < 1e-9 * max(length, 1.0)
-        assert state.grad_mu @ wish > 0.0
+        desired = climb.desired_velocity(state)
+        length = float(np.linalg.norm(desired))
+        assert np.abs(state.A @ desired).max() < 1e-9 * max(length, 1.0)
+        assert state.grad_mu @ desired > 0.0
         assert length <= RATE_PER_S * LONGEST_RAD * (1.0 + 1e-9)
         longest += length > 0.99 * RATE_PER_S * LONGEST_RAD
         flat = on_self_motion(state.A, state.tool_direction, state.grad_mu)
-        np.testing.assert_allclose(wish / length, flat / np.linalg.norm(flat), atol=1e-9)
+        np.testing.assert_allclose(desired / length, flat / np.linalg.norm(flat), atol=1e-9)
     assert longest > 3, "where mu curves upwards the step is the longest"
 
 
 @pytest.mark.parametrize("bend", [0.0, 1e-12])
 def test_where_there_is_no_slope_there_is_no_wish(robot: RobotModel, bend: float) -> None:
-    wish = ScaledClimb(robot).wish(robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0])))
-    np.testing.assert_array_equal(wish, np.zeros(7))
+    desired = ScaledClimb(robot).desired_velocity(robot.state(np.array([0.2, 0.0, 0.0, bend, 0.0, 0.0, 0.0])))
+    np.testing.assert_array_equal(desired, np.zeros(7))
 
 
 def test_its_speed_does_not_depend_on_rho_and_the_gradients_does() -> None:
@@ -68,18 +68,18 @@ def test_without_rho_it_is_refused() -> None:
 
 
 def test_close_to_where_the_shaft_is_lost_it_leads_away_from_there(robot: RobotModel) -> None:
-    """The wish differs only inside the margin: there some climbs that led towards losing the shaft are turned round."""
+    """The climb differs only inside the margin: there some that led towards losing the shaft are turned round."""
     rng, inside, turned = np.random.default_rng(1), 0, 0
     plain, kept = ScaledClimb(robot), ScaledClimb(robot, 0.05)
     for _ in range(200):
         state = robot.state(robot.random_regular_pose(rng, margin=0.1))
-        wish, other = plain.wish(state), kept.wish(state)
+        desired, other = plain.desired_velocity(state), kept.desired_velocity(state)
         if state.mu_shaft >= 0.0501:
-            np.testing.assert_array_equal(wish, other)
+            np.testing.assert_array_equal(desired, other)
         elif 0.01 < state.mu_shaft < 0.03:
             inside += 1
             away = on_self_motion(state.A, state.tool_direction, state.grad_mu_shaft)
-            assert other @ away > 0.0 or wish @ away <= 0.0, "the push turns no climb round that led away already"
-            turned += wish @ away < 0.0 < other @ away
+            assert other @ away > 0.0 or desired @ away <= 0.0, "the push turns no climb round that led away already"
+            turned += desired @ away < 0.0 < other @ away
     assert inside > 10
     assert turned > 3

@@ -86,8 +86,8 @@ def test_gains_of_the_third_level_are_one_per_joint(robot, regular_poses):
             controller, _, tip_ref, trocar = started(robot, solver, state, **{**QUIET, **extra})
             plain, *_ = started(robot, None, state, **QUIET)
             found = controller.tick(state, tip_ref, trocar) - plain.tick(state, tip_ref, trocar)
-            wish = -D * state.v if solver is None else K * (controller.answer - state.v) - D * state.v
-            wanted = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ wish
+            desired = -D * state.v if solver is None else K * (controller.answer - state.v) - D * state.v
+            wanted = M @ Z.T @ np.linalg.inv(Z @ M @ Z.T) @ Z @ desired
             np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-8)
 
 
@@ -490,9 +490,9 @@ def test_torque_limits_hold(robot):
     assert (np.abs(tau) <= robot.tau_max).all()
     assert (np.abs(tau) == robot.tau_max).any()
     free, *_ = started(robot, limit_torque=False)
-    wish = free.tick(state, tip_ref, trocar)
-    assert (np.abs(wish) > robot.tau_max).any()
-    np.testing.assert_array_equal(tau, np.clip(wish, -robot.tau_max, robot.tau_max))
+    desired = free.tick(state, tip_ref, trocar)
+    assert (np.abs(desired) > robot.tau_max).any()
+    np.testing.assert_array_equal(tau, np.clip(desired, -robot.tau_max, robot.tau_max))
 
 
 def test_observer_sees_the_limited_torque(robot):

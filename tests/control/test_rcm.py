@@ -136,10 +136,10 @@ def test_rcm_error_is_proportional_to_the_wrist_error(seed, angle, depth):
     across = np.cross(u, unit(rng))
     across /= np.linalg.norm(across)
     trocar = tip + depth * (-np.cos(angle) * u + np.sin(angle) * across)
-    wish, _ = desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), span)
+    desired, _ = desired_wrist(tip, np.zeros(3), trocar, np.zeros(3), span)
     factor = depth / span * np.cos(angle / 2.0)
     d = float(shaft_distance(tip, wrist, trocar))
-    assert d == pytest.approx(factor * np.linalg.norm(wrist - wish), rel=1e-9, abs=1e-12)
+    assert d == pytest.approx(factor * np.linalg.norm(wrist - desired), rel=1e-9, abs=1e-12)
 
 
 @BOTH
@@ -152,9 +152,9 @@ def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
         s = robot.state(q, rng.uniform(-1.0, 1.0, 7))
         trocar = shifted_trocar(s, rng)
         found = tracking(s, tip_ref, trocar, form, gains=gains, rcm_lambda=rcm_lambda) - s.h
-        wish, speed = desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
+        desired, speed = desired_wrist(s.tip, s.J_tip @ s.v, trocar[0], trocar[1], s.tool_span)
         d = np.linalg.norm(np.cross(trocar[0] - s.tip, s.tool_direction))
-        force = 800.0 * d / rcm_lambda * (wish - s.wrist) / np.linalg.norm(wish - s.wrist)
+        force = 800.0 * d / rcm_lambda * (desired - s.wrist) / np.linalg.norm(desired - s.wrist)
         force += 10.0 * (speed - s.J_wrist @ s.v)
         wanted = project("dynamic", s, s.J_wrist.T @ force)
         np.testing.assert_allclose(found, wanted, rtol=1e-8, atol=1e-8)
@@ -163,8 +163,8 @@ def test_published_error_of_the_wrist(form, rcm_lambda, robot, regular_poses):
 def test_published_error_is_ours_where_lambda_is_the_true_one(robot):
     s = robot.state(robot.data.q_home, np.full(7, 0.1))
     trocar = shifted_trocar(s, np.random.default_rng(2))
-    wish, _ = desired_wrist(s.tip, s.tip * 0.0, trocar[0], trocar[1], s.tool_span)
-    true = float(shaft_distance(s.tip, s.wrist, trocar[0])) / np.linalg.norm(s.wrist - wish)
+    desired, _ = desired_wrist(s.tip, s.tip * 0.0, trocar[0], trocar[1], s.tool_span)
+    true = float(shaft_distance(s.tip, s.wrist, trocar[0])) / np.linalg.norm(s.wrist - desired)
     for number in range(3):
         ours, theirs = (
             tracking(s, np.zeros((3, 3)), trocar, gains=NO_TIP, projector=number, rcm_lambda=value)
@@ -179,10 +179,10 @@ def test_wrist_is_accelerated_towards_where_it_belongs(robot, regular_poses):
         s = robot.state(q)
         trocar = shifted_trocar(s, rng)
         trocar[1] = 0.0
-        wish, _ = desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
+        desired, _ = desired_wrist(np.array(s.tip), np.zeros(3), trocar[0], trocar[1], s.tool_span)
         tau = level_two(s, trocar, law.DYNAMIC)
         acceleration = s.J_wrist @ np.linalg.solve(s.M, tau)
-        assert acceleration @ (wish - s.wrist) > 0.0
+        assert acceleration @ (desired - s.wrist) > 0.0
 
 
 def test_no_torque_when_the_shaft_goes_through_the_trocar(robot, regular_poses):

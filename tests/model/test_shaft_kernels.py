@@ -28,13 +28,13 @@ def test_desired_wrist_velocity_is_the_derivative(kernel, seed):
     sway = 0.3 * distance * unit(rng)  # never as far as the trocar
     span, t, step = 0.378, rng.uniform(0.0, 3.0), 1e-5
 
-    def wish(time):
+    def desired(time):
         tip, velocity = start + sway * np.sin(rate * time), sway * rate * np.cos(rate * time)
         p, dp = trocar.at(time)
         return kernel(tip, velocity, p, dp, span)
 
-    slope = (wish(t + step)[0] - wish(t - step)[0]) / (2.0 * step)
-    np.testing.assert_allclose(wish(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
+    slope = (desired(t + step)[0] - desired(t - step)[0]) / (2.0 * step)
+    np.testing.assert_allclose(desired(t)[1], slope, atol=1e-6 * (1.0 + np.abs(slope).max()))
 
 
 @settings(max_examples=60)

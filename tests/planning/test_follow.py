@@ -26,18 +26,18 @@ def straight(robot: RobotModel) -> Course:
 def test_on_its_course_an_arm_is_asked_for_the_courses_speed(robot: RobotModel) -> None:
     guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
     for tick in range(400):
-        wish = guide.wish(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
-        np.testing.assert_allclose(wish, 0.1, atol=1e-9)
+        desired = guide.desired_velocity(robot.state(robot.data.q_home + 0.1 * 0.002 * tick))
+        np.testing.assert_allclose(desired, 0.1, atol=1e-9)
     guide.start()
-    np.testing.assert_allclose(guide.wish(robot.state(robot.data.q_home)), 0.1, atol=1e-9)
+    np.testing.assert_allclose(guide.desired_velocity(robot.state(robot.data.q_home)), 0.1, atol=1e-9)
 
 
 def test_an_error_is_pulled_back_and_after_the_end_the_last_pose_is_held(robot: RobotModel) -> None:
     guide = Follower(straight(robot), 0.002, gain_per_s=5.0)
     off = robot.state(robot.data.q_home + 0.01)
-    np.testing.assert_allclose(guide.wish(off), 0.1 - 0.05, atol=1e-9)
+    np.testing.assert_allclose(guide.desired_velocity(off), 0.1 - 0.05, atol=1e-9)
     for _ in range(600):
-        last = guide.wish(robot.state(robot.data.q_home + 0.2))
+        last = guide.desired_velocity(robot.state(robot.data.q_home + 0.2))
     np.testing.assert_allclose(last, 5.0 * (0.1 - 0.2), atol=1e-9)
 
 
@@ -56,11 +56,11 @@ def test_an_arm_that_has_left_its_course_is_led_to_its_maximum_of_mu_from_where_
     q, held = np.array(setup.q_start), 500
     assert robot.mu_along(guide._q[held][None])[0] > 1.3 * robot.mu_along(q[None])[0]
     for tick in range(setup.ticks):
-        wish = guide.wish(robot.state(q))
+        desired = guide.desired_velocity(robot.state(q))
         if tick == 0:
             assert not guide.told
-            np.testing.assert_allclose(wish, guide._v[0], atol=1e-9)
-        q = q if tick < held else q + 0.002 * wish
+            np.testing.assert_allclose(desired, guide._v[0], atol=1e-9)
+        q = q if tick < held else q + 0.002 * desired
         if tick % 25 == 0:
             reached = reach(robot, q, targets.tip[tick + 1], targets.wrist[tick + 1])
             assert reached is not None
@@ -77,7 +77,7 @@ FOLLOWED = Scenario(bound_samples=0).change(control={"third_level": "planned"}, 
 
 
 def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -> None:
-    """x is the references' motion plus the projection of the wish on ker A: by pseudo-inverse, not by the solver."""
+    """x is the references' motion plus the projection of the desired velocity on ker A: by pseudo-inverse, not by the solver."""
     setup = Setup(FOLLOWED)
     controller = setup.controller()
     assert isinstance(controller, Controller)
@@ -86,11 +86,11 @@ def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -
     tip, trocar = setup.reference.rows(0.0), setup.registered.rows(0.0)
     controller.start(state, tip, trocar)
     controller.tick(state, tip, trocar)
-    wish = guide.wish(state)
+    desired = guide.desired_velocity(state)
     qp = controller.subproblem
     assert qp is not None
     inverse = np.linalg.pinv(state.A, rcond=1e-6)
-    expected = inverse @ qp.b + wish - inverse @ (state.A @ wish)
+    expected = inverse @ qp.b + desired - inverse @ (state.A @ desired)
     assert np.abs(expected).max() > 1e-3
     assert ((expected > qp.lower) & (expected < qp.upper)).all()
     np.testing.assert_allclose(controller.answer, expected, atol=1e-7)
@@ -142,8 +142,8 @@ def test_another_controller_of_a_scenario_follows_the_same_course(monkeypatch: p
     assert other is not None
     assert one is not other
     for _ in range(300):  # a controller that runs leaves the others where they are
-        one.wish(state)
-    np.testing.assert_array_equal(other.wish(state), setup.controller()._guide.wish(state))
+        one.desired_velocity(state)
+    np.testing.assert_array_equal(other.desired_velocity(state), setup.controller()._guide.desired_velocity(state))
 
 
 @pytest.mark.parametrize("duration_s", [0.002, 0.02, 0.07])

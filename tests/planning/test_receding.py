@@ -47,7 +47,7 @@ def followed(one: Receding) -> Array:
     one.start()
     q, poses = np.array(setup().q_start), []
     for _ in range(setup().ticks):
-        q = q + one.wish(setup().robot.state(q)) * one._period
+        q = q + one.desired_velocity(setup().robot.state(q)) * one._period
         poses.append(q)
     return np.array(poses)
 
@@ -103,20 +103,20 @@ def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(one._horizon, "solve", nonsense)
     for _ in range(700):
-        wish = one.wish(robot.state(q))
+        desired = one.desired_velocity(robot.state(q))
     assert one.kept == len(one.solve_s) - 1 > 10
-    assert np.isfinite(wish).all()
-    np.testing.assert_allclose(wish, 5.0 * (one._answer.q_rad[-1] - q), atol=1e-12)
+    assert np.isfinite(desired).all()
+    np.testing.assert_allclose(desired, 5.0 * (one._answer.q_rad[-1] - q), atol=1e-12)
 
 
 def test_a_run_can_be_repeated_and_a_controller_has_its_own_course() -> None:
     one, other = guide(), guide()
     state = setup().robot.state(setup().q_start)
-    first = [one.wish(state) for _ in range(60)]
+    first = [one.desired_velocity(state) for _ in range(60)]
     assert np.ptp(first, axis=0).max() > 1e-3, "it changes with the time"
-    np.testing.assert_array_equal(first, [other.wish(state) for _ in range(60)])
+    np.testing.assert_array_equal(first, [other.desired_velocity(state) for _ in range(60)])
     one.start()
-    np.testing.assert_array_equal(first, [one.wish(state) for _ in range(60)])
+    np.testing.assert_array_equal(first, [one.desired_velocity(state) for _ in range(60)])
 
 
 def test_where_no_course_goes_all_the_way_the_run_is_refused() -> None:

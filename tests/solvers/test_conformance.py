@@ -331,7 +331,7 @@ def test_a_session_survives_any_problem(name):
 
 
 # One bad problem may take these minutes by their own limits.
-HURRY: dict[str, dict[str, Any]] = {
+CATCH_UP: dict[str, dict[str, Any]] = {
     "rnn": {"steps": 1000},
     "qpsolvers:highs": {},
     "qpsolvers:proxqp": {"options": {"max_iter": 20}},
@@ -345,7 +345,7 @@ def test_nothing_is_raised_at_the_edge_of_what_can_be_computed(name):
     """Rounded, nearly singular, huge and tiny: cold and in a stream, with an update before it, there is a status."""
     limits = expect(name)
     extra = {"kinematics": kinematics()} if limits.arm else {}
-    chosen = create(name, **HURRY.get(name, limits.settings), **extra)
+    chosen = create(name, **CATCH_UP.get(name, limits.settings), **extra)
     taken = [qp for qp in hard_problems(ARM if limits.arm else None) if chosen.supports(qp) is None][::2]
     assert len(taken) > 20
     stream = chosen.start(taken[0])

@@ -66,10 +66,10 @@ moc_residuals moc_compute_residuals(const double *record, const double *Z, int r
         else if (push < -STILL * fabs(slope))
             room = fmin(room, fmax(upper[j] - x[j], 0.0));
     }
-    double wish = rho > 0.0 ? pull / rho : HUGE_VAL;
+    double desired = rho > 0.0 ? pull / rho : HUGE_VAL;
     found.natural = fmin(fabs(slope) / total, room);
-    found.off = fabs(moc_clip(wish - place, low, high));
-    found.opposite = fabs(moc_clip(-wish - place, low, high));
+    found.off = fabs(moc_clip(desired - place, low, high));
+    found.opposite = fabs(moc_clip(-desired - place, low, high));
     return found;
 }
 

@@ -96,12 +96,12 @@ static double idle(const double *record, int j, double steepest)
 {
     double rho = record[MOC_RHO], grad = record[MOC_GRAD + j];
     double pull = fabs(grad) > ROUNDING * steepest ? record[MOC_C2] * grad : 0.0;
-    double wish = 0.0;
+    double desired = 0.0;
     if (rho > 0.0)
-        wish = pull / rho;
+        desired = pull / rho;
     else if (pull > 0.0 || pull < 0.0)
-        wish = pull > 0.0 ? HUGE_VAL : -HUGE_VAL;
-    return fmin(fmax(wish, record[MOC_LOWER + j]), record[MOC_UPPER + j]);
+        desired = pull > 0.0 ? HUGE_VAL : -HUGE_VAL;
+    return fmin(fmax(desired, record[MOC_LOWER + j]), record[MOC_UPPER + j]);
 }
 
 /* Fill in the polygon around the shortest point of the plane, which x (n,) becomes. */

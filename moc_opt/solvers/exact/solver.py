@@ -70,8 +70,8 @@ def rest(V: Array, row: Array, n: int) -> None:
         if 0.0 <= V[REACH, j] <= elimination.IDLE_COLUMN:
             # a gradient at rounding level must not throw an idle joint to its bound
             pull = c2 * row[at.grad_mu + j] if abs(row[at.grad_mu + j]) > ROUNDING * largest_grad else 0.0
-            wish = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
-            V[X, j] = min(max(wish, row[at.lower + j]), row[at.upper + j])
+            desired = pull / rho if rho > 0.0 else np.sign(pull) * np.inf if pull != 0.0 else 0.0
+            V[X, j] = min(max(desired, row[at.lower + j]), row[at.upper + j])
 
 
 @elimination.inlined

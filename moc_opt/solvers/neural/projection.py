@@ -70,10 +70,10 @@ def integrate(
             force = w[3] * old[j] - w[2] * grad_mu[j]
             for i in range(6):
                 force += row[i * n + j] * ((w[0] if i < 3 else w[1]) * slack[i] + y[i])
-            wish = min(max(old[j] - k * force, lower[j]), upper[j])
-            move = wish - old[j]
+            desired = min(max(old[j] - k * force, lower[j]), upper[j])
+            move = desired - old[j]
             speed = max(speed, abs(move))
-            x[j] = wish if h_x == 1.0 else old[j] + h_x * move
+            x[j] = desired if h_x == 1.0 else old[j] + h_x * move
         for i in range(6):
             speed = max(speed, k * abs(slack[i]))
             if implicit:

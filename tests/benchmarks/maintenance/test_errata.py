@@ -219,9 +219,9 @@ def test_the_true_lambda_is_not_constant(robot, states):
         across = np.linalg.svd(s.tool_direction[None])[2][1]
         for depth in (task.depth_m for task in BOARD_TASKS.values()):
             trocar = s.tip - depth * s.tool_direction + 2e-3 * across
-            wish, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
+            desired, _ = desired_wrist(s.tip, np.zeros(3), trocar, np.zeros(3), s.tool_span)
             d = np.linalg.norm(np.cross(trocar - s.tip, s.tool_direction))
-            found.append(d / np.linalg.norm(wish - s.wrist))
+            found.append(d / np.linalg.norm(desired - s.wrist))
             share = rcm.published_share(s.tip, s.wrist, trocar, s.tool_span, PAPER.rcm_lambda)
             assert share == pytest.approx(found[-1] / PAPER.rcm_lambda, rel=1e-9)
     print(f"\ntrue lambda: {min(found):.3f} to {max(found):.3f}")
