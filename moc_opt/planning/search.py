@@ -61,7 +61,8 @@ def search(
         floor: poses with a smaller mu are forbidden [m^3].
     """
     if objective == "worst" and not generous and floor == -np.inf:
-        least = search(found, step_rad, "worst", start=start, margin=margin, floor=-1.0)
+        # Nothing is forbidden yet: mu that was lowered (`shaft.keeping_shaft`) may be far below zero.
+        least = search(found, step_rad, "worst", start=start, margin=margin, floor=-np.finfo(np.float64).max)
         if least.q_rad is None:
             return least
         best = search(found, step_rad, "mean", start=start, margin=margin, floor=least.value - 1e-12)

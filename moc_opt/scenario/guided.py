@@ -10,6 +10,7 @@ import numpy as np
 from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.horizon import Horizon
@@ -80,7 +81,7 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
     lowered = keeping_shaft(found, robot, shaft)
 
     def made(share: float, brake: float) -> Callable[[], Receding]:
-        for margin in _margins(scenario, robot):
+        for margin in _margins(scenario, robot, layout.q):
             usual = float(np.nanmean(found.highest(margin)))
             to_go = ToGo(lowered, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
             if to_go.way(layout.q, 0.0, len(path) - 1) is not None:
@@ -113,7 +114,7 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     shaft, known = COURSE_SHARE * settings.shaft_margin, map_of(robot, layout.q, targets)
-    for margin in _margins(scenario, robot):
+    for margin in _margins(scenario, robot, layout.q):
         for part in SPEEDS:
             share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
             found = make_plan(
@@ -132,10 +133,16 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     raise _stuck(scenario, found)
 
 
-def _margins(scenario: Scenario, robot: RobotModel) -> tuple[Margin, Margin]:
-    """Return what a course keeps from the joint limits where it can, and where it cannot."""
+def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:
+    """Return what a course keeps from the joint limits where it can, and where it cannot.
+
+    A start that is nearer to a limit lowers the margin to its own: no smooth course could keep more.
+    """
     settings = scenario.control
-    return margin_of(robot, settings.course_margin_rad, settings.limit_margin_m), 0.0
+    margin = margin_of(robot, settings.course_margin_rad, settings.limit_margin_m)
+    room = np.maximum(np.minimum(start - robot.q_min, robot.q_max - start), 0.0)
+    room = np.where(robot.moves.any(axis=0), room, np.inf)
+    return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min())), 0.0
 
 
 def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:

@@ -110,6 +110,20 @@ def test_the_arm_goes_along_its_course_and_no_worse_than_by_climbing() -> None:
     assert trace.columns["verified"].mean() > 0.99
 
 
+def test_from_a_start_just_inside_the_margin_the_course_is_as_smooth_and_good_as_from_deeper_in_it() -> None:
+    """The margin can be regained within a step of the map, but by no course that the refinement may return."""
+    courses = []
+    for swivel in (0.01, 0.0142):  # 0.030 and 0.043 rad from a limit
+        setup = Setup(FOLLOWED.change(start={"swivel": swivel}, control={"course_margin_rad": 0.05}))
+        room = np.minimum(setup.q_start - setup.robot.q_min, setup.robot.q_max - setup.q_start)
+        assert 0.02 < room[setup.robot.moves.any(axis=0)].min() < 0.05
+        courses.append(followed_course(setup.scenario, setup.robot, setup.layout))
+    deeper, just_inside = courses
+    assert just_inside.certified
+    assert just_inside.kept
+    assert just_inside.mu_mean > 0.99 * deeper.mu_mean
+
+
 @pytest.mark.parametrize(
     ("control", "message"),
     [({"regularization": 0.0}, "regularization = 0"), ({"c2": 0.0}, "c2 = 0"), ({"backend": "c"}, "third_level")],

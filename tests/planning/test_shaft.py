@@ -92,6 +92,19 @@ def test_a_margin_that_no_course_keeps_leaves_one_that_is_as_little_below_as_can
     assert less.min() == pytest.approx(min(share_of(robot, start(robot, 15)), less[1:].min()))
 
 
+def test_the_best_worst_mu_is_found_where_every_pose_near_the_start_is_far_below_the_margin() -> None:
+    """There mu less what is taken off is far below zero; it blocks no way that the mean objective has."""
+    robot = arm("lwr4")
+    q = start(robot, 12)
+    found = keeping_shaft(map_of(robot, q, task(robot, q, 5), 90), robot, 1.0)
+    assert np.nanmin(found.mu) < -1.0
+    for objective in ("mean", "worst"):
+        plan = make_plan(
+            robot, q, found.targets, objective, swivels=90, shaft_margin=1.0, refined=False, elsewhere=False
+        )
+        assert plan.executable, objective
+
+
 @pytest.mark.parametrize("smoothness", [0.0, 1e-4])
 def test_refinement_goes_no_further_below_than_the_course_that_it_begins_at(smoothness: float) -> None:
     """mu is higher below the margin here: without it the program goes there."""
