@@ -77,7 +77,7 @@ FOLLOWED = Scenario(bound_samples=0).change(control={"third_level": "planned"}, 
 
 
 def test_the_subproblem_follows_the_wish_on_its_self_motion(robot: RobotModel) -> None:
-    """x is the references' motion plus the projection of the desired velocity on ker A: by pseudo-inverse, not by the solver."""
+    """x is the references' motion plus the projection of the desired velocity on ker A, by pseudo-inverse."""
     setup = Setup(FOLLOWED)
     controller = setup.controller()
     assert isinstance(controller, Controller)

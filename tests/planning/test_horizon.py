@@ -82,3 +82,20 @@ def test_a_margin_from_losing_the_shaft_is_kept_where_mu_rises_below_it() -> Non
     floor = np.minimum(along[part], MARGIN)
     assert (shares[0] < floor - 5e-3).any()
     assert (shares[1] > floor - 2e-3).all()
+
+
+@pytest.mark.parametrize(("of_share", "room"), [(0.7, "down to the margin"), (1.03, "no further down"), (4.0, "none")])
+def test_what_the_margin_leaves_is_counted_from_the_guess(robot: RobotModel, of_share: float, room: str) -> None:
+    """With the share's slope s at the guess: s . (q - guess) >= min(margin - share, 0); no bound far below it."""
+    q = robot.random_regular_pose(np.random.default_rng(5))
+    state, step = robot.state(q), 1e-6
+    share = state.mu_shaft / state.tool_span**2
+    margin = of_share * share
+    made = Horizon(robot, 1, mu=0.1, margin=0.0, speed=robot.v_max, smoothness=1e-3, shaft_margin=margin)
+    slope, least = made._shafts(q[None])
+    for j in range(robot.n):
+        near = [robot.state(q + side * step * np.eye(robot.n)[j]) for side in (-1.0, 1.0)]
+        shares = [one.mu_shaft / one.tool_span**2 for one in near]
+        assert slope[0, j] == pytest.approx((shares[1] - shares[0]) / (2.0 * step), abs=1e-6)
+    wanted = {"down to the margin": margin - share, "no further down": 0.0, "none": -np.inf}[room]
+    assert least[0] - slope[0] @ q == pytest.approx(wanted, abs=1e-12)

@@ -52,6 +52,15 @@ def followed(one: Receding) -> Array:
     return np.array(poses)
 
 
+def test_what_a_pose_is_worth_to_the_end_knows_the_margin_of_the_shaft() -> None:
+    """Both V are of one scenario but for the margin: it is worth less where every pose is below it."""
+    of = [Setup(TRAPPED.change(control={"shaft_margin": margin})) for margin in (0.0, 1.0)]
+    least = [guide(one)._to_go.map.mu for one in of]
+    known = ~np.isnan(least[0])
+    assert (least[1][known] <= least[0][known]).all()
+    assert (least[1][known] < least[0][known]).mean() > 0.5
+
+
 def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
     assert ran().meta["ended"] == "completed"
     told = ran().meta["replans"]

@@ -13,7 +13,7 @@ from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.refine import SHAFT_ROOM, refine
-from moc_opt.planning.shaft import keeping_shaft, shaft_shares
+from moc_opt.planning.shaft import WORTH, keeping_shaft, shaft_shares
 from tests.conftest import Array
 from tests.planning.test_search import task
 
@@ -68,6 +68,9 @@ def test_the_map_is_lowered_below_the_margin_alone_and_the_more_the_further() ->
         for branch in found.poses(k):
             shares = shaft_shares(robot, branch)
             np.testing.assert_array_equal(off[k, 0] == 0.0, ~(shares < MARGIN))
+            low = shares < MARGIN
+            part = WORTH * np.nanmax(found.mu) * (1.0 - shares[low] / MARGIN) ** 2
+            np.testing.assert_allclose(off[k, 0][low], part, rtol=1e-9)
             order = np.argsort(shares)
             assert (np.diff(off[k, 0][order]) <= 1e-12).all()
 
