@@ -162,7 +162,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
             )
         if isinstance(solver, str):
             make_solver(solver, robot, **_settings(base, solver))
-        else:
+        elif isinstance(solvers, Mapping):
             check_solver(solver)
         chosen[name] = solver
     if len(chosen) == 1:
@@ -171,4 +171,7 @@ def _named(solvers: Solvers, base: Scenario) -> dict[str, str | Solver]:
 
 
 def _name(solver: str | Solver) -> str:
-    return solver if isinstance(solver, str) else str(getattr(solver, "name", type(solver).__name__))
+    if isinstance(solver, str):
+        return solver
+    check_solver(solver)
+    return solver.name

@@ -72,6 +72,13 @@ def faster(q: Array) -> Array:
     return np.abs(np.diff(q, n=2, axis=0, prepend=q[:1]))
 
 
+def margin_at(robot: RobotModel, q_start: Array, margin: Margin) -> Margin:
+    """Return the margin, no larger than what the start keeps itself: no smooth course from there could keep more."""
+    room = np.maximum(np.minimum(q_start - robot.q_min, robot.q_max - q_start), 0.0)
+    room = np.where(robot.moves.any(axis=0), room, np.inf)
+    return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min()))
+
+
 def make_course(
     robot: RobotModel, targets: Targets, q: Array, margin: Margin = 0.0, speed_share: float = 1.0,
     acceleration: float = np.inf,

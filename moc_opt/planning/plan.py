@@ -14,7 +14,7 @@ from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.climb import climb
-from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course, margin_at
 from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
 from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
@@ -136,7 +136,7 @@ def make_plan(
         q_start: (n,) with tip and wrist at the first target [rad].
         objective: "mean", "worst" or "log".
         swivels: samples of one turn, of an arm with a closed form.
-        margin: that every joint keeps from its limits.
+        margin: that every joint keeps from its limits; a start that is nearer to one lowers it, see `margin_at`.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid ignores it.
         shaft_margin: a share of the squared lever, below which no course goes where the path and the start leave it
@@ -155,6 +155,7 @@ def make_plan(
         raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
     if not _is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
         raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")
+    margin = margin_at(robot, q_start, margin)
     began = time.perf_counter()
     found = keeping_shaft(map_of(robot, q_start, targets, swivels) if known is None else known, robot, shaft_margin)
     mapped = time.perf_counter()

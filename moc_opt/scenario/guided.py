@@ -11,7 +11,7 @@ from moc_opt.control.guide import Guide
 from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import Course
+from moc_opt.planning.course import Course, margin_at
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.horizon import Horizon
 from moc_opt.planning.plan import Plan, make_plan, map_of
@@ -134,15 +134,10 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
 
 
 def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:
-    """Return what a course keeps from the joint limits where it can, and where it cannot.
-
-    A start that is nearer to a limit lowers the margin to its own: no smooth course could keep more.
-    """
+    """Return what a course keeps from the joint limits where it can, and where it cannot."""
     settings = scenario.control
     margin = margin_of(robot, settings.course_margin_rad, settings.limit_margin_m)
-    room = np.maximum(np.minimum(start - robot.q_min, robot.q_max - start), 0.0)
-    room = np.where(robot.moves.any(axis=0), room, np.inf)
-    return np.minimum(margin, room) if isinstance(margin, np.ndarray) else min(margin, float(room.min())), 0.0
+    return margin_at(robot, start, margin), 0.0
 
 
 def _stuck(scenario: Scenario, found: Plan) -> ScenarioError:

@@ -9,8 +9,9 @@ import numpy as np
 from moc_opt import solvers
 from moc_opt.control.isolated import Isolated
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.errors import ScenarioError, SolverError, shown
+from moc_opt.errors import ScenarioError, SolverError, describe, shown
 from moc_opt.inputs.files import read_arrays
+from moc_opt.inputs.names import RULE, is_name
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.scenario.config import Scenario
 from moc_opt.sim.closed_loop import Stop
@@ -55,11 +56,18 @@ def check_solver(given: object) -> None:
     """
     if isinstance(given, type):
         raise SolverError(f"{shown(given)} is a class, no solver: call it, as in {given.__name__}()")
-    if not isinstance(given, Solver):
+    try:
+        usable = isinstance(given, Solver)
+        name = getattr(given, "name", "")
+    except Exception as error:  # an attribute is code of the solver's author
+        raise SolverError(f"{shown(given, 80)} is no solver: an attribute of it raises {describe(error)}") from error
+    if not usable:
         cure = "name it in [solver], or take solvers.create(name)" if isinstance(given, str) else (
             "it needs a name, supports(qp) and start(qp)"
         )  # fmt: skip
         raise SolverError(f"{shown(given, 80)} is no solver: {cure}")
+    if not is_name(name):
+        raise SolverError(f"{shown(given, 80)}: name = {shown(name, 80)}: {RULE}")
 
 
 def make_solver(name: str, robot: RobotModel, **settings: Any) -> Solver:

@@ -118,6 +118,17 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
         found.plot("mu_maen")
 
 
+class Named(Standing):
+    """A solver under any name; None: looking at it fails."""
+
+    def __init__(self, name):
+        self.given = name
+
+    @property
+    def name(self):
+        return self.given if self.given is not None else 1 / 0
+
+
 @pytest.mark.parametrize(
     ("solvers", "more", "error", "message"),
     [
@@ -126,6 +137,9 @@ def test_the_table_the_plot_and_pandas_show_every_solver(found):
         ([], {}, SolverError, "no solver to compare"),
         ([Standing(), Standing()], {}, SolverError, "called 'standing': name each once, or give a mapping"),
         ([object()], {}, SolverError, "is no solver: it needs a name"),
+        ([Named(7)], {}, SolverError, "name = 7: a name has 1 to 100 characters"),
+        ([Named("a/../../b")], {}, SolverError, "name = 'a/../../b': a name has"),
+        ([Named(None)], {}, SolverError, "an attribute of it raises ZeroDivisionError"),
         ([Standing], {}, SolverError, r"is a class, no solver: call it, as in Standing\(\)"),
         (None, {}, SolverError, r"solvers = None: give a list of names or solvers"),
         (7, {}, SolverError, r"solvers = 7: give a list of names or solvers"),

@@ -184,3 +184,17 @@ def test_a_way_that_only_the_grid_lacks_is_found_and_without_looking_the_grid_is
     assert grid.from_start is None
     assert grid.blocked is not None
     assert "between the poses of the map" in grid.blocked.reason
+
+
+@pytest.mark.parametrize("times", [20, 41, 80])
+def test_a_start_inside_the_margin_lowers_it_whatever_the_times(times: int) -> None:
+    """The start is 0.012 rad from a limit: a course that keeps 0.02 rad cannot begin there."""
+    scenario = Scenario(start={"swivel": 1.0}, duration_s=2.0)  # type: ignore[arg-type]
+    robot, margin = scenario.robot.arm(), 0.05
+    found = planned.plan(scenario, times=times, margin_rad=margin)
+    assert found.from_start is not None
+    assert found.from_start.kept
+    q = found.from_start.q_rad
+    room = np.minimum(q - robot.q_min, robot.q_max - q)[:, robot.moves.any(axis=0)]
+    assert room[0].min() < margin
+    assert room.min() > min(margin, room[0].min()) - MOST_VIOLATION
