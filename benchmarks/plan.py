@@ -1,10 +1,11 @@
 """How much manipulability a path holds, and how much of it each third level reaches in the loop.
 
-python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json]
+python -m benchmarks.plan [CONFIG.toml] [--out DIR] [--seed N] [--quick] [--json] [--page]
 
 Starts are drawn by the rules of `moc_opt.procedure.preflight.random_start`. The map's largest mu is searched for by
 inverse kinematics from random starts, the nonlinear program is begun elsewhere, the grid is halved, the map is timed.
 A trial that is done is kept in DIR/jobs: the same command goes on where it was broken off, at the same commit.
+--page also writes the tables into docs/planning.md.
 """
 
 from __future__ import annotations
@@ -21,12 +22,16 @@ from pydantic import Field
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
 from benchmarks.common.crew import run_parallel
+from benchmarks.common.markdown import write_section
+from benchmarks.common.output import default_config
 from benchmarks.common.store import Part, Store
 from benchmarks.paper_experiment.trials import seeds, trials
 from benchmarks.planning.first_screen import answer
+from benchmarks.planning.page import COMMANDS, PAGE, page_text
 from benchmarks.planning.parts import Job, run_job
 from benchmarks.planning.tables import report, summarise
 from moc_opt.control import ControlSettings
+from moc_opt.errors import MocOptError
 from moc_opt.planning.spherical import spherical
 from moc_opt.scenario import Scenario
 
@@ -79,8 +84,9 @@ class Config(Configuration):
 
 
 def study(given: Namespace) -> cli.Results:
-    """Plan every trial; the timed part first, before other processes are busy."""
+    """Plan every trial; the timed part first, before other processes are busy. ``--page`` writes docs/planning.md."""
     config = Config.chosen(given, "plan")
+    section = section_of(config) if given.page else ""
     jobs = config.jobs()
     environment = config.environment(given)
     work = partial(kept_rows, given.out / "jobs", str(environment["commit"]))
@@ -89,8 +95,22 @@ def study(given: Namespace) -> cli.Results:
         each += run_parallel(work, [job for job in jobs if job.part != "map"], config.processes, step)
     rows = [row for found in each for row in found]
     summary = summarise(rows)
+    if section:
+        write_section(PAGE, section, page_text(section, summary, environment))
     first = answer(summary, rows)
     return cli.Results(summary, environment, rows, report(summary, rows, first, environment), answer=first)
+
+
+def section_of(config: Config) -> str:
+    """Return the section of docs/planning.md that a configuration writes.
+
+    Raises:
+        MocOptError: the page shows no figures of this one.
+    """
+    for name in COMMANDS:
+        if config == Config.load(default_config(name)):
+            return name
+    raise MocOptError(f"--page: the page shows runs of {' and '.join(map(repr, COMMANDS.values()))}: run one of these")
 
 
 def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
@@ -107,7 +127,9 @@ def kept_rows(folder: Path, commit: str, job: Job) -> list[dict[str, Any]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
-    return cli.run(cli.parser("plan", "How much manipulability a path holds."), study, arguments, cli.GOES_ON)
+    options = cli.parser("plan", "How much manipulability a path holds.")
+    options.add_argument("--page", action="store_true", help=f"write the tables into {PAGE.parent.name}/{PAGE.name}")
+    return cli.run(options, study, arguments, cli.GOES_ON)
 
 
 if __name__ == "__main__":

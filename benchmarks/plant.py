@@ -15,8 +15,9 @@ from collections.abc import Sequence
 from benchmarks.common import cli
 from benchmarks.common.crew import run_parallel
 from benchmarks.common.kept import Kept
+from benchmarks.common.markdown import write_section
 from benchmarks.plant_study.runs import Config, run_job
-from benchmarks.plant_study.tables import PAGE, page_text, summarise, tables, write_page
+from benchmarks.plant_study.tables import PAGE, page_text, summarise, tables
 
 
 def study(given: Namespace) -> cli.Results:
@@ -29,7 +30,7 @@ def study(given: Namespace) -> cli.Results:
     rows = [row for part in parts for row in part]
     summary = summarise(config, rows)
     if given.page:
-        write_page(page_text(summary, config))
+        write_section(PAGE, "plant", page_text(summary, config))
     environment = config.environment(given, jobs_of_an_earlier_run=kept.reused)
     return cli.Results(summary, environment, rows, tables=tables(summary))
 

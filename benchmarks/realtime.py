@@ -1,9 +1,10 @@
 """Plant and controller as two processes against the clock: how late each wakes up, what a round trip takes, who misses.
 
-python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick]
+python -m benchmarks.realtime [CONFIG.toml] [--cycles N] [--out DIR] [--seed N] [--quick] [--page]
 
 Run it alone: everything else on the machine is in its figures. A run that is done is kept in DIR/runs: the same command
-goes on where it was broken off, at the same commit on the same machine.
+goes on where it was broken off, at the same commit on the same machine. --page also writes the table into
+docs/realtime.md.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from pydantic import Field
 from benchmarks.common import cli
 from benchmarks.common.config import Configuration
 from benchmarks.common.kept import Kept
+from benchmarks.common.markdown import write_section
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
+from benchmarks.latency.clock_page import PAGE, SECTION, page_text
 from benchmarks.latency.goals import Goal, goal_verdicts
 from benchmarks.latency.wire import Case, Found
 from moc_opt.scenario import Scenario
@@ -126,6 +129,8 @@ def study(given: Namespace) -> cli.Results:
     ]  # fmt: skip
     system = {str(case): found[0].system for case, found in runs.items()}
     environment |= {"system": system}
+    if given.page:
+        write_section(PAGE, SECTION, page_text(summary, environment))
     first = answer(summary, runs)
     return cli.Results(summary, environment, rows, report(summary, runs, first, environment), answer=first)
 
@@ -134,6 +139,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; see `cli.run` for the exit status."""
     options = cli.parser("realtime", "Measure plant and controller against the clock.")
     options.add_argument("--cycles", type=int, metavar="N", help="of every case, in place of the configuration's")
+    options.add_argument("--page", action="store_true", help=f"write the table into {PAGE.parent.name}/{PAGE.name}")
     return cli.run(options, study, arguments, "stopped; runs that are done are kept: the same command goes on")
 
 

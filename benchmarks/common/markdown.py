@@ -9,6 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from benchmarks.common.output import write_atomically
 from moc_opt.errors import MocOptError
 from moc_opt.report.tables import Column, Table
 
@@ -55,3 +56,12 @@ def fill_section(page: str, name: str, text: str, where: str | Path) -> str:
     if not found:
         raise SectionError(f"{where}: no lines <!-- {name} --> and <!-- /{name} -->: put them where the figures belong")
     return filled
+
+
+def write_section(page: Path, name: str, text: str) -> None:
+    """Put a text between the marks of a page's file, as `fill_section` does.
+
+    Raises:
+        SectionError: the page has no such marks.
+    """
+    write_atomically(page, fill_section(page.read_text(encoding="utf-8"), name, text, page).encode())

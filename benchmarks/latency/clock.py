@@ -73,7 +73,7 @@ def histogram(times: Mapping[str, Array], deadline_us: float | None = None) -> g
 def answer(summary: Mapping[str, Any], runs: Runs) -> Answer:
     """Make the first screen: who meets a period, what a miss does to the patient, and what the tails look like."""
     order = sorted(summary["cases"], key=lambda name: (int(name.split(", ")[1][:-3]), name.endswith("loaded"), name))
-    rows = [{"name": _named(name), "goal": _goal(summary, name), **summary["cases"][name]} for name in order]
+    rows = [{"name": case_name(name), "goal": _goal(summary, name), **summary["cases"][name]} for name in order]
     table = Table(
         "Round trips over the wire, against the period", CASES, rows,
         "goal: met or missed where there is one (C at most 1 in 100,000 and Python 1 in 1,000 at 500 Hz, quiet; under "
@@ -88,7 +88,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     cases, said = summary["cases"], []
     quiet = {name: found for name, found in cases.items() if name.endswith("quiet")}
     if quiet:
-        each = [f"{_named(name, 2)} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
+        each = [f"{case_name(name, 2)} {found['missed']} of {found['cycles']:,}" for name, found in quiet.items()]
         stalled = sum(found["overruns"] for found in quiet.values())
         said.append(
             f"Cycles missed on a quiet machine: {'; '.join(each)}; {stalled} times the plant's own process was not run "
@@ -109,7 +109,8 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     return [*said, text + (f"; missed: {'; '.join(missed_goals)}." if missed_goals else ".")]
 
 
-def _named(case: str, parts: int = 3) -> str:
+def case_name(case: str, parts: int = 3) -> str:
+    """Return a case's name in words, or its first parts."""
     controller, *rest = case.split(", ")
     return ", ".join([NAMES[controller], *rest][:parts])
 
@@ -153,7 +154,7 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
         {**of, "goal": f"{of['goal']:g}", "value": None if of["value"] is None else f"{of['value']:.3g}"}
         for of in summary["goals"].values()
     ]
-    cases = [(_named(name), found) for name, found in summary["cases"].items()]
+    cases = [(case_name(name), found) for name, found in summary["cases"].items()]
     latencies = [
         {"name": name, "what": title, **{p: found[f"{time}_{p}_us"] for p in PERCENTILES}}
         for time, title in TIMES.items() for name, found in cases

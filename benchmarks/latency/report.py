@@ -103,7 +103,8 @@ LOOP = [
 FACTS = [Column("what", "what"), Column("value", "value"), Column("unit", "unit")]
 OTHER = {
     ("loop", "two processes", "speed_up"): ("two processes over one", ""),
-    ("loop", "limit", "steps_us"): ("MuJoCo's own steps of a control period", "us"),
+    ("loop", "limit", "steps_us"): ("MuJoCo's own steps of a control period, through the run's states", "us"),
+    ("loop", "limit", "steps_alone_us"): ("the same of an arm left alone", "us"),
     ("loop", "limit", "limit_us"): ("limit of a tick of the loop: these and the tick in C", "us"),
     ("loop", "memory", "growth_bytes_per_tick"): ("memory that a tick leaves behind, besides the trace", "byte"),
     ("loop", "memory", "trace_bytes_per_tick"): ("the trace itself, per tick", "byte"),

@@ -203,12 +203,15 @@ class Run:
         loops["judged"] = loops["python"].change(judge=whole.judge, bound_samples=whole.bound_samples)
         if self._native is not None:
             loops["c"] = self._scenario.change(control={"backend": "c"})
-        steps: list[float] = []
-        found, rows = speed_loop.factors(
-            loops, table.runs, advance, lambda: steps.append(limit.steps_us(self._scenario))
-        )
+        steps, alone, plant = list[float](), list[float](), limit.Steps(self._scenario)
+
+        def beside() -> None:
+            steps.append(plant.us())
+            alone.append(plant.alone_us())
+
+        found, rows = speed_loop.factors(loops, table.runs, advance, beside)
         self.rows += rows
-        found["limit"] = limit.ratios(rows, steps, c_tick_us)
+        found["limit"] = limit.ratios(rows, steps, alone, c_tick_us)
         if table.two_process_rounds:
             short = self._scenario.change(duration_s=min(4.0, table.duration_s))
             found["two processes"] = speed_loop.two_processes(short, 2 * table.runs, table.two_process_rounds, advance)

@@ -99,11 +99,18 @@ def loop(trial: Scenario, name: str, change: Mapping[str, Any], mine: float, bes
     if not Ending.of(row["ended"]).whole:
         return row | {"error": row["ended"]}
     metrics = summarize(trace)
-    mu = metrics["mu_mean"]
-    return row | {name: metrics[name] for name in ERRORS} | {
+    mu, replans = metrics["mu_mean"], trace.meta.get("replans", {})
+    row |= {name: metrics[name] for name in ERRORS} | {
         "mu": mu, "gap_percent": 100.0 * (1.0 - mu / mine), "fraction_of_best": mu / best,
         "solve_p99_us": metrics.get("solve_p99_us"),
     }  # fmt: skip
+    if "course_mu_mean" in trace.meta:
+        row["course_gap_percent"] = 100.0 * (1.0 - float(trace.meta["course_mu_mean"]) / mine)
+    if "left_course_s" in replans:
+        row["left_course_s"] = replans["left_course_s"]
+    elif replans:
+        row |= {f"replan_{name}": replans[f"solve_{name}"] for name in ("ms_median", "ms_p99")}
+    return row
 
 
 def halving(job: Job) -> list[dict[str, Any]]:

@@ -26,8 +26,10 @@ MEANS = (
 LOOPS = [
     Column("robot", "robot"), Column("loop", "third level"), Column("runs", "runs", format="d"),
     Column("broken", "broke off", format="d"), Column("gap", "below best from start", unit="%"),
-    Column("gap_percent_max", "at worst", unit="%", format=".1f"),
-    Column("gap_over_5", "over 5 %", format="d"), Column("fraction_of_best", "of best over all", format=".3f"),
+    Column("gap_percent_median", "median", unit="%", format=".2f"),
+    Column("gap_percent_max", "at worst", unit="%", format=".1f"), Column("gap_over_5", "over 5 %", format="d"),
+    Column("course", "its course below best", unit="%"), Column("left_course", "left it", format="d"),
+    Column("fraction_of_best", "of best over all", format=".3f"),
     Column("tip", "tip", unit="mm", format=".3f"), Column("rcm", "RCM", unit="mm", format=".3f"),
     Column("tip_change", "tip, to local", unit="%"), Column("rcm_change", "RCM, to local", unit="%"),
 ]  # fmt: skip
@@ -96,9 +98,15 @@ def _loop(runs: Rows, name: str) -> dict[str, Any]:
         return found
     gaps = [row["gap_percent"] for row in whole.values()]
     found |= mean(gaps).entries("gap_percent")
-    found |= {"gap_percent_max": max(gaps), "gap_over_5": sum(gap > 5.0 for gap in gaps)}
+    found |= {"gap_percent_median": float(np.median(gaps)), "gap_percent_max": max(gaps)}
+    found |= {"gap_over_5": sum(gap > 5.0 for gap in gaps)}
     for key in ("fraction_of_best", *ERRORS):
         found |= mean([row[key] for row in whole.values()]).entries(key)
+    for key in ("course_gap_percent", "replan_ms_median", "replan_ms_p99"):
+        values = [row[key] for row in whole.values() if row.get(key) is not None]
+        if values:
+            found |= mean(values).entries(key) | {f"{key}_max": max(values)}
+    found["left_course"] = sum(row.get("left_course_s") is not None for row in whole.values())
     found["solve_p99_us"] = max((row["solve_p99_us"] or 0.0 for row in whole.values()), default=None)
     base = {row["trial"]: row for row in runs if row["loop"] == "local" and not row["error"]}
     both = [trial for trial in whole if trial in base]
@@ -135,6 +143,7 @@ def tables(summary: Mapping[str, Any]) -> list[Table]:
     loops = [
         {
             "robot": robot, "loop": name, **figures, "gap": spread(figures, "gap_percent"),
+            "course": spread(figures, "course_gap_percent"),
             **{short: figures.get(key) for short, key in zip(("tip", "rcm"), ERRORS, strict=True)},
             **{f"{short}_change": spread(figures, f"{key}_change_percent", 2)
                for short, key in zip(("tip", "rcm"), ERRORS, strict=True)},
@@ -172,9 +181,10 @@ def report(
         "cannot follow the task. Best from start and best over all starts are means of mu over the whole run, rests "
         "included, within joint limits and joint speeds. The climb follows the gradient of mu as fast as the joints "
         "can. In the loop the realistic plant is run at the configured settings, and its mean mu is compared with the "
-        "best course from the same start; tip and RCM errors are by the robot's own kinematics, from the registered "
-        "trocar. The bound is of courses that the map resolves, and absent where one was found above it; times are "
-        "from scratch, with as many processes as configured."
+        "best course from the same start; `its course below best` is what the followed course itself gives up for its "
+        "margins, its braking and its smoothness. Tip and RCM errors are by the robot's own kinematics, from the "
+        "registered trocar. The bound is of courses that the map resolves, and absent where one was found above it; "
+        "times are from scratch, with as many processes as configured."
     )
     page.text(headline(summary))
     shown = tables(summary)

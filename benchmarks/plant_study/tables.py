@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import markdown, output
+from benchmarks.common import markdown
 from benchmarks.paper_experiment.trials import MATCHED
 from benchmarks.plant_study.runs import FIGURES, Config
 from moc_opt.comparison.statistics import mean
@@ -67,13 +67,3 @@ def _cell(row: dict[str, Any], name: str) -> str:
     if low is None or not math.isfinite(low) or name == "torque_rate_rms_Nm_per_s":
         return f"{row[name]:{spec}}"  # of a single trial there is no interval
     return f"{row[name]:{spec}} [{low:{spec}}, {high:{spec}}]"
-
-
-def write_page(text: str, page: Path = PAGE) -> None:
-    """Put the tables between the marks of docs/plant.md.
-
-    Raises:
-        SectionError: the page has no such marks.
-    """
-    new = markdown.fill_section(page.read_text(encoding="utf-8"), "plant", text, page)
-    output.write_atomically(page, new.encode())

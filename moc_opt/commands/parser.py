@@ -66,6 +66,7 @@ def _add_runs(commands: Any) -> None:
     one.add_argument(
         "--third-level", choices=("local", "planned", "receding"), help="replaces the scenario's [control] third_level"
     )
+    one.add_argument("--course", metavar="FILE.parquet", help="follow this course, written by `plan --out`")
     one.add_argument("--trace", type=Path, help="the trace goes here (Parquet) while the run grows")
     one.add_argument("--json", action="store_true", help="print JSON")
     c = commands.add_parser("export-c", help="write the scenario's controller, guard included, as dependency-free C")

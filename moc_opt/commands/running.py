@@ -96,9 +96,9 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     """Return the scenario with the options of ``run`` in place of its own values.
 
     Raises:
-        MocOptError: there is no such path, metric or file of waypoints.
+        MocOptError: there is no such path, metric or file of waypoints; two options contradict each other.
     """
-    from moc_opt.errors import UnknownNameError
+    from moc_opt.errors import ScenarioError, UnknownNameError
     from moc_opt.trace.metrics import METRICS
     from moc_opt.trace.metrics.registry import load_plugins
 
@@ -108,6 +108,10 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
         scenario = scenario.change(robot={"name": given.robot})
     if given.third_level is not None:
         scenario = scenario.change(control={"third_level": given.third_level})
+    if given.course is not None:
+        if given.third_level not in (None, "planned"):
+            raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
+        scenario = scenario.change(control={"third_level": "planned", "course": given.course})
     if given.solver is not None:
         scenario = scenario.change(solver={"name": given.solver, "settings": {}})
     if given.task is not None:

@@ -93,6 +93,11 @@ class ControlSettings(Settings):
         description="under law 'moc': 'local' climbs mu from where the arm is, 'planned' follows a course that is "
         "planned before the run, 'receding' follows one that is planned again and again during the run",
     )
+    course: str = Field(
+        default="",
+        description="third_level 'planned': file of the course to follow, as `moc-opt plan --out` writes it, taken "
+        "from the scenario's folder; empty: a course is planned before the run",
+    )
     horizon_s: Annotated[float, Field(ge=0.2, le=2.0)] = Field(
         default=1.0,
         description="third_level 'receding': time over which the smooth course is computed; a value function stands "

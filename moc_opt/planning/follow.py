@@ -51,6 +51,8 @@ class Follower:
         self._v[-1] = 0.0
         self._gain, self._tick, self._period = gain_per_s, 0, period_s
         self._rescue, self._lost_s = rescue, np.inf
+        self.course_mu_mean = course.mu_mean
+        """Mean manipulability of the course [m^3]: what the run has where nothing takes the arm from it."""
 
     def start(self) -> None:
         """Go back to t = 0, and to the course."""

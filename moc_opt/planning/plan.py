@@ -7,34 +7,22 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from moc_opt.errors import TaskError
 from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
+from moc_opt.planning.blocked import Blocked, blocked
 from moc_opt.planning.climb import climb
-from moc_opt.planning.course import OBJECTIVES, Course, Objective, faster, make_course, margin_at
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course, margin_at
 from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
 from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
-from moc_opt.planning.search_kernels import nearest_share
-from moc_opt.planning.shaft import keeping_shaft
+from moc_opt.planning.shaft import keeping_shaft, largest, lowered
 from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.traced import traced_map
 from moc_opt.redundancy.arm_angle import Elbow
-
-
-@dataclass(frozen=True)
-class Blocked:
-    """The first point of the path that no course reaches from the start."""
-
-    t_s: float
-    arc_length_m: float
-    """Way of the tip up to it [m]."""
-    tip_m: tuple[float, float, float]
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +145,8 @@ def make_plan(
         raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")
     margin = margin_at(robot, q_start, margin)
     began = time.perf_counter()
-    found = keeping_shaft(map_of(robot, q_start, targets, swivels) if known is None else known, robot, shaft_margin)
+    whole = map_of(robot, q_start, targets, swivels) if known is None else known
+    found, most = keeping_shaft(whole, robot, shaft_margin), largest(whole)
     mapped = time.perf_counter()
     step = speed_share * robot.v_max * targets.period_s
     start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
@@ -168,25 +157,28 @@ def make_plan(
         search(found, step, objective, start=begin, margin=margin, generous=True) for begin in starts
     ]
     bounded = time.perf_counter()
-    courses = []
+    def worth(course: Course) -> float:
+        return lowered(course, robot, shaft_margin, most).value(objective)
+
+    courses: list[Course | None] = []
     for answer, bound, begin in zip(answers, bounds, starts, strict=True):
-        poses = bound.q_rad if answer.q_rad is None and refined else answer.q_rad
-        course = None
-        if poses is not None and np.isfinite(poses).all():
-            course = make_course(robot, targets, poses, margin, speed_share, acceleration)
-        # The bound's own course is a second start, which helps where the grid's steps are just too coarse.
-        for guess in (None, bound.q_rad) if refined and course is not None else ():
-            if course is not None and (guess is None or np.isfinite(guess).all()):
-                course = refine(
-                    robot, targets, course, objective, guess=guess, free_start=begin is None, margin=margin,
+        # The bound's own course is a second one to begin at, which helps where the grid's steps are just too coarse.
+        poses = [q for q in (answer.q_rad, bound.q_rad if refined else None) if q is not None and np.isfinite(q).all()]
+        made = [make_course(robot, targets, q, margin, speed_share, acceleration) for q in poses]
+        if refined:
+            made = [
+                refine(
+                    robot, targets, course, objective, free_start=begin is None, margin=margin,
                     speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin,
-                )  # fmt: skip
-        if course is not None and not course.kept and (answer.q_rad is None or np.isfinite(acceleration)):
-            course = None
-        courses.append(course)
+                ) for course in made
+            ]  # fmt: skip
+        usable = [course for course in made if course.kept]
+        if not usable and answer.q_rad is not None and not np.isfinite(acceleration):
+            usable = made[:1]
+        courses.append(max(usable, key=worth, default=None))
     took = mapped - began, searched - mapped, time.perf_counter() - bounded
     mine, best = courses[0], courses[-1]
-    if mine is not None and best is not None and mine.value(objective) > best.value(objective):
+    if mine is not None and best is not None and worth(mine) > worth(best):
         best = mine  # of all starts one is the given one
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
@@ -216,67 +208,6 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 7
     if arm is None:
         return traced_map(robot, targets, q_start)
     return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
-
-
-def blocked(
-    robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin: Margin, proven: bool
-) -> Blocked:
-    """Name the first point that the search did not reach, and the obstacle; unless ``proven``, say so."""
-    if answer.q_rad is not None:
-        return _too_sudden(robot, found.targets, answer.q_rad)
-    k, targets = answer.reached, found.targets
-    at = float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist())
-    feasible, names = found.feasible(margin), robot.data.joint_names
-    if not np.isfinite(found.mu[k]).any():
-        return Blocked(*at, "out of reach: no pose has tip and wrist there, whatever the joint limits")
-    if not feasible[k].any():
-        j = _nearest_limit(robot, found, k, np.isfinite(found.room_rad[k]))
-        return Blocked(*at, f"no pose there is within the joint limits: {names[j]} is beyond its own")
-    before = q_start[None, None] if k == 1 else found.poses(k - 1)
-    if k == 1:
-        before = np.tile(before, (found.mu.shape[1], 1, 1))
-    here = np.ones(before.shape[:2], dtype=np.bool_) if k == 1 else answer.last
-    q = found.poses(k)
-    known = np.isfinite(found.mu[k])
-    share, _ = nearest_share(before, here, q, known, step)
-    wanted, fast = nearest_share(before, here, q, feasible[k], step)
-    if share <= 1.0 < wanted:  # the poses next to those reached exist, and are beyond a limit
-        j = _nearest_limit(robot, found, k, known & _within(before, here, q, step))
-        told = f"{names[j]} runs into its limit; only other swivels or branches have poses within the limits"
-        return Blocked(*at, told)
-    if not np.isfinite(wanted):
-        return Blocked(*at, "no pose of the branch is within the joint limits there")
-    doubt = "" if proven else " between the poses of the map; the bound excludes no other way"
-    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit{doubt}")
-
-
-def _too_sudden(robot: RobotModel, targets: Targets, q: Array) -> Blocked:
-    """Return where the best course without a limit on accelerations needs the largest; with the limit there is none."""
-    gained = faster(q) / targets.period_s**2
-    k, j = (int(i) for i in np.unravel_index(int(np.argmax(gained)), gained.shape))
-    return Blocked(
-        float(targets.t_s[k]), float(targets.arc_length_m[k]), tuple(targets.tip[k].tolist()),
-        f"no course keeps the acceleration limit; the one without takes {robot.data.joint_names[j]} to "
-        f"{gained[k, j]:.3g} rad/s^2 there",
-    )  # fmt: skip
-
-
-def _within(before: Array, here: NDArray[np.bool_], q: Array, step: Array) -> NDArray[np.bool_]:
-    """Return (b,m) poses that the joints get to in one period, limits aside."""
-    near = np.zeros(q.shape[:2], dtype=np.bool_)
-    for b in range(len(q)):
-        for pose in before[b][here[b]]:
-            near[b] |= (np.abs(q[b] - pose) <= step).all(axis=1)
-    return near
-
-
-def _nearest_limit(robot: RobotModel, found: PoseMap, k: int, among: NDArray[np.bool_]) -> int:
-    """Return the joint that is farthest beyond its limit at the pose which is least beyond."""
-    room = np.where(among, found.room_rad[k], -np.inf)
-    q = found.poses(k)[np.unravel_index(int(np.argmax(room)), room.shape)]
-    moving = np.asarray(robot.moves.any(axis=0))
-    beyond = np.where(moving, np.maximum(q - robot.q_max, robot.q_min - q), -np.inf)
-    return int(np.argmax(beyond))
 
 
 def _is_number(value: object) -> bool:

@@ -13,6 +13,7 @@ for and the program without it would go below, it is one more inequality a time 
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
 from moc_opt.planning.pose_map import Margin
-from moc_opt.planning.shaft import shaft_shares
+from moc_opt.planning.shaft import lowered, shaft_shares
 from moc_opt.planning.targets import Targets
 
 # mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
@@ -52,7 +53,6 @@ def refine(
     course: Course,
     objective: Objective = "mean",
     *,
-    guess: Array | None = None,
     free_start: bool = False,
     margin: Margin = 0.0,
     speed_share: float = 1.0,
@@ -64,8 +64,7 @@ def refine(
     """Improve a course to a local optimum.
 
     Args:
-        course: that is to be improved; all times.
-        guess: (k,n) poses to begin with in place of the course's; they may break constraints.
+        course: that is to be improved, all times; it may break constraints.
         objective: as for the search.
         free_start: whether the first pose may change, too.
         margin: from the joint limits.
@@ -82,16 +81,51 @@ def refine(
         `MOST_VIOLATION` only where it is the given one, and nothing better was found. ``certified`` where ipopt met
         its tolerances at the course that is returned.
     """
+    improve = partial(
+        _improved, robot, targets, course, objective, free_start=free_start, margin=margin, speed_share=speed_share,
+        smoothness=smoothness, acceleration=acceleration, brake=brake,
+    )  # fmt: skip
+    free = improve()
+    if free is None or shaft_margin == 0.0:
+        return course if free is None else free
+    floor = np.minimum(shaft_shares(robot, course.q_rad), shaft_margin)
+    if (shaft_shares(robot, free.q_rad) >= floor - SHAFT_ROOM).all():
+        return free
+    held = improve(floor=np.maximum(floor - SHAFT_ROOM, 0.0))
+    if held is not None:
+        return held
+    # No program that keeps the margin got anywhere: the better one by what the search compares.
+    most = float(max(course.mu.max(), free.mu.max()))
+    mine, other = (lowered(each, robot, shaft_margin, most).value(objective) for each in (course, free))
+    enough = mine - _loss(smoothness, brake) * abs(course.value(objective))
+    return free if not course.kept or other >= enough else course
+
+
+def _loss(smoothness: float, brake: float) -> float:
+    return SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
+
+
+def _improved(
+    robot: RobotModel,
+    targets: Targets,
+    course: Course,
+    objective: Objective,
+    *,
+    free_start: bool,
+    margin: Margin,
+    speed_share: float,
+    smoothness: float,
+    acceleration: float,
+    brake: float,
+    floor: Array | None = None,
+) -> Course | None:
+    """Solve the program; None where its answer breaks a constraint, or is worse than the course by too much.
+
+    Args:
+        floor: (k,) least share of the squared lever at each time; None: none. Others as for `refine`.
+    """
     import casadi as ca  # late: half a second
 
-    floor = np.minimum(shaft_shares(robot, course.q_rad), shaft_margin)
-    if shaft_margin > 0.0:
-        found = refine(
-            robot, targets, course, objective, guess=guess, free_start=free_start, margin=margin,
-            speed_share=speed_share, smoothness=smoothness, acceleration=acceleration, brake=brake,
-        )  # fmt: skip
-        if (shaft_shares(robot, found.q_rad) >= floor - SHAFT_ROOM).all():
-            return found
     moving = np.flatnonzero(robot.moves.any(axis=0))
     k, a = len(course.q_rad), len(moving)
     x = ca.MX.sym("q", a, k)
@@ -122,10 +156,9 @@ def refine(
         later, way = ca.vec(x[:, 1:]), ca.vec(x[:, 1:] - x[:, :-1])
         excess = too_fast(way / targets.period_s, later, ca.DM(low[a:]), ca.DM(high[a:]), brake)
         rows.append((targets.period_s * excess, -np.inf, 0.0))
-    if shaft_margin > 0.0:
-        floor = np.maximum(floor - SHAFT_ROOM, 0.0)
+    if floor is not None:
         rows.append((kin.shaft.map(k)(q)[:, there].T, floor[there] ** 2, np.inf))
-    begin = np.array((course.q_rad if guess is None else guess)[:, moving]).ravel()
+    begin = np.array(course.q_rad[:, moving]).ravel()
     if not free_start:
         low[:a] = high[:a] = course.q_rad[0, moving]
     weight, variables = weights(k) / weights(k).sum(), ca.vec(x)
@@ -153,14 +186,13 @@ def refine(
     poses = np.array(course.q_rad)
     poses[:, moving] = np.array(answer["x"]).ravel()[: k * a].reshape(k, a)
     if not np.isfinite(poses).all():
-        return course
+        return None
     found = make_course(robot, targets, poses, margin, speed_share, acceleration)
-    loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
-    enough = course.value(objective) - loss * abs(course.value(objective))
-    if shaft_margin > 0.0 and (shaft_shares(robot, poses) < floor - INSIDE).any():
-        return course
+    enough = course.value(objective) - _loss(smoothness, brake) * abs(course.value(objective))
+    if floor is not None and (shaft_shares(robot, poses) < floor - INSIDE).any():
+        return None
     if not found.kept or (course.kept and found.value(objective) < enough):
-        return course
+        return None
     return found.as_certified() if solver.stats()["success"] else found
 
 

@@ -19,6 +19,7 @@ from moc_opt.model.manipulability_kernels import shaft_manipulability
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
+from moc_opt.planning.course import Course
 from moc_opt.planning.pose_map import PoseMap
 from moc_opt.redundancy.continuation import Constraint, forward
 
@@ -35,9 +36,33 @@ def keeping_shaft(found: PoseMap, robot: RobotModel, margin: float) -> PoseMap:
         return found
     # Every branch of a swivel has the same columns of A up to their signs.
     share = np.array([shaft_shares(robot, found.poses(k)[0]) for k in range(len(found.targets))])[:, None]
+    return replace(found, mu=found.mu - _taken_off(share, margin, largest(found)))
+
+
+def lowered(course: Course, robot: RobotModel, margin: float, largest_mu: float) -> Course:
+    """Return the course with mu lowered as on its map, to compare courses by what the search compares.
+
+    Args:
+        course: of the robot.
+        robot: its model.
+        margin: as of `keeping_shaft`.
+        largest_mu: `largest` of the map before it was lowered [m^3].
+    """
+    if margin <= 0.0:
+        return course
+    return replace(course, mu=course.mu - _taken_off(shaft_shares(robot, course.q_rad), margin, largest_mu))
+
+
+def largest(found: PoseMap) -> float:
+    """Return the largest mu of a map [m^3]; 0 where it has no pose."""
+    return float(np.nanmax(found.mu, initial=0.0))
+
+
+def _taken_off(share: Array, margin: float, largest_mu: float) -> Array:
     with np.errstate(invalid="ignore"):
         short = np.maximum(1.0 - share / margin, 0.0)
-    return replace(found, mu=found.mu - WORTH * np.nanmax(found.mu) * short**2)
+    taken: Array = WORTH * largest_mu * short**2
+    return taken
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:

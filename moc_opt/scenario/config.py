@@ -135,7 +135,7 @@ class Scenario(Settings):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a TOML file; the path of a robot's file in it is relative to the scenario's folder.
+        """Read a TOML file; paths of a robot's file and of a course in it are relative to its folder.
 
         Raises:
             ScenarioError: no such file, no TOML, or a value out of range; names file and field.
@@ -172,7 +172,7 @@ class Scenario(Settings):
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the TOML that `load` reads as this scenario: only values that differ from the defaults.
 
-        A robot's own file is named by its absolute path.
+        Files of a robot and of a course are named by their absolute paths.
 
         Raises:
             ScenarioError: a solver's setting has no form in TOML, or the file cannot be written.
@@ -232,9 +232,13 @@ class Scenario(Settings):
 
 
 def _with_paths_from(folder: Path, table: dict[str, Any]) -> dict[str, Any]:
-    """Return the table with the robot's file, where one is given, taken from the scenario's own folder."""
-    robot = table.get("robot")
-    name = robot.get("name") if isinstance(robot, Mapping) else None
-    if robot is None or not isinstance(name, str) or Path(name).suffix.lower() not in (".toml", ".urdf"):
-        return table
-    return {**table, "robot": {**robot, "name": str(folder / name)}}
+    """Return the table with the files of robot and course, where they are given, taken from the scenario's folder."""
+    found = dict(table)
+    for name, key in (("robot", "name"), ("control", "course")):
+        part = table.get(name)
+        given = part.get(key) if isinstance(part, Mapping) else None
+        if part is None or not isinstance(given, str) or not given:
+            continue
+        if key == "course" or Path(given).suffix.lower() in (".toml", ".urdf"):
+            found[name] = {**part, key: str(folder / given)}
+    return found

@@ -22,6 +22,7 @@ from moc_opt.planning.shaft import COURSE_SHARE, keeping_shaft
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.course_file import load_course
 from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import margin_of, targets_of
 
@@ -113,6 +114,8 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     """Return the best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
+    if settings.course:
+        return _made_smooth(scenario, robot, load_course(scenario, robot, layout.q, targets), targets, brake)
     shaft, known = COURSE_SHARE * settings.shaft_margin, map_of(robot, layout.q, targets)
     for margin in _margins(scenario, robot, layout.q):
         for part in SPEEDS:
@@ -131,6 +134,22 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
                 if course is not found.from_start or rule == np.inf:
                     return course
     raise _stuck(scenario, found)
+
+
+def _made_smooth(scenario: Scenario, robot: RobotModel, course: Course, targets: Targets, brake: float) -> Course:
+    """Return a file's course made smooth, as one that is planned; as it is where that costs too much."""
+    settings = scenario.control
+    margin = margin_of(robot, settings.course_margin_rad, settings.limit_margin_m)
+    for pose in course.q_rad:  # no smoother one could keep more than it does
+        margin = margin_at(robot, pose, margin)
+    for rule in (brake, np.inf):
+        found = refine(
+            robot, targets, course, margin=margin, speed_share=settings.course_speed_fraction,
+            smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=COURSE_SHARE * settings.shaft_margin,
+        )  # fmt: skip
+        if found is not course:
+            return found
+    return course
 
 
 def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numbers
 import os
-from pathlib import Path
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.layout import Layout, described, lay_out, seeds_of
-from moc_opt.trace.trace import Trace
+from moc_opt.scenario.layout import Layout, lay_out, seeds_of
 
 PERIOD_S = 0.025
 """Between the times of a plan at most, if a path has no more than `MOST_TIMES` of them."""
@@ -104,28 +102,3 @@ def targets_of(
         layout.reference, layout.registered, robot.state(layout.q).tool_span, layout.duration_s, count,
         robot.data.tool_length,
     )  # fmt: skip
-
-
-def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str]) -> Path:
-    """Write the plan's course as a Parquet file that `Trace.load` reads: t_s, q_rad, mu, swivel_rad, tip_ref_m, tip_m.
-
-    Raises:
-        ScenarioError: there is none, neither from the start nor from elsewhere.
-        TraceError: the file cannot be written.
-    """
-    course = found.course
-    if course is None:
-        raise ScenarioError("no course goes all the way from any swivel: there is nothing to write; change the [task]")
-    robot = scenario.robot.arm()
-    tips, wrists = robot.tool_along(course.q_rad)
-    columns = {
-        "t_s": course.t_s, "q_rad": course.q_rad, "mu": course.mu, "swivel_rad": found.swivel_rad,
-        "tip_m": tips, "tip_ref_m": found.targets.tip, "wrist_m": wrists,
-    }  # fmt: skip
-    meta = {
-        "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
-        "certified": course.certified, **described(scenario, robot),
-    }  # fmt: skip
-    path = Path(to)
-    Trace(columns, meta).save(path)
-    return path

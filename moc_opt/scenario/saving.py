@@ -63,6 +63,8 @@ def save(scenario: Scenario, path: str | os.PathLike[str]) -> None:
     name = scenario.robot.name
     if Path(name).suffix.lower() in (".toml", ".urdf"):  # read again, it would count from the folder of the file
         table["robot"] = {**table["robot"], "name": str(Path(name).absolute())}
+    if scenario.control.course:
+        table["control"] = {**table["control"], "course": str(Path(scenario.control.course).absolute())}
     if None in scenario.solver.settings.values():
         table["solver"] = {**table["solver"], "settings": _given_settings(scenario)}
     try:

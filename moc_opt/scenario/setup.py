@@ -93,8 +93,12 @@ class Setup(Objects):
                 safety_filter=safety_filter, faults=around, compiled=compiled,
                 stop=make_stop(self.scenario), offset=self.offset, watch=watch, meta=meta, sink=sink, block=block,
             )  # fmt: skip
-        told = self.guide.told if isinstance(self.guide, Receding | Follower) else {}
-        return found.with_meta(replans=told) if told else found
+        guide, told = self.guide, dict[str, Any]()
+        if isinstance(guide, Follower):
+            told["course_mu_mean"] = guide.course_mu_mean
+        if isinstance(guide, Receding | Follower) and guide.told:
+            told["replans"] = guide.told
+        return found.with_meta(**told)
 
     def _streamed(self, to: Path, meta: dict[str, Any], watch: Callable[[int], None] | None, block: int) -> Trace:
         """Return a run whose rows go to the disk as they come; judged block by block."""

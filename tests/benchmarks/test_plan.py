@@ -15,7 +15,9 @@ from benchmarks import plan
 from benchmarks.common.output import default_config
 from benchmarks.planning.first_screen import answer
 from benchmarks.planning.goals import goal_rows
+from benchmarks.planning.page import COMMANDS, PAGE, page_text
 from benchmarks.planning.tables import summarise
+from moc_opt.errors import MocOptError
 from tests import first_screens
 
 TINY = """
@@ -157,6 +159,35 @@ def test_the_report_opens_with_the_answer_and_folds_the_rest(results: Path) -> N
         screen.print(part, markup=False)
     assert max(map(len, screen.file.getvalue().splitlines())) <= 80
     assert all(word in screen.file.getvalue() for word in ("trapped", "planned", "RCM"))
+
+
+def test_the_page_shows_runs_of_the_configurations_that_ship_alone(results: Path) -> None:
+    summary, environment = (json.loads((results / f"{name}.json").read_text()) for name in ("summary", "environment"))
+    whole, limits = (page_text(section, summary, environment) for section in COMMANDS)
+    assert "`python -m benchmarks.plan --page` (seed 3; poses: lwr4 2; " in whole
+    gap = summary["loops"]["lwr4"]["planned"]["gap_percent"]
+    assert f"| planned: mean gap to the best course [%] | 0.5 | {gap:.3g}" in whole
+    assert whole.count("| lwr4 | planned | 2 |") == limits.count("| lwr4 | planned | 2 |") == 1
+    assert ("random starts" in whole, "random starts" in limits) == (True, False)
+    text = PAGE.read_text(encoding="utf-8")
+    for name in COMMANDS:
+        assert plan.section_of(plan.Config.load(default_config(name))) == name
+        assert f"<!-- {name} -->" in text
+    tiny = plan.Config.load(results.parent / "tiny.toml")
+    with pytest.raises(MocOptError, match=r"--page: the page shows runs of 'python -m benchmarks.plan --page' and"):
+        plan.section_of(tiny)
+    assert plan.main([str(results.parent / "tiny.toml"), "--out", str(results), "--page"]) == 2
+
+
+def test_what_a_course_gives_up_is_told_apart_from_what_the_run_does(results: Path) -> None:
+    rows = [row for row in rows_of(results) if row["part"] == "loop" and row["loop"] == "planned" and not row["error"]]
+    found = json.loads((results / "summary.json").read_text())["loops"]["lwr4"]["planned"]
+    assert rows
+    for row in rows:
+        assert -1e-6 < row["course_gap_percent"] < 50.0
+        assert abs(row["gap_percent"] - row["course_gap_percent"]) < 10.0 or row["left_course_s"] is not None
+    assert found["course_gap_percent"] == pytest.approx(sum(row["course_gap_percent"] for row in rows) / len(rows))
+    assert found["left_course"] == sum(row.get("left_course_s") is not None for row in rows)
 
 
 def test_a_wrong_configuration_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

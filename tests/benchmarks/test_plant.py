@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from benchmarks import plant
-from benchmarks.common.markdown import SectionError
+from benchmarks.common.markdown import SectionError, write_section
 from benchmarks.common.output import default_config
 from benchmarks.paper_experiment.trials import variant
 from benchmarks.plant_study import runs, tables
@@ -96,11 +96,11 @@ def test_the_page_keeps_its_words(results, tmp_path):
     text = tables.page_text(json.loads((out / "summary.json").read_text()), config)
     page = tmp_path / "plant.md"
     page.write_text("before\n<!-- plant -->\nold\n<!-- /plant -->\nafter\n")
-    tables.write_page(text, page)
+    write_section(page, "plant", text)
     lines = page.read_text().splitlines()
     assert (lines[0], lines[-1]) == ("before", "after")
     assert "old" not in lines
     assert sum(line.startswith("| bias | ") for line in lines) == 2
     page.write_text("no marks")
     with pytest.raises(SectionError, match="no lines <!-- plant -->"):
-        tables.write_page(text, page)
+        write_section(page, "plant", text)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from benchmarks import realtime
 from benchmarks.common.kept import Kept
-from benchmarks.latency import clock, wire
+from benchmarks.latency import clock, clock_page, wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
 from moc_opt.scenario import Scenario
@@ -96,6 +96,20 @@ def test_what_harms_under_load_is_said_and_marked():
         screen.print(part, markup=False)
     assert max(map(len, screen.file.getvalue().splitlines())) <= 80
     assert all(word in screen.file.getvalue() for word in ("p99.99", "RCM", "Python, 1000 Hz, loaded"))
+
+
+def test_the_page_has_a_row_a_case():
+    cases = {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)]),
+             "python, 500 Hz, loaded": realtime.summarise([run_of(1000, rcm=1.25)])}  # fmt: skip
+    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
+    config = {"cycles": 1000}
+    environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": config, "seed": 0}
+    text = clock_page.page_text(summary, environment)
+    assert "`python -m benchmarks.realtime --cycles 1000 --page` (2 cores, a processor, seed 0)" in text
+    assert "| C, 500 Hz, quiet | 1,000 | 7 | 0 | 50 / 99 / 100 / 100 | 500 / 990 / 1,000 / 1,000 |" in text
+    assert "| 0 | 1.25 |" in text
+    assert text.endswith(clock.sentences(summary)[-1])
+    assert f"<!-- {clock_page.SECTION} -->" in clock_page.PAGE.read_text()
 
 
 def test_the_histogram_holds_every_cycle():

@@ -27,6 +27,7 @@ from benchmarks.latency.goals import GOALS, goal_verdicts
 from benchmarks.latency.report import answer, headline, report, tables
 from moc_opt.errors import ScenarioError, UnknownNameError
 from moc_opt.qp.problem import compute_residuals
+from moc_opt.scenario import Scenario
 from moc_opt.solvers import available, create
 from moc_opt.solvers.exact.solver import Exact
 from tests import first_screens
@@ -291,11 +292,25 @@ def test_ratios_are_those_of_the_same_round():
         {"name": name, "us_per_tick": slow * us}
         for slow in (1.0, 10.0, 1.0) for name, us in (("python", 40.0), ("c", 20.0), ("judged", 50.0))
     ]  # fmt: skip
-    found = limit.ratios(rows, [9.0, 99.0, 9.0], 1.0)
+    found = limit.ratios(rows, [9.0, 99.0, 9.0], [7.0, 70.0, 7.0], 1.0)
     assert found == {
-        "steps_us": 9.0, "limit_us": 10.0, "judged_over_loop": 1.25, "python_over_limit": 4.0, "c_over_limit": 2.0,
+        "steps_us": 9.0, "steps_alone_us": 7.0, "limit_us": 10.0, "judged_over_loop": 1.25, "python_over_limit": 4.0,
+        "c_over_limit": 2.0,
     }  # fmt: skip
-    assert set(limit.ratios(rows, [9.0, 99.0, 9.0], None)) == {"steps_us", "judged_over_loop"}
+    without = limit.ratios(rows, [9.0, 99.0, 9.0], [7.0, 70.0, 7.0], None)
+    assert set(without) == {"steps_us", "steps_alone_us", "judged_over_loop"}
+
+
+def test_the_limit_steps_through_the_states_of_the_run():
+    """From each state one control period leads to the next; the forces of its steps differ by one step's motion."""
+    steps = limit.Steps(Scenario(judge=False, bound_samples=0, duration_s=0.3))
+    after, n = steps.stepped(), 7
+    assert len(steps.states) == 150
+    np.testing.assert_allclose(after[:-1, 0], steps.states[1:, 0], rtol=1e-12)
+    moved = np.abs(np.diff(steps.states[:, 1 : 1 + n], axis=0))
+    assert np.abs(after[:-1, 1 : 1 + n] - steps.states[1:, 1 : 1 + n]).max() < 0.05 * moved.max()
+    assert steps.us() > 0.0
+    assert steps.alone_us() > 0.0
 
 
 def test_a_million_is_a_million():

@@ -13,7 +13,7 @@ from moc_opt.__main__ import main
 from moc_opt.errors import ScenarioError
 from moc_opt.report.plan_table import plan_tables
 from moc_opt.scenario import Setup
-from moc_opt.scenario.planned import plan, save_course
+from moc_opt.scenario.planned import plan
 from moc_opt.tasks.trocar import shaft_distance
 
 
@@ -37,24 +37,6 @@ def test_no_run_beats_the_bound_of_its_plan() -> None:
     found = plan(scenario)
     assert mean < found.bound_from_start * 1.001
     assert mean > 0.9 * found.bound_from_start
-
-
-def test_a_course_is_written_and_read_back(tmp_path: Path) -> None:
-    scenario = mo.Scenario()
-    found = plan(scenario, swivels=180, times=60)
-    trace = mo.Trace.load(save_course(found, scenario, tmp_path / "course.parquet"))
-    assert found.from_start is not None
-    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
-    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
-    assert trace.meta["from_start"] is True
-
-
-def test_where_no_course_exists_nothing_is_written(tmp_path: Path) -> None:
-    scenario = mo.Scenario()
-    found = plan(scenario, swivels=180, times=60, margin_rad=1.0)
-    assert found.course is None
-    with pytest.raises(ScenarioError, match="nothing to write"):
-        save_course(found, scenario, tmp_path / "course.parquet")
 
 
 def test_too_few_times_are_refused() -> None:

@@ -1,0 +1,135 @@
+"""A course in a file: written, read back, followed as one that is planned, and refused where it is another run's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import moc_opt as mo
+from moc_opt.__main__ import main
+from moc_opt.errors import ScenarioError, TraceError
+from moc_opt.scenario import Setup, guided
+from moc_opt.scenario.course_file import load_course, save_course
+from moc_opt.scenario.followable import followable_plan
+from moc_opt.scenario.planned import plan, targets_of
+
+SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(control={"third_level": "planned"})
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found, _ = followable_plan(SCENARIO, None, None, objective="mean", acceleration=np.inf)
+    return save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet")
+
+
+def loaded(scenario: mo.Scenario) -> Any:
+    setup = Setup(scenario.change(control={"third_level": "local"}))
+    return load_course(scenario, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
+
+
+def test_a_course_is_written_and_read_back(tmp_path: Path) -> None:
+    scenario = mo.Scenario()
+    found = plan(scenario, swivels=180, times=60)
+    trace = mo.Trace.load(save_course(found, scenario, tmp_path / "course.parquet"))
+    assert found.from_start is not None
+    np.testing.assert_array_equal(trace.q_rad, found.from_start.q_rad)
+    np.testing.assert_array_equal(trace.columns["swivel_rad"], found.swivel_rad)
+    assert trace.meta["from_start"] is True
+
+
+def test_where_no_course_exists_nothing_is_written(tmp_path: Path) -> None:
+    scenario = mo.Scenario()
+    found = plan(scenario, swivels=180, times=60, margin_rad=1.0)
+    assert found.course is None
+    with pytest.raises(ScenarioError, match="nothing to write"):
+        save_course(found, scenario, tmp_path / "course.parquet")
+
+
+def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planned = mo.run(SCENARIO)
+    monkeypatch.setattr(guided, "make_plan", lambda *given, **more: pytest.fail("the course is in the file"))
+    followed = mo.run(SCENARIO.change(control={"course": str(file)}))
+    assert followed.meta["course_mu_mean"] == pytest.approx(planned.meta["course_mu_mean"], rel=1e-9)
+    np.testing.assert_allclose(followed.q_rad, planned.q_rad, rtol=0.0, atol=1e-6)
+    climbed = mo.run(SCENARIO.change(control={"third_level": "local"}))
+    assert np.abs(climbed.q_rad - followed.q_rad).max() > 1e-3
+
+
+def test_the_poses_of_the_file_are_the_course(file: Path) -> None:
+    course = loaded(SCENARIO.change(control={"course": str(file)}))
+    np.testing.assert_array_equal(course.q_rad, mo.Trace.load(file).q_rad)
+    assert course.kept
+
+
+def changed(file: Path, to: Path, **columns: Any) -> mo.Scenario:
+    trace = mo.Trace.load(file)
+    mo.Trace({**trace.columns, **columns}, trace.meta).save(to)
+    return SCENARIO.change(control={"course": str(to)})
+
+
+def test_a_course_of_another_run_is_refused_with_the_difference(file: Path) -> None:
+    mine = SCENARIO.change(control={"course": str(file)})
+    for change, message in (
+        ({"duration_s": 0.8}, "it goes from 0 to 1 s, the run from 0 to 0.8"),
+        ({"start": {"swivel": 0.3}}, r"begins 0\.\d+ rad from the start of the run"),
+        ({"task": {"v_max_m_per_s": 0.2}}, "mm off path and shaft at t ="),
+        ({"robot": {"name": "iiwa14"}}, "a course of robot 'lwr4', this run's is 'iiwa14'"),
+        ({"control": {"course_speed_fraction": 0.01}}, "plan it with --speed-share 0.01"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            loaded(mine.change(**change))
+
+
+def test_a_file_that_is_no_course_is_refused(file: Path, tmp_path: Path) -> None:
+    trace, to = mo.Trace.load(file), tmp_path / "other.parquet"
+    t, q = trace.t_s, trace.q_rad
+    broken, gone = np.array(q), np.array(q)
+    broken[3, 2], gone[5] = np.nan, q[5] + 0.05
+    for columns, message in (
+        ({"q_rad": q[:, :6]}, "no course of 7 joints"),
+        ({"q_rad": broken}, "no course of 7 joints"),
+        ({"t_s": t[::-1].copy()}, "rising times"),
+        ({"t_s": np.round(t).astype(np.int64)}, "rising times"),
+        ({"q_rad": gone}, "mm off path and shaft at t = 0.125 s"),
+        ({"t_s": t + 0.01}, "it goes from 0.01 to 1.01 s"),
+    ):
+        with pytest.raises(ScenarioError, match=message):
+            loaded(changed(file, to, **columns))
+    with pytest.raises(TraceError, match="no such file"):
+        loaded(SCENARIO.change(control={"course": str(tmp_path / "nowhere.parquet")}))
+
+
+def test_a_joint_beyond_its_limit_is_named(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = SCENARIO.change(control={"course": str(file)})
+    setup = Setup(scenario.change(control={"third_level": "local"}))
+    robot, targets = setup.robot, targets_of(setup.robot, setup.layout)
+    highest = mo.Trace.load(file).q_rad[:, 3].max()
+    monkeypatch.setattr(robot, "q_max", np.where(np.arange(7) == 3, highest - 0.01, robot.q_max))
+    with pytest.raises(ScenarioError, match=f"{robot.data.joint_names[3]} goes 0.01 rad beyond its limit"):
+        load_course(scenario, robot, setup.layout.q, targets)
+
+
+def test_its_place_is_that_of_the_scenario(file: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.toml"
+    mine.write_text('[control]\nthird_level = "planned"\ncourse = "my.parquet"\n', encoding="utf-8")
+    scenario = mo.Scenario.load(mine)
+    assert scenario.control.course == str(tmp_path / "my.parquet")
+    other = tmp_path / "other"
+    other.mkdir()
+    scenario.save(other / "again.toml")
+    assert mo.Scenario.load(other / "again.toml") == scenario
+
+
+def test_the_commands_write_and_follow_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine, to, ran = tmp_path / "mine.toml", tmp_path / "course.parquet", tmp_path / "run.parquet"
+    mine.write_text('duration_s = 0.5\nbound_samples = 0\n[control]\nthird_level = "planned"\n', encoding="utf-8")
+    assert main(["plan", str(mine), "--out", str(to)]) == 0
+    assert main(["run", str(mine), "--course", str(to), "--trace", str(ran)]) == 0
+    assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
+    assert main(["run", str(mine), "--course", str(to), "--seed", "1", "--third-level", "local"]) == 2
+    assert "only --third-level planned follows a file" in capsys.readouterr().err
