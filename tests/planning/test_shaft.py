@@ -11,9 +11,13 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.planning import refine as refine_module
+from moc_opt.planning.course import make_course
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.refine import SHAFT_ROOM, refine
-from moc_opt.planning.shaft import WORTH, keeping_shaft, shaft_shares
+from moc_opt.planning.shaft import WORTH, keeping_shaft, largest, lowered, shaft_shares
+from moc_opt.scenario import Scenario
+from moc_opt.scenario.planned import layout_of, targets_of
 from tests.conftest import Array
 from tests.planning.test_search import task
 
@@ -123,6 +127,51 @@ def test_refinement_goes_no_further_below_than_the_course_that_it_begins_at(smoo
     assert kept.kept
     assert (shaft_shares(robot, kept.q_rad) >= floor - 1.01 * SHAFT_ROOM).all()
     assert kept.mu_mean < free.mu_mean
+
+
+def test_where_no_program_keeps_the_margin_the_course_that_the_search_would_take_is_returned(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """mu is higher below the margin here, and further below than it is worth; a course that is not kept is none."""
+    robot = arm("lwr4")
+    plan, _ = planned(10, MARGIN)
+    course = plan.from_start
+    assert course is not None
+    free = refine(robot, plan.targets, course)
+    solved = refine_module._improved
+    monkeypatch.setattr(
+        refine_module, "_improved", lambda *given, floor=None, **more: solved(*given, **more) if floor is None else None
+    )
+    most = largest(map_of(robot, course.q_rad[0], plan.targets, 360))
+    values = [lowered(each, robot, MARGIN, most).mu_mean for each in (course, free)]
+    found = refine(robot, plan.targets, course, shaft_margin=MARGIN)
+    assert values[0] != pytest.approx(values[1], rel=1e-4)
+    np.testing.assert_array_equal(found.q_rad, (course, free)[int(np.argmax(values))].q_rad)
+    broken = make_course(robot, plan.targets, course.q_rad + 1e-4 * np.sin(np.arange(60.0))[:, None])
+    assert not broken.kept
+    assert refine(robot, plan.targets, broken, shaft_margin=MARGIN).kept
+
+
+def test_a_way_that_only_the_bound_knows_is_taken_though_it_goes_just_below_the_margin() -> None:
+    """The grid's steps are too coarse for the way to the higher maximum, which leads 6 % below the margin."""
+    sizes = {"amplitude": 0.01, "wavelength": 0.02, "periods": 2.0}
+    scenario = Scenario().change(
+        seed=3912373839, start={"pose": "random", "swivel": "random"}, trocar={"depth_m": 0.12},
+        task={"path": "sinusoid", "sizes": sizes},
+    )  # fmt: skip
+    robot = arm("lwr4")
+    layout = layout_of(scenario, robot)
+    targets = targets_of(robot, layout, 128)
+    free, kept = (
+        make_plan(
+            robot, layout.q, targets, swivels=360, margin=0.05, speed_share=0.97, shaft_margin=margin, elsewhere=False
+        ).from_start
+        for margin in (0.0, 0.0875)
+    )
+    assert free is not None
+    assert kept is not None
+    assert shaft_shares(robot, kept.q_rad).min() == pytest.approx(0.083, abs=0.002)
+    assert kept.mu_mean > 0.99 * free.mu_mean
 
 
 @pytest.mark.parametrize("margin", [-0.1, 1.5, float("nan"), True, "half"])
