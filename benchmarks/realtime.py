@@ -25,11 +25,13 @@ from benchmarks.common import cli
 from benchmarks.common.config import Configuration
 from benchmarks.common.kept import Kept
 from benchmarks.common.markdown import write_section
+from benchmarks.common.output import default_config
 from benchmarks.latency import wire
 from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.clock_page import PAGE, SECTION, page_text
 from benchmarks.latency.goals import Goal, goal_verdicts
 from benchmarks.latency.wire import Case, Found
+from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
 
 
@@ -95,11 +97,24 @@ def _kept_run(kept: Kept, about: str, once: Callable[[], Found], number: int) ->
     return kept.of(f"{about}, {number}", once)
 
 
+def check_page(config: Config) -> None:
+    """Refuse to write the page from another configuration than the one that ships; the cycles are shown with it.
+
+    Raises:
+        MocOptError: it is another one.
+    """
+    shipped = Config.load(default_config("realtime"))
+    if config.model_copy(update={"cycles": shipped.cycles}) != shipped:
+        raise MocOptError("--page: the page shows runs of the configuration that ships: give --cycles alone")
+
+
 def study(given: Namespace) -> cli.Results:
     """Measure every case."""
     config = Config.chosen(given, "realtime")
     if given.cycles is not None:
         config = Config(**config.model_dump() | {"cycles": given.cycles})
+    if given.page:
+        check_page(config)
     each = min(config.cycles, config.run_cycles)
     environment = config.environment(given, collector="off inside both loops", cores=os.cpu_count())
     machine = {"processor": environment["machine"]["processor"], "cores": os.cpu_count()}

@@ -73,6 +73,7 @@ def _plan_scenario(given: argparse.Namespace) -> int:
                 screen.print(piece)
         print(start_toml(scenario.robot.arm(), found, places))
     if given.out is not None:
-        path = save_course(found, scenario, given.out)
+        limits = {**within, "acceleration": given.acceleration}
+        path = save_course(found, scenario, given.out, limits)
         print(path, file=sys.stderr if given.json else sys.stdout)
     return 0 if found.executable else 3

@@ -50,7 +50,7 @@ def check_paths(given: argparse.Namespace) -> None:
     Raises:
         TraceError: names the option and the file.
     """
-    read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source")]
+    read = [getattr(given, name, None) for name in ("scenario", "task", "key_file", "source", "course")]
     taken = {_place(path): "is read" for path in (*read, *getattr(given, "traces", ())) if path is not None}
     for name in ("trace", "report", "out"):
         path = getattr(given, name, None)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 def run_scenario(given: argparse.Namespace) -> int:
     """Run, summarise against DCAC with the same gains, print, save."""
+    from moc_opt.commands.arguments import check_paths
     from moc_opt.report.console import progress
     from moc_opt.report.document import check_out
     from moc_opt.scenario import RunAway, Setup
@@ -24,6 +25,8 @@ def run_scenario(given: argparse.Namespace) -> int:
     if "best_courses" not in scenario.model_fields_set:
         scenario = scenario.change(best_courses=True)
     scenario = changed(scenario, given)
+    given.course = scenario.control.course or None  # the scenario's own file is not to be overwritten, either
+    check_paths(given)
     if given.report is not None:
         check_out(given.report, "report")
     with progress(title) as bar:
@@ -107,8 +110,11 @@ def changed(scenario: Scenario, given: argparse.Namespace) -> Scenario:
     if given.robot is not None:
         scenario = scenario.change(robot={"name": given.robot})
     if given.third_level is not None:
-        scenario = scenario.change(control={"third_level": given.third_level})
+        course = scenario.control.course if given.third_level == "planned" else ""
+        scenario = scenario.change(control={"third_level": given.third_level, "course": course})
     if given.course is not None:
+        if not given.course:
+            raise ScenarioError("--course '': give the file that `moc-opt plan --out` wrote")
         if given.third_level not in (None, "planned"):
             raise ScenarioError(f"--course {given.course}: only --third-level planned follows a file; leave one out")
         scenario = scenario.change(control={"third_level": "planned", "course": given.course})

@@ -168,6 +168,15 @@ class ControlSettings(Settings):
         return None if given == "" else given  # a file has no None
 
     @model_validator(mode="after")
+    def _course_of_planned(self) -> Self:
+        if self.course and self.third_level != "planned":
+            raise ValueError(
+                f"course = {self.course!r:.100} with third_level = {self.third_level!r}: only third_level = 'planned' "
+                "follows a file; set that, or leave course out"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _third_level_of_moc(self) -> Self:
         if self.law == "dcac" and self.follows:
             raise ValueError(
@@ -227,7 +236,7 @@ class ControlSettings(Settings):
     def matched_dcac(self) -> dict[str, Any]:
         """Return the changes that make these settings DCAC with the same gains: the baseline of a fair comparison."""
         return {
-            "law": "dcac", "gains": self.gains or self.law, "third_level": "local",
+            "law": "dcac", "gains": self.gains or self.law, "third_level": "local", "course": "",
             "observer_gain_per_s": self.observer_rate_per_s,  # a course has one of its own
         }  # fmt: skip
 

@@ -157,8 +157,8 @@ def make_plan(
         search(found, step, objective, start=begin, margin=margin, generous=True) for begin in starts
     ]
     bounded = time.perf_counter()
-    def worth(course: Course) -> float:
-        return lowered(course, robot, shaft_margin, most).value(objective)
+    def worth(course: Course) -> tuple[float, float]:
+        return lowered(course, robot, shaft_margin, most).value(objective), course.mu_mean
 
     courses: list[Course | None] = []
     for answer, bound, begin in zip(answers, bounds, starts, strict=True):
@@ -166,19 +166,19 @@ def make_plan(
         poses = [q for q in (answer.q_rad, bound.q_rad if refined else None) if q is not None and np.isfinite(q).all()]
         made = [make_course(robot, targets, q, margin, speed_share, acceleration) for q in poses]
         if refined:
-            made = [
+            made += [
                 refine(
                     robot, targets, course, objective, free_start=begin is None, margin=margin,
                     speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin,
                 ) for course in made
             ]  # fmt: skip
         usable = [course for course in made if course.kept]
-        if not usable and answer.q_rad is not None and not np.isfinite(acceleration):
-            usable = made[:1]
+        if not usable and made and answer.q_rad is not None and not np.isfinite(acceleration):
+            usable = made[:1]  # the grid's, off by rounding
         courses.append(max(usable, key=worth, default=None))
     took = mapped - began, searched - mapped, time.perf_counter() - bounded
     mine, best = courses[0], courses[-1]
-    if mine is not None and best is not None and worth(mine) > worth(best):
+    if mine is not None and (best is None or worth(mine) > worth(best)):
         best = mine  # of all starts one is the given one
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best

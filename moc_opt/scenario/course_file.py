@@ -3,28 +3,54 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError, shown
+from moc_opt.errors import ScenarioError, TraceError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
-from moc_opt.planning.course import Course, make_course
+from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course, margin_at
 from moc_opt.planning.plan import Plan
+from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import described
+from moc_opt.scenario.planned import margin_of
 from moc_opt.trace.trace import Trace
 
 MOST_OFF_M = 1e-3
 """So far tip or wrist may be off the run's targets; the program that makes a course smooth puts them there."""
+LIMITS = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf}
+"""What a course was planned for, and what stands for it in a file that does not say."""
 MOST_OFF_RAD = 1e-6
 """So far the first pose may be from the run's start, and a joint or its way beyond a limit."""
 
 
-def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str]) -> Path:
+class Given(NamedTuple):
+    """A file's course, and what it was planned for: whoever makes it smooth keeps to that."""
+
+    course: Course
+    objective: Objective
+    margin: Margin
+    """from the joint limits [rad], [m]"""
+    speed_share: float
+    acceleration: float
+    """[rad/s^2]; inf: no limit"""
+
+
+def save_course(
+    found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float] | None = None
+) -> Path:
     """Write the plan's course as a Parquet file that `Trace.load` reads: t_s, q_rad, mu, swivel_rad, tip_ref_m, tip_m.
+
+    Args:
+        found: the plan.
+        scenario: that was planned.
+        to: the file.
+        within: limits that it was planned for: margin_rad, margin_m, speed_share, acceleration, where there are any.
 
     Raises:
         ScenarioError: there is none, neither from the start nor from elsewhere.
@@ -42,14 +68,15 @@ def save_course(found: Plan, scenario: Scenario, to: str | os.PathLike[str]) -> 
     meta = {
         "kind": "course", "objective": found.objective, "from_start": found.executable, "violation": course.violation,
         "certified": course.certified, **described(scenario, robot),
+        "within": {name: value for name, value in (within or {}).items() if np.isfinite(value)},
     }  # fmt: skip
     path = Path(to)
     Trace(columns, meta).save(path)
     return path
 
 
-def load_course(scenario: Scenario, robot: RobotModel, q_start: Array, targets: Targets) -> Course:
-    """Read the file of ``[control] course`` as a course of this run, at the times of its targets.
+def load_course(scenario: Scenario, robot: RobotModel, q_start: Array, targets: Targets) -> Given:
+    """Read the file of ``[control] course``: a course of this run, at the times of its targets.
 
     Args:
         scenario: names the file, and what a course may do.
@@ -58,46 +85,89 @@ def load_course(scenario: Scenario, robot: RobotModel, q_start: Array, targets: 
         targets: of the run; poses between the file's times are interpolated.
 
     Raises:
-        ScenarioError: the file is no course of this run, or one that its third level cannot follow; says which of
-            robot, start, duration, path, limits and speeds differs, and by how much.
-        TraceError: the file cannot be read.
+        ScenarioError: the file cannot be read, is no course of this run, or one that its third level cannot follow;
+            says which of robot, start, duration, path, limits and speeds differs, and by how much.
     """
     file, settings = scenario.control.course, scenario.control
-    trace, cure = Trace.load(file), "plan it for this scenario: moc-opt plan SCENARIO --out FILE"
 
-    def refuse(why: str, cure: str = cure) -> ScenarioError:
-        return ScenarioError(f"[control] course = {file!r}: {why}; {cure}")
+    def refuse(why: str, cure: str = "plan it for this scenario: moc-opt plan SCENARIO --out FILE") -> ScenarioError:
+        return ScenarioError(f"[control] course = {shown(file)}: {why}; {cure}")
 
+    try:
+        trace = Trace.load(file)
+    except TraceError as error:
+        raise refuse(f"no file of a course ({error})") from error
+    if trace.meta.get("kind") != "course":
+        raise refuse("the file holds no course")
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
-    shaped = t.ndim == 1 and len(t) > 1 and q.shape == (len(t), robot.n) and t.dtype == q.dtype == np.float64
-    if not shaped or not np.isfinite(q).all() or not (np.diff(t) > 0.0).all():
-        raise refuse(f"no course of {robot.n} joints, poses q_rad at rising times t_s")
+    if q.shape != (len(t), robot.n) or len(t) < 2 or not t.dtype == q.dtype == np.float64:
+        wanted = f"a course of {robot.n} joints (k,) and (k, {robot.n})"
+        raise refuse(f"t_s has shape {t.shape} and q_rad {q.shape}, {wanted}")
+    if not (np.isfinite(q).all() and (np.diff(t) > 0.0).all()):
+        raise refuse("its times t_s do not rise, or a pose is not finite")
     if trace.meta.get("robot", robot.data.name) != robot.data.name:
         raise refuse(f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}")
     names, end = robot.data.joint_names, float(targets.t_s[-1])
     off = np.abs(q[0] - q_start)
     if off.max() > MOST_OFF_RAD:
         j = int(np.argmax(off))
+        if trace.meta.get("from_start") is False:
+            raise refuse(
+                f"no course begins at this start, {names[j]} of the file {off[j]:.3g} rad from it",
+                f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}",
+            )
         raise refuse(f"{names[j]} begins {off[j]:.3g} rad from the start of the run")
     if abs(t[0]) > MOST_OFF_RAD or abs(t[-1] - end) > 1e-6 * end:
         raise refuse(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end:.4g}")
     poses = np.stack([np.interp(targets.t_s, t, joint) for joint in q.T], axis=1)
+    if not np.isfinite(poses).all():
+        raise refuse("poses between its times are not finite")
     tips, wrists = robot.tool_along(poses)
     away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
-    if away.max() > MOST_OFF_M:
+    if not away.max() <= MOST_OFF_M:
         k = int(np.argmax(away))
         raise refuse(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
-    moving = np.asarray(robot.moves.any(axis=0))
-    beyond = np.where(moving, np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0), -1.0)
-    if beyond.max() > MOST_OFF_RAD:
+    beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
+    if not beyond.max() <= MOST_OFF_RAD:
         j = int(np.argmax(beyond))
         raise refuse(f"{names[j]} goes {beyond[j]:.3g} rad beyond its limit")
-    shares = np.where(moving, np.abs(np.diff(poses, axis=0)).max(axis=0) / (targets.period_s * robot.v_max), 0.0)
-    j, allowed = int(np.argmax(shares)), settings.course_speed_fraction
-    if shares[j] > allowed + MOST_OFF_RAD:
+    idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
+    if not idle.max() <= MOST_OFF_RAD:
+        j = int(np.argmax(idle))
+        raise refuse(f"{names[j]} moves neither tip nor wrist and turns by {idle[j]:.3g} rad")
+    shares, allowed = speed_shares(robot, poses, targets.period_s), settings.course_speed_fraction
+    if not shares.max() <= allowed + MOST_OFF_RAD:
+        j = int(np.argmax(shares))
         raise refuse(
             f"{names[j]} moves at {shares[j]:.3f} of its speed limit, the third level follows up to "
             f"course_speed_fraction = {allowed:g}",
             f"plan it with --speed-share {allowed:g}",
         )
-    return make_course(robot, targets, poses, speed_share=allowed)
+    within = trace.meta.get("within", {})
+    told: dict[str, Any] = {
+        name: within.get(name, usual) if isinstance(within, Mapping) else None for name, usual in LIMITS.items()
+    }
+    for name, value in told.items():
+        if not isinstance(value, int | float) or not value >= 0.0:
+            raise refuse(f"meta['within'] has no usable {name}: {shown(value)}")
+    margin = margin_of(
+        robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
+    )
+    for pose in poses:  # no smoother one could keep more than it does
+        margin = margin_at(robot, pose, margin)
+    return Given(
+        make_course(robot, targets, poses, speed_share=allowed), objective_of(trace), margin,
+        float(max(shares.max(), min(allowed, told["speed_share"]))), told["acceleration"],
+    )  # fmt: skip
+
+
+def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:
+    """Return (n,) the largest speed of each joint along poses (k,n), as a share of its limit."""
+    fastest: Array = np.abs(np.diff(poses, axis=0)).max(axis=0) / (period_s * robot.v_max)
+    return fastest
+
+
+def objective_of(trace: Trace) -> Objective:
+    """Return the objective that a file's course was planned for; "mean" where it does not say."""
+    told = trace.meta.get("objective")
+    return next((objective for objective in OBJECTIVES if objective == told), "mean")

@@ -115,7 +115,7 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     if settings.course:
-        return _made_smooth(scenario, robot, load_course(scenario, robot, layout.q, targets), targets, brake)
+        return _course_of_file(scenario, robot, layout, targets, brake)
     shaft, known = COURSE_SHARE * settings.shaft_margin, map_of(robot, layout.q, targets)
     for margin in _margins(scenario, robot, layout.q):
         for part in SPEEDS:
@@ -136,20 +136,18 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     raise _stuck(scenario, found)
 
 
-def _made_smooth(scenario: Scenario, robot: RobotModel, course: Course, targets: Targets, brake: float) -> Course:
-    """Return a file's course made smooth, as one that is planned; as it is where that costs too much."""
-    settings = scenario.control
-    margin = margin_of(robot, settings.course_margin_rad, settings.limit_margin_m)
-    for pose in course.q_rad:  # no smoother one could keep more than it does
-        margin = margin_at(robot, pose, margin)
+def _course_of_file(scenario: Scenario, robot: RobotModel, layout: Layout, targets: Targets, brake: float) -> Course:
+    """Return a file's course made smooth, within the limits that it was planned for; as it is where that costs much."""
+    given = load_course(scenario, robot, layout.q, targets)
     for rule in (brake, np.inf):
         found = refine(
-            robot, targets, course, margin=margin, speed_share=settings.course_speed_fraction,
-            smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=COURSE_SHARE * settings.shaft_margin,
+            robot, targets, given.course, given.objective, margin=given.margin, speed_share=given.speed_share,
+            acceleration=given.acceleration, smoothness=SMOOTHNESS["planned"], brake=rule,
+            shaft_margin=COURSE_SHARE * scenario.control.shaft_margin,
         )  # fmt: skip
-        if found is not course:
+        if found is not given.course:
             return found
-    return course
+    return given.course
 
 
 def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:

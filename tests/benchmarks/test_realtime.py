@@ -13,9 +13,11 @@ from rich.console import Console
 
 from benchmarks import realtime
 from benchmarks.common.kept import Kept
+from benchmarks.common.output import default_config
 from benchmarks.latency import clock, clock_page, wire
 from benchmarks.latency.goals import goal_verdicts
 from benchmarks.latency.wire import Case, Found, RealtimeError
+from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
 from moc_opt.trace.trace import Trace
 from tests import first_screens
@@ -99,15 +101,38 @@ def test_what_harms_under_load_is_said_and_marked():
 
 
 def test_the_page_has_a_row_a_case():
-    cases = {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)]),
+    tail = run_of(30_000, missed=7, ended="stopped: no command")._replace(overruns=3)
+    cases = {"c, 500 Hz, quiet": realtime.summarise([tail]),
              "python, 500 Hz, loaded": realtime.summarise([run_of(1000, rcm=1.25)])}  # fmt: skip
     summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
     config = {"cycles": 1000}
     environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": config, "seed": 0}
     text = clock_page.page_text(summary, environment)
     assert "`python -m benchmarks.realtime --cycles 1000 --page` (2 cores, a processor, seed 0)" in text
-    assert "| C, 500 Hz, quiet | 1,000 | 7 | 0 | 50 / 99 / 100 / 100 | 500 / 990 / 1,000 / 1,000 |" in text
+    heads = "case | cycles | missed | plant stalled | wake-up latency | round trip | controller | stops | RCM error,"
+    assert f"| {heads} worst [mm] |" in text
+    wake, round_trip = "1,500 / 2,970 / 3,000 / 3,000", "15,000 / 29,700 / 29,997 / 30,000"
+    line = f"| C, 500 Hz, quiet | 30,000 | 7 | 3 | {wake} | {round_trip} | 10 / 10 / 10 / 10 | 1 | 0.50 |"
+    assert line in text
     assert "| 0 | 1.25 |" in text
+
+
+def test_the_page_shows_the_configuration_that_ships_alone(tmp_path, capsys):
+    shipped = realtime.Config.load(default_config("realtime"))
+    realtime.check_page(shipped.model_copy(update={"cycles": 7}))
+    with pytest.raises(MocOptError, match="--page: the page shows"):
+        realtime.check_page(shipped.model_copy(update={"rates_Hz": [500]}))
+    before = clock_page.PAGE.read_bytes()
+    assert realtime.main(["--quick", "--page", "--out", str(tmp_path)]) == 2
+    assert "--page: the page shows" in capsys.readouterr().err
+    assert clock_page.PAGE.read_bytes() == before
+
+
+def test_the_page_ends_with_the_sentences_of_the_first_screen():
+    cases = {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}
+    summary = {"cases": cases, "goals": goal_verdicts({"cases": cases}, realtime.GOALS)}
+    environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": {"cycles": 1000}, "seed": 0}
+    text = clock_page.page_text(summary, environment)
     assert text.endswith(clock.sentences(summary)[-1])
     assert f"<!-- {clock_page.SECTION} -->" in clock_page.PAGE.read_text()
 

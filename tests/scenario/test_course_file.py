@@ -10,9 +10,10 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.errors import ScenarioError, TraceError
+from moc_opt.errors import ControlError, ScenarioError
+from moc_opt.planning.course import faster
 from moc_opt.scenario import Setup, guided
-from moc_opt.scenario.course_file import load_course, save_course
+from moc_opt.scenario.course_file import load_course, save_course, speed_shares
 from moc_opt.scenario.followable import followable_plan
 from moc_opt.scenario.planned import plan, targets_of
 
@@ -21,12 +22,12 @@ SCENARIO = mo.Scenario(bound_samples=0, judge=False, duration_s=1.0).change(cont
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    found, _ = followable_plan(SCENARIO, None, None, objective="mean", acceleration=np.inf)
-    return save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet")
+    found, within = followable_plan(SCENARIO, None, None, objective="mean", acceleration=np.inf)
+    return save_course(found, SCENARIO, tmp_path_factory.mktemp("course") / "course.parquet", within)
 
 
 def loaded(scenario: mo.Scenario) -> Any:
-    setup = Setup(scenario.change(control={"third_level": "local"}))
+    setup = Setup(scenario.change(control={"third_level": "local", "course": ""}))
     return load_course(scenario, setup.robot, setup.layout.q, targets_of(setup.robot, setup.layout))
 
 
@@ -61,9 +62,11 @@ def test_a_run_along_the_file_is_the_run_along_the_course_that_it_plans(
 
 
 def test_the_poses_of_the_file_are_the_course(file: Path) -> None:
-    course = loaded(SCENARIO.change(control={"course": str(file)}))
-    np.testing.assert_array_equal(course.q_rad, mo.Trace.load(file).q_rad)
-    assert course.kept
+    given = loaded(SCENARIO.change(control={"course": str(file)}))
+    assert (given.objective, given.margin, given.acceleration) == ("mean", 0.05, np.inf)
+    assert given.speed_share == pytest.approx(0.97)
+    np.testing.assert_array_equal(given.course.q_rad, mo.Trace.load(file).q_rad)
+    assert given.course.kept
 
 
 def changed(file: Path, to: Path, **columns: Any) -> mo.Scenario:
@@ -88,25 +91,70 @@ def test_a_course_of_another_run_is_refused_with_the_difference(file: Path) -> N
 def test_a_file_that_is_no_course_is_refused(file: Path, tmp_path: Path) -> None:
     trace, to = mo.Trace.load(file), tmp_path / "other.parquet"
     t, q = trace.t_s, trace.q_rad
-    broken, gone = np.array(q), np.array(q)
+    broken, gone, idle, far, wild = (np.array(q) for _ in range(5))
     broken[3, 2], gone[5] = np.nan, q[5] + 0.05
+    idle[9:, 6] += 0.5
+    far[9:, 6] += 1000.0
+    wild[3, 6], wild[4, 6] = 1.7e308, -1.7e308
     for columns, message in (
-        ({"q_rad": q[:, :6]}, "no course of 7 joints"),
-        ({"q_rad": broken}, "no course of 7 joints"),
-        ({"t_s": t[::-1].copy()}, "rising times"),
-        ({"t_s": np.round(t).astype(np.int64)}, "rising times"),
+        ({"q_rad": q[:, :6]}, r"q_rad \(\d+, 6\), a course of 7 joints"),
+        ({"q_rad": broken}, "a pose is not finite"),
+        ({"t_s": t[::-1].copy()}, "times t_s do not rise"),
+        ({"t_s": np.round(t).astype(np.int64)}, "t_s has shape"),
+        ({"q_rad": idle}, r"joint_7 moves neither tip nor wrist and turns by 0\.5 rad"),
+        ({"q_rad": far}, r"joint_7 goes 9\d\d\.?\d* rad beyond its limit"),
+        ({"q_rad": wild, "t_s": np.where(np.arange(len(t)) == 4, t - 1e-4, t)}, "between its times are not finite"),
         ({"q_rad": gone}, "mm off path and shaft at t = 0.125 s"),
         ({"t_s": t + 0.01}, "it goes from 0.01 to 1.01 s"),
     ):
         with pytest.raises(ScenarioError, match=message):
             loaded(changed(file, to, **columns))
-    with pytest.raises(TraceError, match="no such file"):
+    with pytest.raises(ScenarioError, match=r"\[control\] course = .*nowhere.*no such file.*moc-opt plan"):
         loaded(SCENARIO.change(control={"course": str(tmp_path / "nowhere.parquet")}))
+    mo.Trace(trace.columns, {"robot": "lwr4"}).save(to)
+    with pytest.raises(ScenarioError, match="the file holds no course"):
+        loaded(SCENARIO.change(control={"course": str(to)}))
+    elsewhere = mo.Trace({**trace.columns, "q_rad": q + 0.1}, {**trace.meta, "from_start": False})
+    elsewhere.save(to)
+    with pytest.raises(ScenarioError, match=r"no course begins at this start, .*; begin there: \[start\] q_rad = \["):
+        loaded(SCENARIO.change(control={"course": str(to)}))
+
+
+def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path: Path) -> None:
+    """Slower, further from limits and for another objective than the third level's own."""
+    within = {"margin_rad": 0.6, "speed_share": 0.1}
+    found = plan(SCENARIO, **within)
+    to = save_course(found, SCENARIO, tmp_path / "slow.parquet", within)
+    scenario = SCENARIO.change(control={"course": str(to)})
+    setup = Setup(scenario.change(control={"third_level": "local", "course": ""}))
+    robot, targets = setup.robot, targets_of(setup.robot, setup.layout)
+    slow, fast = (guided.followed_course(each, robot, setup.layout) for each in (scenario, SCENARIO))
+    shares = [speed_shares(robot, course.q_rad, targets.period_s).max() for course in (slow, fast)]
+    assert 0.05 < shares[0] < 0.1 + 1e-6
+    assert shares[1] > 0.3
+    assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
+    save_course(plan(SCENARIO, objective="worst", acceleration=3.0), SCENARIO, to, {"acceleration": 3.0})
+    given = loaded(scenario)
+    assert (given.objective, given.acceleration) == ("worst", 3.0)
+    steady = guided.followed_course(scenario, robot, setup.layout)
+    assert faster(steady.q_rad).max() <= 3.0 * targets.period_s**2 + 1e-8
+    trace = mo.Trace.load(to)
+    for within in ({"margin_rad": "much"}, {"speed_share": -1.0}, ["acceleration"]):
+        mo.Trace(trace.columns, {**trace.meta, "within": within}).save(to)
+        with pytest.raises(ScenarioError, match="no usable"):
+            loaded(scenario)
+
+
+def test_a_course_that_nobody_follows_is_refused(file: Path) -> None:
+    for change in ({"third_level": "local"}, {"third_level": "receding"}):
+        with pytest.raises(ControlError, match="only third_level = 'planned' follows a file"):
+            SCENARIO.change(control={"course": str(file), **change})
+    assert mo.Scenario().control.replace(SCENARIO.control.matched_dcac()).course == ""
 
 
 def test_a_joint_beyond_its_limit_is_named(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = SCENARIO.change(control={"course": str(file)})
-    setup = Setup(scenario.change(control={"third_level": "local"}))
+    setup = Setup(scenario.change(control={"third_level": "local", "course": ""}))
     robot, targets = setup.robot, targets_of(setup.robot, setup.layout)
     highest = mo.Trace.load(file).q_rad[:, 3].max()
     monkeypatch.setattr(robot, "q_max", np.where(np.arange(7) == 3, highest - 0.01, robot.q_max))
@@ -133,3 +181,13 @@ def test_the_commands_write_and_follow_it(tmp_path: Path, capsys: pytest.Capture
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
     assert main(["run", str(mine), "--course", str(to), "--seed", "1", "--third-level", "local"]) == 2
     assert "only --third-level planned follows a file" in capsys.readouterr().err
+    assert main(["run", str(mine), "--course", ""]) == 2
+    assert "give the file" in capsys.readouterr().err
+    before = to.read_bytes()
+    own = tmp_path / "own.toml"
+    own.write_text(mine.read_text(encoding="utf-8") + 'course = "course.parquet"\n', encoding="utf-8")
+    for command in (["run", str(mine), "--course", str(to)], ["run", str(own)]):
+        assert main([*command, "--trace", str(to)]) == 2
+        assert "that file is read; give another name" in capsys.readouterr().err
+    assert to.read_bytes() == before
+    assert main(["run", str(own), "--third-level", "local", "--json"]) == 0
