@@ -32,7 +32,7 @@ OBEYED = frozenset((
 
 # What is read where a course is followed alone.
 OF_A_COURSE = frozenset((
-    "horizon_s", "replan_per_s", "course_speed_fraction", "course_margin_rad", "course_observer_gain_per_s",
+    "course", "horizon_s", "replan_per_s", "course_speed_fraction", "course_margin_rad", "course_observer_gain_per_s",
 ))  # fmt: skip
 
 
