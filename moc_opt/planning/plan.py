@@ -157,6 +157,7 @@ def make_plan(
         search(found, step, objective, start=begin, margin=margin, generous=True) for begin in starts
     ]
     bounded = time.perf_counter()
+
     def worth(course: Course) -> tuple[float, float]:
         return lowered(course, robot, shaft_margin, most).value(objective), course.mu_mean
 

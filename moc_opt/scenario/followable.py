@@ -11,6 +11,7 @@ from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan
 from moc_opt.planning.shaft import COURSE_SHARE
 from moc_opt.scenario.config import Scenario
+from moc_opt.scenario.course_file import speed_shares
 from moc_opt.scenario.planned import plan
 
 ROUNDING = 1e-6
@@ -79,8 +80,7 @@ def following_warnings(scenario: Scenario, found: Plan) -> list[str]:
         return said
     robot = scenario.robot.arm()
     moving = np.asarray(robot.moves.any(axis=0))
-    fastest = np.abs(np.diff(course.q_rad, axis=0)).max(axis=0) / found.targets.period_s
-    shares = np.where(moving, fastest / robot.v_max, 0.0)
+    shares = np.where(moving, speed_shares(robot, course.q_rad, found.targets.period_s), 0.0)
     j, allowed = int(np.argmax(shares)), settings.course_speed_fraction
     if shares[j] > allowed + ROUNDING:
         said.append(

@@ -22,7 +22,7 @@ from moc_opt.planning.shaft import COURSE_SHARE, keeping_shaft
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import ToGo
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.course_file import load_course
+from moc_opt.scenario.course_file import Given, load_course
 from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import margin_of, targets_of
 
@@ -114,9 +114,11 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     """Return the best course in mean mu from the start of this run that the third level can follow, made smooth."""
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
-    if settings.course:
-        return _course_of_file(scenario, robot, layout, targets, brake)
-    shaft, known = COURSE_SHARE * settings.shaft_margin, map_of(robot, layout.q, targets)
+    shaft = COURSE_SHARE * settings.shaft_margin
+    if settings.course:  # as it is where smoothness would cost too much
+        given = load_course(scenario, robot, layout.q, targets)
+        return _made_smooth(robot, targets, given, shaft, (brake, np.inf)) or given.course
+    known = map_of(robot, layout.q, targets)
     for margin in _margins(scenario, robot, layout.q):
         for part in SPEEDS:
             share, rules = part * fastest, (brake,) if part > SPEEDS[-1] else (brake, np.inf)
@@ -126,28 +128,31 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
             )  # fmt: skip
             if found.from_start is None:
                 break
-            for rule in rules:
-                course = refine(
-                    robot, targets, found.from_start, margin=margin, speed_share=share,
-                    smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=shaft,
-                )  # fmt: skip
-                if course is not found.from_start or rule == np.inf:
-                    return course
+            given = Given(found.from_start, "mean", margin, share, acceleration=np.inf)
+            smooth = _made_smooth(robot, targets, given, shaft, rules)
+            if smooth is not None or np.inf in rules:
+                return found.from_start if smooth is None else smooth
     raise _stuck(scenario, found)
 
 
-def _course_of_file(scenario: Scenario, robot: RobotModel, layout: Layout, targets: Targets, brake: float) -> Course:
-    """Return a file's course made smooth, within the limits that it was planned for; as it is where that costs much."""
-    given = load_course(scenario, robot, layout.q, targets)
-    for rule in (brake, np.inf):
+def _made_smooth(
+    robot: RobotModel, targets: Targets, given: Given, shaft: float, rules: tuple[float, ...]
+) -> Course | None:
+    """Return a course made smooth within its limits, under the first rule of braking that allows it; None: none does.
+
+    Args:
+        given: the course, and its limits.
+        shaft: margin from losing the shaft.
+        rules: decelerations before joint limits [rad/s^2]; inf: none is asked for.
+    """
+    for rule in rules:
         found = refine(
             robot, targets, given.course, given.objective, margin=given.margin, speed_share=given.speed_share,
-            acceleration=given.acceleration, smoothness=SMOOTHNESS["planned"], brake=rule,
-            shaft_margin=COURSE_SHARE * scenario.control.shaft_margin,
+            acceleration=given.acceleration, smoothness=SMOOTHNESS["planned"], brake=rule, shaft_margin=shaft,
         )  # fmt: skip
         if found is not given.course:
             return found
-    return given.course
+    return None
 
 
 def _margins(scenario: Scenario, robot: RobotModel, start: Array) -> tuple[Margin, Margin]:
