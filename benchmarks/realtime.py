@@ -31,6 +31,7 @@ from benchmarks.latency.clock import PERCENTILES, TIMES, answer, report, samples
 from benchmarks.latency.clock_page import PAGE, SECTION, page_text
 from benchmarks.latency.goals import Goal, goal_verdicts
 from benchmarks.latency.wire import Case, Found
+from moc_opt.comparison.statistics import Interval, share
 from moc_opt.errors import MocOptError
 from moc_opt.scenario import Scenario
 
@@ -57,11 +58,11 @@ class Config(Configuration):
 def _share(name: str, least: int) -> Any:
     """Return the share of missed cycles of a case; LookupError where there were too few to tell."""
 
-    def measured(summary: Any) -> float:
+    def measured(summary: Any) -> Interval:
         found = summary["cases"][name]
         if found["cycles"] < least:
             raise LookupError(f"{found['cycles']} cycles")
-        return float(found["missed_share"])
+        return share(found["missed"], found["cycles"])
 
     return measured
 
@@ -86,7 +87,7 @@ def summarise(runs: Sequence[Found]) -> dict[str, Any]:
         "overruns": sum(run.overruns for run in runs), "stopped": sum(run.ended != "completed" for run in runs),
         "unclean": sum(not run.clean for run in runs), "rcm_max_mm": max(run.rcm_max_mm for run in runs),
     }  # fmt: skip
-    found["missed_share"] = found["missed"] / found["cycles"]
+    found |= share(found["missed"], found["cycles"]).entries("missed_share")
     for time in TIMES:
         values = samples(runs, time)
         found |= {f"{time}_{name}_us": float(np.percentile(values, at)) for name, at in PERCENTILES.items()}
@@ -124,7 +125,7 @@ def study(given: Namespace) -> cli.Results:
     with tempfile.TemporaryDirectory(prefix="moc-opt-") as folder, cli.steps("realtime", len(cases)) as step:
         for rate in config.rates_Hz:
             file, program = Path(folder, f"{rate}.toml"), None
-            file.write_text(wire.scenario_text(config.scenario, rate, each, config.seed), encoding="utf-8")
+            wire.run_of(config.scenario, rate, each, config.seed).save(file)
             if "c" in config.controllers:
                 program = wire.build(file, Path(folder, f"c{rate}"))
             for case in (case for case in cases if case.rate_Hz == rate):

@@ -5,7 +5,9 @@ A benchmark is a parser and a function that takes the parsed options and returns
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -92,7 +94,7 @@ def run(
     options: ArgumentParser, work: Callable[[Namespace], Results | int], arguments: Sequence[str] | None = None,
     stopped: str = BEGINS_ANEW,
 ) -> int:  # fmt: skip
-    """Parse the command line, work, write and print the results.
+    """Parse the command line, work, write and print the results; SIGTERM ends it as Ctrl-C does.
 
     Args:
         work: given the parsed options, with the texts they came from as ``argv``; an integer is an exit status.
@@ -106,17 +108,31 @@ def run(
     given.argv = sys.argv[1:] if arguments is None else list(arguments)
     given.busy = busy()  # by others: this benchmark has not begun
     try:
-        found = work(given)
-        if isinstance(found, int):
-            return found
-        leave(found, given)
-        return found.status
+        with _sigterm_as_ctrl_c():
+            found = work(given)
+            if isinstance(found, int):
+                return found
+            leave(found, given)
+            return found.status
     except (MocOptError, OSError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         return WRONG
     except KeyboardInterrupt:
         print(stopped.format(out=getattr(given, "out", "")), file=sys.stderr)
         return INTERRUPTED
+
+
+@contextmanager
+def _sigterm_as_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM end the work by an exception, so that the processes that it started are ended, too."""
+    if threading.current_thread() is not threading.main_thread():  # no other thread may set a handler
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def leave(found: Results, given: Namespace) -> None:

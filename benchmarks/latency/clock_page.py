@@ -20,12 +20,18 @@ def page_text(summary: Mapping[str, Any], environment: Mapping[str, Any]) -> str
         f"`python -m benchmarks.realtime --cycles {config['cycles']} --page` ({machine['cores']} cores, "
         f"{machine['processor']}, seed {environment['seed']}). Times in us: median / 99th / 99.99th percentile / worst."
     )
-    heads = ["case", "cycles", "missed", "plant stalled", *TIMES.values(), "stops", "RCM error, worst [mm]"]
+    heads = ["case", "cycles", "missed", "in 100,000", "plant stalled", *TIMES.values(), "stops"]
     rows = [
         [
-            case_name(case), f"{found['cycles']:,}", f"{found['missed']}", f"{found['overruns']}",
+            case_name(case), f"{found['cycles']:,}", f"{found['missed']}", _in_100000(found), f"{found['overruns']}",
             *(" / ".join(f"{found[f'{time}_{name}_us']:,.0f}" for name in PERCENTILES) for time in TIMES),
             f"{found['stopped']}", f"{found['rcm_max_mm']:.2f}",
         ] for case, found in summary["cases"].items()
     ]  # fmt: skip
+    heads.append("RCM error, worst [mm]")
     return "\n\n".join([said, markdown.table(heads, rows), " ".join(sentences(summary))])
+
+
+def _in_100000(found: Mapping[str, Any]) -> str:
+    low, value, high = (1e5 * found[f"missed_share{end}"] for end in ("_low", "", "_high"))
+    return f"{value:.2g} [{low:.2g}, {high:.2g}]"

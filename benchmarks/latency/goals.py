@@ -6,11 +6,13 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from moc_opt.comparison.statistics import Interval
+
 Summary = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 class Goal(NamedTuple):
-    """One goal: reached when the measured value is at most, or at least, so much."""
+    """One goal: reached when the measured value, or the worse end of its interval, is at most, or at least, so much."""
 
     what: str
     unit: str
@@ -18,7 +20,7 @@ class Goal(NamedTuple):
     most: bool
     """True: at most ``limit``; False: at least."""
     measured: Callable[[Any], Any]
-    """The value in a summary; LookupError where it was not measured."""
+    """The value in a summary, a number or an `Interval`; LookupError where it was not measured."""
 
 
 def _largest(part: str, metric: str) -> Callable[[Any], float]:
@@ -81,7 +83,10 @@ GOALS = {
 def _tails(s: Any) -> str:
     tails = {name: found["tick_p99_9_us"] for name, found in s["tick"].items()}
     python = min(value for name, value in tails.items() if name != "c")
-    return f"the least of all solvers' is {python:.0f} us, in C {tails['c']:.0f}: what runs longer is interrupted more"
+    return (
+        f"the best solver here has {python:.0f} us, the tick in C {tails['c']:.0f}: interruptions by the operating "
+        "system decide this figure"
+    )
 
 
 def _around(s: Any) -> str:
@@ -133,19 +138,29 @@ def reason(key: str, summary: Summary) -> str:
 
 
 def goal_verdicts(summary: Summary, goals: Mapping[str, Goal] = MappingProxyType(GOALS)) -> dict[str, dict[str, Any]]:
-    """Map goal to what, unit, limit, value (None: not measured) and reached ("yes", "no" or "not measured")."""
-    found = {}
+    """Map goal to what, unit, limit, value (None: not measured) and reached.
+
+    Reached is "yes", "no", "open" where the value's interval holds the limit, or "not measured".
+    """
+    found: dict[str, dict[str, Any]] = {}
     threads = summary.get("exact", {}).get("recorded", {}).get("batch_threads", "all")
     for key, goal in goals.items():
         try:
-            value = float(goal.measured(summary))
+            measured = goal.measured(summary)
         except (LookupError, ValueError):  # a part that did not run has no entries, and no largest of them
-            value = None
-        reached = "not measured"
-        if value is not None:
-            reached = "yes" if (value <= goal.limit if goal.most else value >= goal.limit) else "no"
+            measured = None
         found[key] = {
             "what": goal.what.format(threads=threads), "unit": goal.unit, "goal": goal.limit,
-            "kind": "at most" if goal.most else "at least", "value": value, "reached": reached,
+            "kind": "at most" if goal.most else "at least", **_verdict(goal, measured),
         }  # fmt: skip
     return found
+
+
+def _verdict(goal: Goal, measured: Any) -> dict[str, Any]:
+    if measured is None:
+        return {"value": None, "reached": "not measured"}
+    if not isinstance(measured, Interval):
+        measured = Interval(float(measured), float(measured), float(measured), 1)
+    within = [end <= goal.limit if goal.most else end >= goal.limit for end in (measured.low, measured.high)]
+    found = {"value": measured.value, "reached": "yes" if all(within) else "open" if any(within) else "no"}
+    return found if measured.low == measured.high else found | measured.entries("value")

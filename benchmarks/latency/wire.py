@@ -74,15 +74,10 @@ def load(kind: str) -> Iterator[None]:
             process.wait()
 
 
-def scenario_text(scenario: Scenario, rate_Hz: int, cycles: int, seed: int) -> str:
-    """Return the TOML of a run of so many cycles."""
-    period = 1.0 / rate_Hz
-    spiral = ", ".join(f"{name} = {float(size)!r}" for name, size in scenario.task.sizes.items())
-    return (
-        f"name = 'realtime'\nseed = {seed}\nduration_s = {cycles * period!r}\njudge = false\nbound_samples = 0\n"
-        f"[plant]\nperiod_s = {period!r}\nsubsteps = {max(1, round(1000 * period))}\n"
-        f"[task]\npath = {scenario.task.path!r}\nsizes = {{ {spiral} }}\n"
-    )
+def run_of(scenario: Scenario, rate_Hz: int, cycles: int, seed: int) -> Scenario:
+    """Return the scenario as a run of so many cycles at a rate."""
+    plant = {"period_s": 1.0 / rate_Hz, "substeps": max(1, round(1000 / rate_Hz))}
+    return scenario.change(name="realtime", seed=seed, duration_s=cycles / rate_Hz, plant=plant)
 
 
 def build(file: Path, folder: Path) -> Path:

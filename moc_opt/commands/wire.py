@@ -42,6 +42,11 @@ def run_control(given: argparse.Namespace) -> int:
 
     (scenario, title), granted = read_scenario(given.scenario), dict[str, str]()
     key = read_key(given.key_file)
+    if scenario.control.third_level == "receding":
+        print(
+            "control: third_level = 'receding' solves within a tick, for some 10 ms: against the clock those ticks are "
+            "missed; give the plant --lock-step, or take third_level = 'planned'", file=sys.stderr,
+        )  # fmt: skip
     print(f"control: looks for a plant at {given.connect}, for {scenario.wire.wait_s:g} s", file=sys.stderr, flush=True)
     found = answer(scenario, given.connect, key, ready=lambda: granted.update(ask_for_realtime()))
     if given.json:

@@ -61,6 +61,24 @@ def spread(entries: Mapping[str, Any], name: str, digits: int = 3) -> str | None
     return f"{value:.{digits}g} [{low:.{digits}g}, {high:.{digits}g}]"
 
 
+def share(found: int, trials: int, *, confidence: float = CONFIDENCE) -> Interval:
+    """Return found/trials with its exact binomial interval (Clopper and Pearson, Biometrika 26, 1934).
+
+    The interval holds where the trials are independent; events that come in bunches have a wider one.
+
+    Raises:
+        StatisticsError: not 0 <= found <= trials, or no trials.
+
+    Example:
+        >>> str(share(0, 300_000))
+        '0 [0, 1.23e-05]'
+    """
+    if not 0 <= found <= trials or trials < 1:
+        raise StatisticsError(f"found = {found}, trials = {trials}: give at least one trial, and 0 to so many found")
+    low, high = stats.binomtest(found, trials).proportion_ci(confidence)
+    return Interval(found / trials, float(low), float(high), trials)
+
+
 def mean(samples: ArrayLike, *, seed: int = 0, confidence: float = CONFIDENCE) -> Interval:
     """Return the mean of one number a trial, (k,), with its interval.
 

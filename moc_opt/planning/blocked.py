@@ -21,16 +21,29 @@ class Blocked:
     """The first point of the path that no course reaches from the start."""
 
     t_s: float
+    """When the run would be there [s]."""
     arc_length_m: float
     """Way of the tip up to it [m]."""
     tip_m: tuple[float, float, float]
+    """Place of the tip there [m]."""
     reason: str
+    """The obstacle in words, with the joint's name where it is one joint's."""
 
 
 def blocked(
     robot: RobotModel, found: PoseMap, answer: Search, q_start: Array, step: Array, margin: Margin, proven: bool
 ) -> Blocked:
-    """Name the first point that the search did not reach, and the obstacle; unless ``proven``, say so."""
+    """Name the first point that the search did not reach, and the obstacle.
+
+    Args:
+        robot: the arm.
+        found: the map that was searched.
+        answer: of the search.
+        q_start: (n,) the start [rad].
+        step: (n,) most that a joint turns in one period [rad].
+        margin: from the joint limits that was asked for.
+        proven: the bound excludes every course; else the reason says that it does not.
+    """
     if answer.q_rad is not None:
         return _too_sudden(robot, found.targets, answer.q_rad)
     k, targets = answer.reached, found.targets

@@ -63,9 +63,11 @@ class Plan:
     map_s: float
     """Time for the map [s]."""
     search_s: float
-    """Time for both courses by dynamic programming [s]."""
+    """Time for the courses by dynamic programming, without their bounds [s]."""
+    bound_s: float
+    """Time for their bounds [s]."""
     refine_s: float
-    """Time for refining both [s]."""
+    """Time for refining them [s]."""
 
     def __repr__(self) -> str:
         return f"Plan({', '.join(f'{name}: {value}' for name, value in self._shown().items())})"
@@ -121,10 +123,13 @@ def make_plan(
     """Plan a path from one start.
 
     Args:
+        robot: the arm.
         q_start: (n,) with tip and wrist at the first target [rad].
+        targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
         objective: "mean", "worst" or "log".
         swivels: samples of one turn, of an arm with a closed form.
-        margin: that every joint keeps from its limits; a start that is nearer to one lowers it, see `margin_at`.
+        margin: that every joint keeps from its limits, one number or (n,) [rad], [m] where a joint slides; a start
+            that is nearer to one lowers it, see `margin_at`.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid ignores it.
         shaft_margin: a share of the squared lever, below which no course goes where the path and the start leave it
@@ -135,6 +140,7 @@ def make_plan(
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
+        RobotError: fewer than 8 swivels.
     """
     _check(robot, q_start, targets, objective, margin, speed_share)
     if not _is_number(acceleration) or not acceleration > 0.0:
@@ -161,26 +167,19 @@ def make_plan(
     def worth(course: Course) -> tuple[float, float]:
         return lowered(course, robot, shaft_margin, most).value(objective), course.mu_mean
 
-    courses: list[Course | None] = []
-    for answer, bound, begin in zip(answers, bounds, starts, strict=True):
-        # The bound's own course is a second one to begin at, which helps where the grid's steps are just too coarse.
-        poses = [q for q in (answer.q_rad, bound.q_rad if refined else None) if q is not None and np.isfinite(q).all()]
-        made = [make_course(robot, targets, q, margin, speed_share, acceleration) for q in poses]
-        if refined:
-            made += [
-                refine(
-                    robot, targets, course, objective, free_start=begin is None, margin=margin,
-                    speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin,
-                ) for course in made
-            ]  # fmt: skip
-        usable = [course for course in made if course.kept]
-        if not usable and made and answer.q_rad is not None and not np.isfinite(acceleration):
-            usable = made[:1]  # the grid's, off by rounding
-        courses.append(max(usable, key=worth, default=None))
-    took = mapped - began, searched - mapped, time.perf_counter() - bounded
+    courses = [
+        max(
+            _usable(
+                robot, targets, [answer, bound] if refined else [answer], objective, refined=refined,
+                free_start=begin is None, margin=margin, speed_share=speed_share, acceleration=acceleration,
+                shaft_margin=shaft_margin,
+            ), key=worth, default=None,
+        ) for answer, bound, begin in zip(answers, bounds, starts, strict=True)
+    ]  # fmt: skip
+    took = mapped - began, searched - mapped, bounded - searched, time.perf_counter() - bounded
     mine, best = courses[0], courses[-1]
     if mine is not None and (best is None or worth(mine) > worth(best)):
-        best = mine  # of all starts one is the given one
+        best = mine  # the given start is one of all starts
     elbow = Elbow(robot, targets.wrist)
     shown = mine if mine is not None else best
     return Plan(
@@ -194,8 +193,31 @@ def make_plan(
         start_swivel_rad=float(elbow.swivel(start[0][None])[0]),
         best_swivel_rad=np.nan if best is None else float(elbow.swivel(best.q_rad[:1])[0]),
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
-        map_s=took[0], search_s=took[1], refine_s=took[2],
+        map_s=took[0], search_s=took[1], bound_s=took[2], refine_s=took[3],
     )  # fmt: skip
+
+
+def _usable(
+    robot: RobotModel, targets: Targets, found: list[Search], objective: Objective, *, refined: bool, free_start: bool,
+    margin: Margin, speed_share: float, acceleration: float, shaft_margin: float,
+) -> list[Course]:  # fmt: skip
+    """Return the courses of searches, and each refined, as far as they keep the limits.
+
+    The bound's own course is a second one to begin at, which helps where the grid's steps are just too coarse.
+    """
+    poses = [each.q_rad for each in found if each.q_rad is not None and np.isfinite(each.q_rad).all()]
+    made = [make_course(robot, targets, q, margin, speed_share, acceleration) for q in poses]
+    if refined:
+        made += [
+            refine(
+                robot, targets, course, objective, free_start=free_start, margin=margin, speed_share=speed_share,
+                acceleration=acceleration, shaft_margin=shaft_margin,
+            ) for course in made
+        ]  # fmt: skip
+    usable = [course for course in made if course.kept]
+    if not usable and made and found[0].q_rad is not None and not np.isfinite(acceleration):
+        usable = made[:1]  # of the grid: its poses miss their targets by rounding alone
+    return usable
 
 
 def _bound(found: Search, course: Course | None, objective: Objective) -> float:

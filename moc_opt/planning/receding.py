@@ -78,7 +78,7 @@ class Receding:
         self._q_start = np.array(q_start)
         self.solve_s: list[float] = []
         """Time of every solve since the start [s]."""
-        self.kept = 0
+        self.refused = 0
         """Solves since the start whose answer was not usable: the one before went on."""
         self.start()
         if self._answer is None:
@@ -91,17 +91,17 @@ class Receding:
     def begin(self, q: Array, tick: int) -> bool:
         """Begin from rest in a pose (n,) [rad] at a tick; False: no course was found from there."""
         self._horizon.forget()
-        self._tick, self.solve_s, self.kept = tick, [], 0
+        self._tick, self.solve_s, self.refused = tick, [], 0
         self._answer: Answer | None = None
         self._before = self._answer = self._next = self._solve(q, tick * self._period)
         return self._answer is not None
 
     @property
     def told(self) -> dict[str, float]:
-        """Number of ``solves`` since the start, of those ``kept``, and their times [ms]."""
+        """Number of ``solves`` since the start, of those ``refused``, and their times [ms]."""
         times = 1e3 * np.array(self.solve_s or [0.0])
         median, high = np.percentile(times, [50.0, 99.0]).tolist()
-        return {"solves": len(self.solve_s), "kept": self.kept, "solve_ms_median": median, "solve_ms_p99": high}
+        return {"solves": len(self.solve_s), "refused": self.refused, "solve_ms_median": median, "solve_ms_p99": high}
 
     def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
@@ -126,7 +126,7 @@ class Receding:
             return self._answer
         found = self._found(q, t, end)
         self.solve_s.append(time.perf_counter() - began)
-        self.kept += found is None
+        self.refused += found is None
         return self._answer if found is None else found
 
     def _found(self, q: Array, t: float, end: int) -> Answer | None:

@@ -30,27 +30,33 @@ WORTH = 10.0
 """Times the largest mu of the map that a pose at which the shaft is lost is worth less."""
 
 
-def keeping_shaft(found: PoseMap, robot: RobotModel, margin: float) -> PoseMap:
-    """Return the map with mu lowered where the shaft's share is below the margin, for a search alone."""
-    if margin <= 0.0:
+def keeping_shaft(found: PoseMap, robot: RobotModel, shaft_margin: float) -> PoseMap:
+    """Return the map with mu lowered where the shaft's share is below the margin, for a search alone.
+
+    Args:
+        found: every pose at every time of the path.
+        robot: its model.
+        shaft_margin: m, a share of the squared lever, 0 to 1; 0 leaves the map as it is.
+    """
+    if shaft_margin <= 0.0:
         return found
     # Every branch of a swivel has the same columns of A up to their signs.
     share = np.array([shaft_shares(robot, found.poses(k)[0]) for k in range(len(found.targets))])[:, None]
-    return replace(found, mu=found.mu - _taken_off(share, margin, largest(found)))
+    return replace(found, mu=found.mu - _taken_off(share, shaft_margin, largest(found)))
 
 
-def lowered(course: Course, robot: RobotModel, margin: float, largest_mu: float) -> Course:
+def lowered(course: Course, robot: RobotModel, shaft_margin: float, largest_mu: float) -> Course:
     """Return the course with mu lowered as on its map, to compare courses by what the search compares.
 
     Args:
         course: of the robot.
         robot: its model.
-        margin: as of `keeping_shaft`.
+        shaft_margin: as of `keeping_shaft`.
         largest_mu: `largest` of the map before it was lowered [m^3].
     """
-    if margin <= 0.0:
+    if shaft_margin <= 0.0:
         return course
-    return replace(course, mu=course.mu - _taken_off(shaft_shares(robot, course.q_rad), margin, largest_mu))
+    return replace(course, mu=course.mu - _taken_off(shaft_shares(robot, course.q_rad), shaft_margin, largest_mu))
 
 
 def largest(found: PoseMap) -> float:
@@ -58,9 +64,9 @@ def largest(found: PoseMap) -> float:
     return float(np.nanmax(found.mu, initial=0.0))
 
 
-def _taken_off(share: Array, margin: float, largest_mu: float) -> Array:
+def _taken_off(share: Array, shaft_margin: float, largest_mu: float) -> Array:
     with np.errstate(invalid="ignore"):
-        short = np.maximum(1.0 - share / margin, 0.0)
+        short = np.maximum(1.0 - share / shaft_margin, 0.0)
     taken: Array = WORTH * largest_mu * short**2
     return taken
 

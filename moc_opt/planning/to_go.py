@@ -7,7 +7,7 @@ Dynamic programming backwards over the map, once, before anything moves:
 A horizon that ends in V chooses as if it went to the end of the path: it leaves a local maximum of mu for a better one
 where that pays, at any time and from any pose. V knows path and time law, joint limits and speeds, and the robot model.
 It does not know what pushes the arm nor what acceleration costs, and it is as accurate as its map: a pose stands for
-half of the half cell around it.
+a quarter of a cell on either side.
 """
 
 from __future__ import annotations

@@ -62,8 +62,8 @@ class Answering:
         link: knows the plant's address.
         settings: time-outs.
         make: makes controller and safety filter, as in the simulator's loop; called twice: one pair rehearses a tick.
-        tip_refs: (N, 3, 3) rows X_d, dX_d, ddX_d of every tick.
-        registered: (N, 2, 3) the registered trocar.
+        tip_refs: (N, 3, 3) rows X_d [m], dX_d [m/s], ddX_d [m/s^2] of every tick.
+        registered: (N, 2, 3) place [m] and velocity [m/s] of the registered trocar.
         scenario: fingerprint of the settings that both ends must share.
         ready: called once when the plant has been found.
     """

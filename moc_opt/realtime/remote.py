@@ -68,7 +68,7 @@ class RemoteController(Filtered):
 
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """None here: the controller's safety filter is at the other end; see ``told``, after ``close``."""
+        """No warnings: the controller's safety filter is at the other end; see ``told``, after ``close``."""
         return []
 
     def start(self, seen: Measurement, tip_ref: Array, trocar: Array) -> None:
@@ -104,7 +104,11 @@ class RemoteController(Filtered):
             self._until = self.clock.wait_for(tick)
 
     def tick(self, seen: Measurement, tip_ref: Array, trocar: Array) -> Array:
-        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's."""
+        """Send a measurement, and return the torque (n,) [Nm] that came for it, or the watchdog's.
+
+        Raises:
+            WireError: called before ``start``.
+        """
         watchdog = self._watchdog
         if watchdog is None:
             raise WireError("tick before start: call start once before the first tick")

@@ -55,7 +55,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "proposed_q_rad": None if plan.best is None else plan.best.q_rad[0].tolist(),
         "bound_from_start": plan.bound_from_start, "bound": plan.bound,
         "courses": {row["course"]: {name: row[name] for name in row if name != "course"} for row in _courses(plan)},
-        "map_s": plan.map_s, "search_s": plan.search_s, "refine_s": plan.refine_s,
+        "map_s": plan.map_s, "search_s": plan.search_s, "bound_s": plan.bound_s, "refine_s": plan.refine_s,
     }  # fmt: skip
 
 
@@ -88,7 +88,8 @@ def plan_tables(name: str, plan: Plan, **within: float) -> list[Table]:
     for what, bound in (("bound from this start", plan.bound_from_start), ("bound over all starts", plan.bound)):
         if math.isfinite(bound):
             rows.append({"what": f"{what} ({_unit(plan)})", "value": f"{bound:.5f}"})
-    took = f"map {plan.map_s:.2f} s, search {plan.search_s:.2f} s, refinement {plan.refine_s:.2f} s"
+    parts = (("map", plan.map_s), ("search", plan.search_s), ("bounds", plan.bound_s), ("refinement", plan.refine_s))
+    took = ", ".join(f"{what} {seconds:.2f} s" for what, seconds in parts)
     rows.append({"what": "computed in", "value": took})
     return [
         Table(f"Plan of {name}", VERDICT, rows, VERDICT_TERMS),

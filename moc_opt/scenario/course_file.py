@@ -26,7 +26,9 @@ MOST_OFF_M = 1e-3
 LIMITS = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf}
 """What a course was planned for, and what stands for it in a file that does not say."""
 MOST_OFF_RAD = 1e-6
-"""So far the first pose may be from the run's start, and a joint or its way beyond a limit."""
+"""So far the first pose may be from the run's start, a joint beyond a limit, and an idle joint from its start."""
+ROUNDING = 1e-6
+"""Of a speed, as a share of its limit, and of the first and last time, as a share of the run's."""
 
 
 class Given(NamedTuple):
@@ -44,7 +46,9 @@ class Given(NamedTuple):
 def save_course(
     found: Plan, scenario: Scenario, to: str | os.PathLike[str], within: Mapping[str, float] | None = None
 ) -> Path:
-    """Write the plan's course as a Parquet file that `Trace.load` reads: t_s, q_rad, mu, swivel_rad, tip_ref_m, tip_m.
+    """Write the plan's course as a Parquet file that `Trace.load` reads.
+
+    Columns: t_s (k,) [s], q_rad (k,n), mu (k,) [m^3], swivel_rad (k,), tip_m, tip_ref_m and wrist_m (k,3).
 
     Args:
         found: the plan.
@@ -89,76 +93,112 @@ def load_course(scenario: Scenario, robot: RobotModel, q_start: Array, targets: 
             says which of robot, start, duration, path, limits and speeds differs, and by how much.
     """
     file, settings = scenario.control.course, scenario.control
+    try:
+        trace, t, q = _read(file, robot)
+        _check_ends(trace, t, q, robot, q_start, float(targets.t_s[-1]))
+        poses = np.stack([np.interp(targets.t_s, t, joint) for joint in q.T], axis=1)
+        _check_poses(poses, robot, q_start, targets)
+        fastest = _fastest(poses, robot, targets, settings.course_speed_fraction)
+        told = _told(trace)
+    except _Refused as refused:
+        raise ScenarioError(f"[control] course = {shown(file)}: {refused}") from refused
+    margin = margin_of(
+        robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
+    )
+    for pose in poses:  # a smoother course begins at this one: it is asked for no margin that this one has not
+        margin = margin_at(robot, pose, margin)
+    allowed = settings.course_speed_fraction
+    return Given(
+        make_course(robot, targets, poses, speed_share=allowed), objective_of(trace), margin,
+        max(fastest, min(allowed, told["speed_share"])), told["acceleration"],
+    )  # fmt: skip
 
-    def refuse(why: str, cure: str = "plan it for this scenario: moc-opt plan SCENARIO --out FILE") -> ScenarioError:
-        return ScenarioError(f"[control] course = {shown(file)}: {why}; {cure}")
 
+class _Refused(Exception):
+    """Why a file's course is not one of the run, and the cure."""
+
+    def __init__(self, why: str, cure: str = "plan it for this scenario: moc-opt plan SCENARIO --out FILE") -> None:
+        super().__init__(f"{why}; {cure}")
+
+
+def _read(file: str, robot: RobotModel) -> tuple[Trace, Array, Array]:
+    """Return the file, its times (k,) [s] and poses (k,n) [rad]."""
     try:
         trace = Trace.load(file)
     except TraceError as error:
-        raise refuse(f"no file of a course ({error})") from error
+        raise _Refused(f"no file of a course ({error})") from error
     if trace.meta.get("kind") != "course":
-        raise refuse("the file holds no course")
+        raise _Refused("the file holds no course")
     t, q = (trace.columns.get(name, np.empty(0)) for name in ("t_s", "q_rad"))
     if q.shape != (len(t), robot.n) or len(t) < 2 or not t.dtype == q.dtype == np.float64:
         wanted = f"a course of {robot.n} joints (k,) and (k, {robot.n})"
-        raise refuse(f"t_s has shape {t.shape} and q_rad {q.shape}, {wanted}")
+        raise _Refused(f"t_s has shape {t.shape} and q_rad {q.shape}, {wanted}")
     if not (np.isfinite(q).all() and (np.diff(t) > 0.0).all()):
-        raise refuse("its times t_s do not rise, or a pose is not finite")
+        raise _Refused("its times t_s do not rise, or a pose is not finite")
     if trace.meta.get("robot", robot.data.name) != robot.data.name:
-        raise refuse(f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}")
-    names, end = robot.data.joint_names, float(targets.t_s[-1])
+        raise _Refused(f"a course of robot {shown(trace.meta['robot'])}, this run's is {robot.data.name!r}")
+    return trace, t, q
+
+
+def _check_ends(trace: Trace, t: Array, q: Array, robot: RobotModel, q_start: Array, end_s: float) -> None:
+    """Compare where and when it begins and ends with the run."""
     off = np.abs(q[0] - q_start)
     if off.max() > MOST_OFF_RAD:
         j = int(np.argmax(off))
+        name = robot.data.joint_names[j]
         if trace.meta.get("from_start") is False:
-            raise refuse(
-                f"no course begins at this start, {names[j]} of the file {off[j]:.3g} rad from it",
+            raise _Refused(
+                f"no course begins at this start, {name} of the file {off[j]:.3g} rad from it",
                 f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}",
             )
-        raise refuse(f"{names[j]} begins {off[j]:.3g} rad from the start of the run")
-    if abs(t[0]) > MOST_OFF_RAD or abs(t[-1] - end) > 1e-6 * end:
-        raise refuse(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end:.4g}")
-    poses = np.stack([np.interp(targets.t_s, t, joint) for joint in q.T], axis=1)
+        raise _Refused(f"{name} begins {off[j]:.3g} rad from the start of the run")
+    if max(abs(t[0]), abs(t[-1] - end_s)) > ROUNDING * end_s:
+        raise _Refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
+
+
+def _check_poses(poses: Array, robot: RobotModel, q_start: Array, targets: Targets) -> None:
+    """Hold the poses (k,n) at the run's times against path, shaft and joint limits."""
     if not np.isfinite(poses).all():
-        raise refuse("poses between its times are not finite")
+        raise _Refused("poses between its times are not finite")
     tips, wrists = robot.tool_along(poses)
     away = np.maximum(np.linalg.norm(tips - targets.tip, axis=1), np.linalg.norm(wrists - targets.wrist, axis=1))
     if not away.max() <= MOST_OFF_M:
         k = int(np.argmax(away))
-        raise refuse(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
+        raise _Refused(f"tip or wrist is {1e3 * away[k]:.3g} mm off path and shaft at t = {targets.t_s[k]:.3g} s")
+    names = robot.data.joint_names
     beyond = np.maximum(poses - robot.q_max, robot.q_min - poses).max(axis=0)
     if not beyond.max() <= MOST_OFF_RAD:
         j = int(np.argmax(beyond))
-        raise refuse(f"{names[j]} goes {beyond[j]:.3g} rad beyond its limit")
+        raise _Refused(f"{names[j]} goes {beyond[j]:.3g} rad beyond its limit")
     idle = np.where(robot.moves.any(axis=0), 0.0, np.abs(poses - q_start).max(axis=0))
     if not idle.max() <= MOST_OFF_RAD:
         j = int(np.argmax(idle))
-        raise refuse(f"{names[j]} moves neither tip nor wrist and turns by {idle[j]:.3g} rad")
-    shares, allowed = speed_shares(robot, poses, targets.period_s), settings.course_speed_fraction
-    if not shares.max() <= allowed + MOST_OFF_RAD:
-        j = int(np.argmax(shares))
-        raise refuse(
-            f"{names[j]} moves at {shares[j]:.3f} of its speed limit, the third level follows up to "
+        raise _Refused(f"{names[j]} moves neither tip nor wrist and turns by {idle[j]:.3g} rad")
+
+
+def _fastest(poses: Array, robot: RobotModel, targets: Targets, allowed: float) -> float:
+    """Return the largest share of a joint's speed limit, not above the one allowed."""
+    shares = speed_shares(robot, poses, targets.period_s)
+    j = int(np.argmax(shares))
+    if not shares[j] <= allowed + ROUNDING:
+        raise _Refused(
+            f"{robot.data.joint_names[j]} moves at {shares[j]:.3f} of its speed limit, the third level follows up to "
             f"course_speed_fraction = {allowed:g}",
             f"plan it with --speed-share {allowed:g}",
         )
+    return float(shares[j])
+
+
+def _told(trace: Trace) -> dict[str, float]:
+    """Return what the course was planned for, by the names of `LIMITS`."""
     within = trace.meta.get("within", {})
     told: dict[str, Any] = {
         name: within.get(name, usual) if isinstance(within, Mapping) else None for name, usual in LIMITS.items()
     }
     for name, value in told.items():
         if not isinstance(value, int | float) or not value >= 0.0:
-            raise refuse(f"meta['within'] has no usable {name}: {shown(value)}")
-    margin = margin_of(
-        robot, max(settings.course_margin_rad, told["margin_rad"]), max(settings.limit_margin_m, told["margin_m"])
-    )
-    for pose in poses:  # no smoother one could keep more than it does
-        margin = margin_at(robot, pose, margin)
-    return Given(
-        make_course(robot, targets, poses, speed_share=allowed), objective_of(trace), margin,
-        float(max(shares.max(), min(allowed, told["speed_share"]))), told["acceleration"],
-    )  # fmt: skip
+            raise _Refused(f"meta['within'] has no usable {name}: {shown(value)}")
+    return told
 
 
 def speed_shares(robot: RobotModel, poses: Array, period_s: float) -> Array:

@@ -11,10 +11,8 @@ from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan
 from moc_opt.planning.shaft import COURSE_SHARE
 from moc_opt.scenario.config import Scenario
-from moc_opt.scenario.course_file import speed_shares
+from moc_opt.scenario.course_file import ROUNDING, speed_shares
 from moc_opt.scenario.planned import plan
-
-ROUNDING = 1e-6
 
 
 class Within(TypedDict):

@@ -111,7 +111,11 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
 
 
 def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Course:
-    """Return the best course in mean mu from the start of this run that the third level can follow, made smooth."""
+    """Return the best course in mean mu from the start of this run that the third level can follow, made smooth.
+
+    Raises:
+        ScenarioError: no course goes all the way, or the file of ``[control] course`` is refused.
+    """
     settings, targets = scenario.control, targets_of(robot, layout)
     brake, fastest = BRAKE_SHARE * scenario.guard.wall_brake_rad_per_s2, settings.course_speed_fraction
     shaft = COURSE_SHARE * settings.shaft_margin

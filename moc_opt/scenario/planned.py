@@ -43,7 +43,8 @@ def plan(
         scenario: of the run, or the path of its file.
         objective: maximised by the best course: "mean" mu, "worst" mu, or the mean of "log" mu.
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
-        margin_rad: that every joint keeps from its limits; margin_m: the same of one that slides.
+        margin_rad: that every joint keeps from its limits [rad].
+        margin_m: the same of a joint that slides [m].
         swivels: samples of one turn of the elbow, on an arm with a closed form.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.

@@ -131,13 +131,17 @@ def answer(
     checked = checked_key(key, where[0], "--connect")
     setup = Setup(scenario, realtime=True)
     tip_refs, registered = (np.stack(of.at(setup.times()), axis=1) for of in (setup.reference, setup.registered))
-    link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
 
     def make() -> tuple[LoggedController, SafetyFilter]:
         return setup.adapter(), make_safety_filter(setup.robot, scenario)
 
+    first = [make()]  # plans, where the third level follows a course: the plant waits for `[wire] wait_s` alone
+    link = Link(setup.robot.n, checked, (Kind.MEASUREMENT,), peer=where)
     try:
-        end = Answering(link, scenario.wire, make, tip_refs, registered, scenario=fingerprint(scenario), ready=ready)
+        end = Answering(
+            link, scenario.wire, lambda: first.pop() if first else make(), tip_refs, registered,
+            scenario=fingerprint(scenario), ready=ready,
+        )  # fmt: skip
         return end.run()
     finally:
         link.close()

@@ -42,18 +42,19 @@ def test_a_case_is_all_cycles_of_its_runs():
 
 @pytest.mark.parametrize(
     ("missed", "cycles", "reached"),
-    [(1, 100_000, "yes"), (2, 100_000, "no"), (0, 99_999, "not measured"), (11, 1_000_000, "no")],
-)
+    [(3, 1_000_000, "yes"), (4, 1_000_000, "open"), (1, 100_000, "open"), (0, 100_000, "open"), (0, 400_000, "yes"),
+     (0, 99_999, "not measured"), (16, 1_000_000, "open"), (18, 1_000_000, "no"), (9, 100_000, "no")],
+)  # fmt: skip
 def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reached):
-    case = {"cycles": cycles, "missed_share": missed / cycles}
-    summary = {"cases": {"c, 500 Hz, quiet": case, "c, 1000 Hz, quiet": {"cycles": 10**6, "missed_share": 0.5}}}
+    case = {"cycles": cycles, "missed": missed}
+    summary = {"cases": {"c, 500 Hz, quiet": case, "c, 1000 Hz, quiet": {"cycles": 10**6, "missed": 10**5}}}
     found = goal_verdicts(summary, realtime.GOALS)
     assert found["c"]["reached"] == reached
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
 def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
-    good, bad = ({"cycles": 9, "missed_share": 0.0, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
+    good, bad = ({"cycles": 9, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
     for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
         found = goal_verdicts({"cases": {"python, 500 Hz, loaded": good, name: bad}}, realtime.GOALS)
         assert found["rcm"]["reached"] == found["stops"]["reached"] == reached
@@ -109,11 +110,11 @@ def test_the_page_has_a_row_a_case():
     environment = {"machine": {"cores": 2, "processor": "a processor"}, "config": config, "seed": 0}
     text = clock_page.page_text(summary, environment)
     assert "`python -m benchmarks.realtime --cycles 1000 --page` (2 cores, a processor, seed 0)" in text
-    heads = "case | cycles | missed | plant stalled | wake-up latency | round trip | controller | stops | RCM error,"
-    assert f"| {heads} worst [mm] |" in text
+    heads = "case | cycles | missed | in 100,000 | plant stalled | wake-up latency | round trip | controller | stops |"
+    assert f"| {heads} RCM error, worst [mm] |" in text
     wake, round_trip = "1,500 / 2,970 / 3,000 / 3,000", "15,000 / 29,700 / 29,997 / 30,000"
-    line = f"| C, 500 Hz, quiet | 30,000 | 7 | 3 | {wake} | {round_trip} | 10 / 10 / 10 / 10 | 1 | 0.50 |"
-    assert line in text
+    line = f"| C, 500 Hz, quiet | 30,000 | 7 | 23 [9.4, 48] | 3 | {wake} | {round_trip} | 10 / 10 / 10 / 10 |"
+    assert f"{line} 1 | 0.50 |" in text
     assert "| 0 | 1.25 |" in text
 
 
@@ -149,12 +150,13 @@ def test_the_histogram_holds_every_cycle():
 def test_the_file_of_a_run_is_the_scenario_at_that_rate(tmp_path, rate):
     config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
     file = tmp_path / "run.toml"
-    file.write_text(wire.scenario_text(config.scenario, rate, 1234, 7))
+    wire.run_of(config.scenario.change(guard={"patience_ticks": 7}), rate, 1234, 7).save(file)
     found = Scenario.load(file)
     assert found.plant.period_s == 1.0 / rate
     assert found.plant.substep_s <= 0.001
     assert (found.duration_s, found.seed) == (pytest.approx(1234 / rate), 7)
     assert found.task == config.scenario.task
+    assert found.guard.patience_ticks == 7, "nothing of the configuration's scenario is lost"
     assert not found.judge
 
 
@@ -224,7 +226,7 @@ def test_a_run_by_both_commands(tmp_path):
     """How many cycles are missed is the machine's affair; that they are counted is not."""
     file = tmp_path / "run.toml"
     config = realtime.Config.load(Path(realtime.__file__).parent / "configs" / "realtime.toml")
-    file.write_text(wire.scenario_text(config.scenario, 250, 100, 0))
+    wire.run_of(config.scenario, 250, 100, 0).save(file)
     found = wire.run_once(Case("python", 250, "quiet"), file, None, 600.0)
     assert found.clean
     assert len(found.round_us) == len(found.wake_us) == len(found.control_us)

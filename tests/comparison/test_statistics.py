@@ -12,6 +12,7 @@ from moc_opt.comparison.statistics import (
     difference_of_changes,
     mean,
     relative_change,
+    share,
 )
 
 SAMPLES = st.lists(st.floats(0.1, 10.0), min_size=3, max_size=12)
@@ -136,3 +137,18 @@ def test_the_interval_is_corrected_for_skew():
     plain = stats.bootstrap((sample,), np.mean, method="percentile", n_resamples=4000, rng=np.random.default_rng(0))
     assert found.low > plain.confidence_interval.low
     assert found.high > plain.confidence_interval.high + 0.05 * (found.high - found.low)
+
+
+def test_the_interval_of_a_share_covers_the_truth_at_least_as_often_as_it_says():
+    rng = np.random.default_rng(0)
+    found = [share(int(k), 2000) for k in rng.binomial(2000, 2e-3, 2000)]
+    covered = np.mean([one.low <= 2e-3 <= one.high for one in found])
+    assert 0.95 <= covered < 0.995
+
+
+def test_a_share_of_none_is_not_known_to_be_none():
+    assert share(0, 100) == (0.0, 0.0, pytest.approx(1.0 - 0.025 ** (1 / 100)), 100)
+    assert share(100, 100).low == pytest.approx(0.025 ** (1 / 100))
+    for wrong in ((0, 0), (-1, 5), (6, 5)):
+        with pytest.raises(StatisticsError, match="give at least one trial"):
+            share(*wrong)

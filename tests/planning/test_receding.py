@@ -65,7 +65,7 @@ def test_it_leaves_the_hump_in_which_the_local_law_is_trapped() -> None:
     assert ran().meta["ended"] == "completed"
     told = ran().meta["replans"]
     assert told["solves"] > 20.0 * (setup().duration_s - 0.3)
-    assert told["kept"] <= 0.05 * told["solves"]
+    assert told["refused"] <= 0.05 * told["solves"]
     assert 0.0 < told["solve_ms_median"] <= told["solve_ms_p99"]
     assert ran().mu.mean() > 1.15 * climbed().mu.mean()
     assert ran().columns["tip_error_model_m"].mean() < 2.0 * climbed().columns["tip_error_model_m"].mean()
@@ -88,7 +88,7 @@ def test_a_horizon_that_sees_no_further_stays_in_the_hump() -> None:
 def test_what_it_follows_is_on_the_path_and_within_the_speeds() -> None:
     one = guide()
     q = followed(one)
-    assert one.kept <= 0.05 * len(one.solve_s)
+    assert one.refused <= 0.05 * len(one.solve_s)
     assert len(one.solve_s) > 20.0 * (setup().duration_s - 0.3)
     t = one._period * (1.0 + np.arange(len(q)))
     tips, wrists = setup().robot.tool_along(q)
@@ -113,7 +113,7 @@ def test_nonsense_in_place_of_a_course_is_found_out(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(one._horizon, "solve", nonsense)
     for _ in range(700):
         desired = one.desired_velocity(robot.state(q))
-    assert one.kept == len(one.solve_s) - 1 > 10
+    assert one.refused == len(one.solve_s) - 1 > 10
     assert np.isfinite(desired).all()
     np.testing.assert_allclose(desired, 5.0 * (one._answer.q_rad[-1] - q), atol=1e-12)
 

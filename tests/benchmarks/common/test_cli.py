@@ -1,6 +1,8 @@
 """The command line of the benchmarks: options, what is written and printed, and the exit status."""
 
 import json
+import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -99,3 +101,22 @@ def test_an_interrupt_says_where_it_goes_on(capsys):
     options = cli.parser("sweep", "about")
     assert cli.run(options, work, ["--out", "there"], "stopped; goes on from {out}") == 130
     assert capsys.readouterr().err == "stopped; goes on from there\n"
+
+
+def test_sigterm_is_an_interrupt_while_it_works_and_only_then():
+    cleaned, before = [], signal.getsignal(signal.SIGTERM)
+
+    def work(given):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            cleaned.append(True)
+
+    assert cli.run(cli.parser("sweep", "about"), work, []) == 130
+    assert cleaned == [True]
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_work_in_another_thread_needs_no_handler():
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(cli.run, cli.parser("sweep", "about"), lambda given: 7, []).result() == 7
