@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -222,3 +223,20 @@ def test_what_cannot_be_is_refused_in_words(capsys: pytest.CaptureFixture[str], 
         assert words in capsys.readouterr().err
     with pytest.raises(WireError, match=r"period_s = 0\.005"):
         PlantServer(Scenario(plant={"period_s": 0.005, "substeps": 5}), "127.0.0.1:0")
+
+
+def test_the_controller_that_the_page_shows_answers_every_tick() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "realtime.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (shown,) = (text for text in blocks if "HEADER" in text)
+    plant = PlantServer(Scenario(duration_s=0.1, bound_samples=0), "127.0.0.1:0", lock_step=True)
+    shown = shown.replace("30200", str(plant.address[1]))
+    with ThreadPoolExecutor(1) as pool:
+        controller = pool.submit(exec, shown, {})
+        found = plant.trace()
+        controller.result()
+    assert found.meta["ended"] == "completed"
+    assert not found.columns["missed"].any()
+    wire = found.meta["wire"]
+    assert wire["received"] == len(found) == 50
+    assert sum(wire[name] for name in ("late", "truncated", "forged", "foreign")) == 0
