@@ -18,7 +18,13 @@ from moc_opt.planning.targets import Targets
 
 @dataclass(frozen=True)
 class Blocked:
-    """The first point of the path that no course reaches from the start."""
+    """The first point of the path that no course reaches from the start.
+
+    Example:
+        >>> blocked = mo.plan(mo.Scenario(duration_s=4.0), times=20, speed_share=0.01, refined=False).blocked
+        >>> blocked.t_s > 0.0, "times its speed limit" in blocked.reason
+        (True, True)
+    """
 
     t_s: float
     """When the run would be there [s]."""

@@ -22,7 +22,13 @@ LEAST_MU = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early."""
+    """k times, n joints; read-only arrays. ``k`` is less than the path's where the course ends early.
+
+    Example:
+        >>> course = mo.plan(mo.Scenario(duration_s=1.0), times=20, refined=False).best
+        >>> course.q_rad.shape, course.kept, course.value("worst") <= course.mu_mean
+        ((20, 7), True, True)
+    """
 
     t_s: Array
     """(k,) [s]"""

@@ -10,7 +10,14 @@ from moc_opt.planning.course import Course
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """One place of trocar or base."""
+    """One place of trocar or base.
+
+    Example:
+        >>> from moc_opt.scenario.placement import place
+        >>> first = place(mo.Scenario(duration_s=1.0), "trocar", candidates=2, best=1)[0]
+        >>> sorted(first.changes())
+        ['start', 'trocar']
+    """
 
     shift_m: tuple[float, float, float]
     """From where the scenario has it, in the world [m]."""

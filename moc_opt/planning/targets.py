@@ -17,7 +17,13 @@ SHALLOWEST_M = 0.002
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """k times; read-only arrays."""
+    """k times; read-only arrays.
+
+    Example:
+        >>> targets = mo.plan(mo.Scenario(duration_s=1.0), times=21, refined=False).targets
+        >>> len(targets), targets.tip.shape, round(targets.period_s, 3)
+        (21, (21, 3), 0.05)
+    """
 
     t_s: Array
     """(k,) evenly spaced [s]"""

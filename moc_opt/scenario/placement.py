@@ -58,6 +58,12 @@ def place(
     Raises:
         ScenarioError: an argument is out of range.
         MocOptError: the scenario's start, path or trocar is not usable.
+
+    Example:
+        >>> from moc_opt.scenario.placement import place
+        >>> places = place(mo.Scenario(duration_s=1.0), "base", candidates=2, best=1)
+        >>> len(places), places[0].course.mu_mean >= places[1].course.mu_mean
+        (2, True)
     """
     if what not in MOVABLE:
         raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
