@@ -148,7 +148,7 @@ class ControlSettings(Settings):
         description="mu_shaft is the manipulability of the shaft while the tip is held. Where it is below this value "
         "times the squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses "
         "that cannot hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' does not "
-        "go below half of it where there is another way; 0 in the paper",
+        "go below a quarter of it where there is another way; 0 in the paper",
     )  # fmt: skip
     ramp_s: NotNegative = Field(
         default=0.3, description="time over which the third level fades in at the start [s]; 0 in the paper"

@@ -7,8 +7,8 @@ the shaft's line) and the joint limits, each pair of times the joint speeds:
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt
 
 B_k (3,2) is orthogonal to the shaft. Five equations, since tip and wrist are rigidly tied: with six no multiplier is
-unique. f is the mean of mu, the mean of log mu, or s with mu(q_k) >= s. Where a margin from losing the shaft is asked
-for and the program without it would go below, it is one more inequality a time (`shaft`).
+unique. f is the mean of mu, the mean of log mu, or s with mu(q_k) >= s. With a margin from losing the shaft mu is
+lowered below it as on the map (`shaft`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Course, Objective, make_course, weights
 from moc_opt.planning.pose_map import Margin
-from moc_opt.planning.shaft import lowered, shaft_shares
+from moc_opt.planning.shaft import WORTH, lowered, shaft_shares
 from moc_opt.planning.targets import Targets
 
 # mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
@@ -40,8 +40,8 @@ SOFT_RAD = 0.003
 SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
 another local maximum."""
-SHAFT_ROOM = 1e-3
-"""So far below its margin the share of the squared lever may be: a course that stands on it has room to begin."""
+LEAST_SHARE = 1e-4
+"""Rounds the share of the squared lever off at zero, where a square root has no slope."""
 INSIDE = 1e-9
 """Limits and speeds are kept this far inside, so that rounding stays within them [rad]; half of a step at most is taken
 off."""
@@ -74,7 +74,7 @@ def refine(
             objective proper falls by no more than `SMOOTH_LOSS` of the given course's.
         acceleration: most of any joint, from rest [rad/s^2].
         brake: b of `too_fast` [rad/s^2]; the answer may cost as much as a smoother one.
-        shaft_margin: as of `shaft.keeping_shaft`; where the course is below it, the answer may be as far below.
+        shaft_margin: as of `shaft.keeping_shaft`; mu is lowered by it in the objective, and in judging the answer.
 
     Returns:
         The better of both courses by the robot model's own mu; one that breaks a constraint by more than
@@ -85,24 +85,16 @@ def refine(
         _improved, robot, targets, course, objective, free_start=free_start, margin=margin, speed_share=speed_share,
         smoothness=smoothness, acceleration=acceleration, brake=brake,
     )  # fmt: skip
-    free = improve()
-    if free is None or shaft_margin == 0.0:
-        return course if free is None else free
-    floor = np.minimum(shaft_shares(robot, course.q_rad), shaft_margin)
-    if (shaft_shares(robot, free.q_rad) >= floor - SHAFT_ROOM).all():
-        return free
-    held = improve(floor=np.maximum(floor - SHAFT_ROOM, 0.0))
-    if held is not None:
-        return held
-    # No program that keeps the margin got anywhere: the better one by what the search compares.
-    most = float(max(course.mu.max(), free.mu.max()))
-    mine, other = (lowered(each, robot, shaft_margin, most).value(objective) for each in (course, free))
-    enough = mine - _loss(smoothness, brake) * abs(course.value(objective))
-    return free if not course.kept or other >= enough else course
 
+    def above(one: Course) -> bool:
+        return bool((shaft_shares(robot, one.q_rad) >= shaft_margin).all())
 
-def _loss(smoothness: float, brake: float) -> float:
-    return SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
+    # Without the margin a program takes half of the time, and most courses keep it by themselves.
+    if shaft_margin == 0.0 or above(course):
+        free = improve()
+        if shaft_margin == 0.0 or above(free):
+            return free
+    return improve(shaft_margin=shaft_margin)
 
 
 def _improved(
@@ -117,13 +109,9 @@ def _improved(
     smoothness: float,
     acceleration: float,
     brake: float,
-    floor: Array | None = None,
-) -> Course | None:
-    """Solve the program; None where its answer breaks a constraint, or is worse than the course by too much.
-
-    Args:
-        floor: (k,) least share of the squared lever at each time; None: none. Others as for `refine`.
-    """
+    shaft_margin: float = 0.0,
+) -> Course:
+    """Solve the program once; arguments and answer as of `refine`."""
     import casadi as ca  # late: half a second
 
     moving = np.flatnonzero(robot.moves.any(axis=0))
@@ -156,21 +144,24 @@ def _improved(
         later, way = ca.vec(x[:, 1:]), ca.vec(x[:, 1:] - x[:, :-1])
         excess = too_fast(way / targets.period_s, later, ca.DM(low[a:]), ca.DM(high[a:]), brake)
         rows.append((targets.period_s * excess, -np.inf, 0.0))
-    if floor is not None:
-        rows.append((kin.shaft.map(k)(q)[:, there].T, floor[there] ** 2, np.inf))
     begin = np.array(course.q_rad[:, moving]).ravel()
     if not free_start:
         low[:a] = high[:a] = course.q_rad[0, moving]
     weight, variables = weights(k) / weights(k).sum(), ca.vec(x)
-    scale = float(np.mean(course.mu))
+    scale, top = float(np.mean(course.mu)), float(course.mu.max())
+    taken = ca.MX.zeros(1, k)
+    if shaft_margin > 0.0:
+        share = ca.sqrt(kin.shaft.map(k)(q) + LEAST_SHARE**2)
+        taken = WORTH * top * ca.fmax(1.0 - share / shaft_margin, 0.0) ** 2
     if objective == "worst":
         least = ca.MX.sym("s")
         variables, begin = ca.vertcat(variables, least), np.append(begin, course.mu.min() / scale)
         low, high = np.append(low, -np.inf), np.append(high, np.inf)
-        rows.append((mu.T / scale - least, 0.0, np.inf))
+        rows.append(((mu - taken).T / scale - least, 0.0, np.inf))
         cost = -least
     else:
-        cost = -ca.dot(ca.DM(weight), (ca.log(mu) if objective == "log" else mu / scale).T)
+        worth = (ca.log(mu) if objective == "log" else mu / scale) - taken / scale
+        cost = -ca.dot(ca.DM(weight), worth.T)
     if smoothness > 0.0:
         still = ca.horzcat(x[:, 0], x, x[:, -1])
         speed = (still[:, 1:] - still[:, :-1]) / targets.period_s
@@ -186,13 +177,12 @@ def _improved(
     poses = np.array(course.q_rad)
     poses[:, moving] = np.array(answer["x"]).ravel()[: k * a].reshape(k, a)
     if not np.isfinite(poses).all():
-        return None
+        return course
     found = make_course(robot, targets, poses, margin, speed_share, acceleration)
-    enough = course.value(objective) - _loss(smoothness, brake) * abs(course.value(objective))
-    if floor is not None and (shaft_shares(robot, poses) < floor - INSIDE).any():
-        return None
-    if not found.kept or (course.kept and found.value(objective) < enough):
-        return None
+    before, after = (lowered(each, robot, shaft_margin, top).value(objective) for each in (course, found))
+    loss = SMOOTH_LOSS * abs(course.value(objective)) if smoothness > 0.0 or np.isfinite(brake) else 0.0
+    if not found.kept or (course.kept and after < before - loss):
+        return course
     return found.as_certified() if solver.stats()["success"] else found
 
 

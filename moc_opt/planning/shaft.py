@@ -23,9 +23,9 @@ from moc_opt.planning.course import Course
 from moc_opt.planning.pose_map import PoseMap
 from moc_opt.redundancy.continuation import Constraint, forward
 
-COURSE_SHARE = 0.5
+COURSE_SHARE = 0.25
 """Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
-half of it and no further."""
+quarter of it."""
 WORTH = 10.0
 """Times the largest mu of the map that a pose at which the shaft is lost is worth less."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,11 @@ class PlantServer(Setup):
             self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
             self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario), clock=self._clock,
         )  # fmt: skip
+
+    @cached_property
+    def _guides(self) -> None:
+        """Plan nothing: what the third level follows is the controller's at the other end."""
+        return None
 
     @property
     def address(self) -> Address:

@@ -17,7 +17,8 @@ from moc_opt.__main__ import main
 from moc_opt.realtime.answering import Ending
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.packets import Kind
-from moc_opt.scenario import Scenario, run
+from moc_opt.scenario import Scenario, objects, run
+from moc_opt.scenario import wired as wired_module
 from moc_opt.scenario.wired import PlantServer, answer, fingerprint
 from moc_opt.trace.trace import Trace
 from tests.realtime.relay import TO_CONTROLLER, TO_PLANT, Relay
@@ -223,6 +224,40 @@ def test_what_cannot_be_is_refused_in_words(capsys: pytest.CaptureFixture[str], 
         assert words in capsys.readouterr().err
     with pytest.raises(WireError, match=r"period_s = 0\.005"):
         PlantServer(Scenario(plant={"period_s": 0.005, "substeps": 5}), "127.0.0.1:0")
+
+
+def test_the_controller_plans_before_it_looks_for_a_plant_and_the_plant_not_at_all(
+    monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = Scenario(duration_s=0.2, bound_samples=0, control={"third_level": "planned"})
+    asked: list[str] = []
+    planned, hello = objects.guides, wired_module.Link
+
+    def guides_told(*given: Any) -> Any:
+        asked.append("planned")
+        return planned(*given)
+
+    def link_told(*given: Any, **named: Any) -> Any:
+        asked.append("plant" if "listen" in named else "controller")
+        return hello(*given, **named)
+
+    monkeypatch.setattr(objects, "guides", guides_told)
+    monkeypatch.setattr(wired_module, "Link", link_told)
+    found, ending, _ = wired(scenario)
+    assert asked == ["plant", "planned", "controller"]
+    assert ending.ended == found.meta["ended"] == "completed"
+    expected = run(scenario)
+    np.testing.assert_allclose(found.columns["q_rad"], expected.columns["q_rad"], atol=1e-12)
+    assert "course_mu_mean" in expected.meta
+    assert "course_mu_mean" not in found.meta, "it is the controller's"
+
+
+def test_a_receding_horizon_over_the_wire_is_warned_of(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for level, said in (("receding", True), ("local", False)):
+        file = tmp_path / "run.toml"
+        file.write_text(f"duration_s = 0.1\n[control]\nthird_level = '{level}'\n[wire]\nwait_s = 0.2\n")
+        assert main(["control", str(file), "--connect", "127.0.0.1:9"]) == 2
+        assert ("--lock-step" in capsys.readouterr().err.partition("looks for a plant")[0]) == said
 
 
 def test_the_controller_that_the_page_shows_answers_every_tick() -> None:
