@@ -13,10 +13,10 @@ from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.blocked import Blocked, blocked
+from moc_opt.planning.candidates import usable_courses
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course, margin_at
 from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
-from moc_opt.planning.refine import refine
 from moc_opt.planning.search import Search, search
 from moc_opt.planning.shaft import keeping_shaft, largest, lowered
 from moc_opt.planning.spherical import spherical
@@ -169,10 +169,9 @@ def make_plan(
 
     courses = [
         max(
-            _usable(
-                robot, targets, [answer, bound] if refined else [answer], objective, refined=refined,
-                free_start=begin is None, margin=margin, speed_share=speed_share, acceleration=acceleration,
-                shaft_margin=shaft_margin,
+            usable_courses(
+                robot, whole, [answer, bound] if refined else [answer], begin, objective, margin=margin,
+                speed_share=speed_share, acceleration=acceleration, shaft_margin=shaft_margin, refined=refined,
             ), key=worth, default=None,
         ) for answer, bound, begin in zip(answers, bounds, starts, strict=True)
     ]  # fmt: skip
@@ -195,29 +194,6 @@ def make_plan(
         swivel_rad=np.empty(0) if shown is None else np.unwrap(elbow.swivel(shown.q_rad)),
         map_s=took[0], search_s=took[1], bound_s=took[2], refine_s=took[3],
     )  # fmt: skip
-
-
-def _usable(
-    robot: RobotModel, targets: Targets, found: list[Search], objective: Objective, *, refined: bool, free_start: bool,
-    margin: Margin, speed_share: float, acceleration: float, shaft_margin: float,
-) -> list[Course]:  # fmt: skip
-    """Return the courses of searches, and each refined, as far as they keep the limits.
-
-    The bound's own course is a second one to begin at, which helps where the grid's steps are just too coarse.
-    """
-    poses = [each.q_rad for each in found if each.q_rad is not None and np.isfinite(each.q_rad).all()]
-    made = [make_course(robot, targets, q, margin, speed_share, acceleration) for q in poses]
-    if refined:
-        made += [
-            refine(
-                robot, targets, course, objective, free_start=free_start, margin=margin, speed_share=speed_share,
-                acceleration=acceleration, shaft_margin=shaft_margin,
-            ) for course in made
-        ]  # fmt: skip
-    usable = [course for course in made if course.kept]
-    if not usable and made and found[0].q_rad is not None and not np.isfinite(acceleration):
-        usable = made[:1]  # of the grid: its poses miss their targets by rounding alone
-    return usable
 
 
 def _bound(found: Search, course: Course | None, objective: Objective) -> float:

@@ -26,6 +26,9 @@ NODES = 10
 """Times of the nonlinear program after the measured pose."""
 CATCH_UP = 1.03
 """Factor on the speed that V assumes, allowed on the horizon, so that a late arm can catch up."""
+ON_COURSE_RAD = 0.05
+"""An arm this near to its course in every joint is on it: a new one begins at the course, which the loop tracks, not at
+the measured pose. Else the delay of a solve would close a second loop, which oscillates near singular poses."""
 MOST_OFF = 1e-3
 """Of an answer that is followed: tip or wrist off its target [m], a joint beyond a limit or its way [rad]. Levels 1 and
 2 keep tip and shaft whatever the third does."""
@@ -137,7 +140,11 @@ class Receding:
         nodes = np.linspace(t, times[-1], NODES + 1)
         there = self._at(nodes[1:])
         guess = self._warm(nodes[1:], times, poses)
-        speed = np.zeros(len(q)) if self._answer is None else self._answer.at(t)[1]
+        speed = np.zeros(len(q))
+        if self._answer is not None:
+            followed, speed = self._answer.at(t)
+            if np.abs(followed - q).max() < ON_COURSE_RAD:
+                q = followed
         answer = self._horizon.solve(guess, q, speed, there, self._to_go.near(end, branch, sample))
         course = np.concatenate([q[None], answer])
         if not self._usable(course, there):
