@@ -4,55 +4,31 @@ from __future__ import annotations
 
 import ctypes
 import pickle
+import sys
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import ControlSettings
+from moc_opt.control.called_tick import BAD_INPUT, TickMemory
 from moc_opt.control.session import check_references
 from moc_opt.embedded.compiler import compile_library
 from moc_opt.embedded.export import c_files
 from moc_opt.embedded.layout import Field, Layout
-from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.embedded.support import TickSpec
 from moc_opt.errors import ControlError, RobotError
 from moc_opt.model.kinematics_kernels import record_size, state_views
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.robot_state import RobotState
 from moc_opt.numerics.arrays import Array
-from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, named
 from moc_opt.qp.problem import NullSpaceQP
 from moc_opt.solvers.base import Solver, Status
 from moc_opt.solvers.exact.elimination import EMPTY, OK, STUCK
 
 _STATUS = {OK: Status.SOLVED, EMPTY: Status.INFEASIBLE, STUCK: Status.NUMERICAL}
-
-
-class TickMemory(NamedTuple):
-    """A tick's function and the memory that it reads and writes, for compiled code that calls it."""
-
-    function: NDArray[np.int64]
-    """(1,) address of ``moc_tick``"""
-    pointers: NDArray[np.int64]
-    """(7,) addresses of its arguments"""
-    q: Array
-    v: Array
-    tip_ref: Array
-    trocar: Array
-    tau: Array
-    report: Array
-    """the part of it that a trace keeps"""
-    torque: Array
-    """(n,) the one that the observer takes for applied [Nm]"""
-    known: Array
-    """q, v, report and a NaN, from which ``places`` takes a state's record"""
-    places: NDArray[np.int64]
-
-
-TICK = named(TickMemory, INDICES, INDICES, VECTOR, VECTOR, MATRIX, MATRIX, *[VECTOR] * 4, INDICES)
 
 
 class NativeController:
@@ -99,7 +75,7 @@ class NativeController:
             torque=self._state["torque"], known=self._known, places=self._in_state,
         )  # fmt: skip
         self._buffers = buffers  # the pointers do not keep them alive
-        self.reports = np.empty((0, 0))
+        self.reports, self.most = np.empty((0, 0)), sys.maxsize
         self._status, self._started = OK, False
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -198,6 +174,9 @@ class NativeController:
         if self.solver is not None:
             self.reports[row] = self._kept
             self.took(np.array([self._status]), columns, row)
+
+    def begin(self, columns: Mapping[str, NDArray[Any]], first: int) -> None:
+        """Do nothing: see `control.called_tick.CalledTick`."""
 
     def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
         """Note what ticks in compiled code returned (k,), whose reports are in rows from ``first`` on."""

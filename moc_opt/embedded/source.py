@@ -10,13 +10,11 @@ import casadi as ca
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from moc_opt.control.called_tick import BAD_INPUT
 from moc_opt.embedded.layout import OBSERVED
 from moc_opt.embedded.symbolic import Tick
 from moc_opt.inputs.names import in_comment
 from moc_opt.numerics.arrays import Array
-
-BAD_INPUT = 3
-"""Result of moc_tick for an input that is not finite; smaller ones are the statuses of `solvers.exact`."""
 
 
 class Recording(NamedTuple):

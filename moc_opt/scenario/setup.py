@@ -10,17 +10,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from moc_opt.control.called_tick import CalledTick
 from moc_opt.control.interpreter import Interpreter
 from moc_opt.errors import ScenarioError, TraceError, describe, shown
 from moc_opt.inputs.files import as_path
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.follow import Follower
 from moc_opt.planning.receding import Receding
+from moc_opt.scenario import steps
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.derived import largest_mu, model_errors, residual_columns
 from moc_opt.scenario.layout import described
 from moc_opt.scenario.objects import Objects
 from moc_opt.scenario.parts import make_safety_filter, make_stop
+from moc_opt.scenario.python_tick import PythonTick
 from moc_opt.scenario.rows import Timed, check_room
 from moc_opt.scenario.yardstick import against_best
 from moc_opt.sim.faults import Faults
@@ -82,10 +86,10 @@ class Setup(Objects):
         controller, safety_filter = self.adapter(), make_safety_filter(self.robot, self.scenario)
         around = faults if wrong.around_the_arm else None
         compiled = None
-        if self.scenario.control.backend == "c":
-            from moc_opt.scenario.steps import compiled_steps  # late, as all that needs the generated C
-
-            compiled = compiled_steps(self.plant, controller, safety_filter, around)
+        if type(controller) is ControllerAdapter:
+            controller = PythonTick(controller)
+        if isinstance(controller, CalledTick):  # not where it is another process
+            compiled = steps.compiled_steps(self.plant, controller, safety_filter, around)
         with Interpreter():  # restored after the run if a solver changed it
             found = simulate(
                 self.plant, controller, Timed(lambda t: np.stack(self.reference.at(t), axis=1), period, ticks),

@@ -1,4 +1,6 @@
-"""Whole control periods in one compiled call: safety filter, tick in C, limits, plant, and the trace's rows.
+"""Whole control periods in one compiled call: safety filter, tick, limits, plant, and the trace's rows.
+
+The tick is a C function: that of the generated C, or one that calls a controller in Python (`python_tick`).
 
 The parts are those that a single step calls one after the other, in the same order. Where a part finds anything that
 Python has to judge, the call ends there, and the single step goes on with what was found.
@@ -14,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from moc_opt.control import safety_tick as safety
+from moc_opt.control.called_tick import BAD_INPUT, TICK, CalledTick, TickMemory
 from moc_opt.control.safety_filter import SafetyFilter
-from moc_opt.embedded.native import TICK, NativeController, TickMemory
-from moc_opt.embedded.source import BAD_INPUT
 from moc_opt.numerics.arrays import Array, read_only
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import (
@@ -161,9 +162,9 @@ _STEPS = CompiledKernel(
 
 
 class CompiledSteps:
-    """`steps` for a plant, a tick in C and a safety filter; see `sim.closed_loop.CompiledSteps`."""
+    """`steps` for a plant, a tick and a safety filter; see `sim.closed_loop.CompiledSteps`."""
 
-    def __init__(self, plant: Plant, controller: NativeController, safety_filter: SafetyFilter, clock: int) -> None:
+    def __init__(self, plant: Plant, controller: CalledTick, safety_filter: SafetyFilter, clock: int) -> None:
         self._plant, self._controller, self._filter, self._clock = plant, controller, safety_filter, clock
         self._block: Block | None = None
 
@@ -181,6 +182,8 @@ class CompiledSteps:
                 codes=np.zeros(block.ticks, dtype=np.int64),
             )  # fmt: skip
         seen, ahead, first = plant.measure(), plant.ahead(), block.done
+        most = min(most, self._controller.most)
+        self._controller.begin(block.kept, first)
         now = Now(
             at=np.array([first, ALL, 0, seen.stamp, ahead.slot, 0]), reading=np.concatenate(seen[:3]),
             seen=np.empty(2 * n + 6), applied=np.array(applied), sent=np.empty(n), record=np.empty(tick.places.size),
@@ -211,10 +214,10 @@ class CompiledSteps:
 
 
 def compiled_steps(
-    plant: Plant, controller: object, safety_filter: SafetyFilter, faults: Faults | None
+    plant: Plant, controller: CalledTick, safety_filter: SafetyFilter, faults: Faults | None
 ) -> CompiledSteps | None:
-    """Make the compiled steps of a run; None where a part of it is in Python, or the machine has no C clock."""
+    """Make the compiled steps of a run; None where faults act in Python, or the machine has no C clock."""
     clock = getattr(ctypes.CDLL(None), "clock_gettime", None) if hasattr(time, "CLOCK_MONOTONIC") else None
-    if clock is None or faults is not None or not isinstance(controller, NativeController):
+    if clock is None or faults is not None:
         return None
     return CompiledSteps(plant, controller, safety_filter, ctypes.cast(clock, ctypes.c_void_p).value or 0)

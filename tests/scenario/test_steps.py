@@ -1,11 +1,15 @@
 """Whole periods in one compiled call against the single step, which Python takes part by part: the same to the bit."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from moc_opt.control.controller import Controller
+from moc_opt.errors import ControlError
 from moc_opt.scenario import Scenario, Setup, steps
+from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.loop import RunAway
 
 BLIND = {
@@ -34,8 +38,8 @@ CASES = {
 """What is changed -> how the run ends."""
 
 
-def compiled_run(robot="lwr4", seed=4, duration_s=0.6, watch=None, to=None, block=5000, **tables):
-    control = {"backend": "c", **tables.pop("control", {})}
+def compiled_run(robot="lwr4", seed=4, duration_s=0.6, watch=None, to=None, block=5000, backend="c", **tables):
+    control = {"backend": backend, **tables.pop("control", {})}
     scenario = Scenario(robot={"name": robot}, seed=seed, duration_s=duration_s, judge=False, bound_samples=0,
                         control=control, **tables)  # fmt: skip
     try:
@@ -68,16 +72,17 @@ def assert_same(one, other):
     told = [{k: v for k, v in trace.meta.items() if k != "replans"} for trace in (one, other)]
     assert told[0] == told[1]
     assert one.columns.keys() == other.columns.keys()
-    for name in one.columns.keys() - {"tick_us"}:
+    for name in one.columns.keys() - {"tick_us", "solve_us"}:
         np.testing.assert_array_equal(one.columns[name], other.columns[name], err_msg=name)
 
 
+@pytest.mark.parametrize("backend", ["c", "python"])
 @pytest.mark.parametrize("case", CASES)
-def test_compiled_periods_are_single_steps_to_the_bit(case, taken, monkeypatch):
+def test_compiled_periods_are_single_steps_to_the_bit(case, backend, taken, monkeypatch):
     tables, end = CASES[case]
-    trace = compiled_run(**tables)
+    trace = compiled_run(backend=backend, **tables)
     assert trace.meta["ended"].startswith(end)
-    assert_same(trace, single_steps(monkeypatch, **tables))
+    assert_same(trace, single_steps(monkeypatch, backend=backend, **tables))
     periods, begun = sum(done for done, _ in taken), [begun for _, begun in taken]
     assert periods > 5
     if end == "completed" and case not in ("a warning at most ticks", "some measurements refused"):
@@ -143,7 +148,59 @@ def test_blocks_that_go_to_a_file_are_the_same_rows(tmp_path):
         np.testing.assert_array_equal(trace.columns[name], whole.columns[name], err_msg=name)
 
 
-@pytest.mark.parametrize("tables", [{"faults": {"bump_N": 20.0}}, {"control": {"backend": "python"}}])
-def test_what_is_in_python_is_stepped_in_python(tables, taken):
-    assert compiled_run(duration_s=0.05, **tables).meta["ended"] == "completed"
+@pytest.mark.parametrize("backend", ["c", "python"])
+def test_faults_around_the_arm_are_stepped_in_python(backend, taken):
+    assert compiled_run(duration_s=0.05, backend=backend, faults={"bump_N": 20.0}).meta["ended"] == "completed"
     assert taken == []
+
+
+PYTHON = {
+    "another solver": {"solver": {"name": "daqp"}},
+    "answers that are refused": {"faults": {"solver": "nan", "solver_share": 0.3}},
+    "a solver that hangs": {"faults": {"solver": "hang", "solver_share": 0.1}, "duration_s": 0.2},
+    "a process of its own": {"solver": {"isolation": "process"}, "duration_s": 0.2},
+    "the scaled climb": {"control": {"climb": "scaled"}},
+    "a course": {"control": {"third_level": "receding"}, "duration_s": 0.3},
+    "cut torques and another arm": {"robot": "panda", "guard": {"torque_rate_Nm_per_s": 60.0}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", PYTHON)
+def test_whatever_the_controller_in_python_does_its_compiled_periods_are_single_steps(case, taken, monkeypatch):
+    trace = compiled_run(backend="python", **PYTHON[case])
+    assert sum(done for done, _ in taken) >= len(trace) - 1
+    assert_same(trace, single_steps(monkeypatch, backend="python", **PYTHON[case]))
+
+
+def test_columns_are_written_outside_of_the_time_of_a_tick(monkeypatch):
+    note = ControllerAdapter.note
+
+    def slow(self, row, columns):
+        time.sleep(0.003)
+        note(self, row, columns)
+
+    monkeypatch.setattr(ControllerAdapter, "note", slow)
+    trace = compiled_run(backend="python", duration_s=0.1)
+    assert 0.0 < np.median(trace.tick_us) < 2000.0
+
+
+@pytest.mark.parametrize("error", [RuntimeError("lost"), KeyboardInterrupt(), ControlError("no answer")])
+def test_an_error_of_a_tick_in_python_is_raised_once_where_it_was(error, monkeypatch, taken):
+    tick, asked = Controller.tick, []
+
+    def failing(self, *given):
+        asked.append(1)
+        if len(asked) == 10:
+            raise error
+        return tick(self, *given)
+
+    monkeypatch.setattr(Controller, "tick", failing)
+    if isinstance(error, ControlError):
+        trace = compiled_run(backend="python", duration_s=0.2)
+        assert trace.meta["ended"].startswith("stopped: the controller failed: no answer")
+    else:
+        with pytest.raises(type(error)) as caught:
+            compiled_run(backend="python", duration_s=0.2)
+        assert caught.value is error
+    assert len(asked) == 10
+    assert taken[0][0] == 8, "the first tick was a rehearsal"

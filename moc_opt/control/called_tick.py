@@ -1,0 +1,57 @@
+"""A controller's tick as compiled code calls it: a C function, and the memory that it reads and writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, named
+
+BAD_INPUT = 3
+"""Returned by a tick that has changed nothing: an input, or its torque, is not usable. Smaller numbers are the
+statuses of `solvers.exact`."""
+
+
+class TickMemory(NamedTuple):
+    """A tick's function and the memory that it reads and writes, for compiled code that calls it."""
+
+    function: NDArray[np.int64]
+    """(1,) address of ``int tick(...)``"""
+    pointers: NDArray[np.int64]
+    """(7,) addresses of its arguments"""
+    q: Array
+    v: Array
+    tip_ref: Array
+    trocar: Array
+    tau: Array
+    report: Array
+    """the part of it that a trace keeps"""
+    torque: Array
+    """(n,) the one that the observer takes for applied [Nm]"""
+    known: Array
+    """numbers from which ``places`` takes a state's record"""
+    places: NDArray[np.int64]
+
+
+TICK = named(TickMemory, INDICES, INDICES, VECTOR, VECTOR, MATRIX, MATRIX, *[VECTOR] * 4, INDICES)
+
+
+@runtime_checkable
+class CalledTick(Protocol):
+    """A controller whose tick compiled periods call."""
+
+    memory: TickMemory
+    reports: Array
+    """(N, m) rows of ``memory.report``; (0, 0) where there are none"""
+    most: int
+    """periods of one compiled call at most"""
+
+    def begin(self, columns: Mapping[str, NDArray[Any]], first: int) -> None:
+        """Prepare for ticks whose columns are those of rows from ``first`` on."""
+
+    def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
+        """Note what the ticks returned (k,), whose rows begin at ``first``."""
