@@ -95,7 +95,8 @@ def _around(s: Any) -> str:
 
 
 _REST = {
-    "python": "sensors and recording, in Python", "c": "references, sensors, and the columns that follow from others",
+    "python": "references, sensors, recording, and the columns that follow from others",
+    "c": "references, sensors, and the columns that follow from others",
 }  # fmt: skip
 
 

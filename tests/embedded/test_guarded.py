@@ -20,7 +20,7 @@ from moc_opt.embedded.export import safe_files
 from moc_opt.embedded.guarded import FAULTS, GuardedController
 from moc_opt.embedded.support import TickSpec
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.scenario import Scenario, Setup, make_safety_filter
+from moc_opt.scenario import Scenario, Setup, make_safety_filter, steps
 from moc_opt.scenario.adapter import ControllerAdapter
 from moc_opt.sim.filtered import FilteredController
 from moc_opt.sim.sensors import Measurement
@@ -124,6 +124,7 @@ def run_twins(scenario: Scenario) -> tuple[Twin, Any]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(moc_opt.sim.closed_loop, "FilteredController", make)
+        patch.setattr(steps, "compiled_steps", lambda *parts: None)  # which would step past the twins
         trace = Setup(scenario).trace()
     return twins[0], trace
 
