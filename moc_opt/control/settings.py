@@ -147,8 +147,8 @@ class ControlSettings(Settings):
         default=0.175, ge=0.0, le=1.0, allow_inf_nan=False,
         description="mu_shaft is the manipulability of the shaft while the tip is held. Where it is below this value "
         "times the squared distance of wrist point and tip, the climb of third_level 'local' leads away from poses "
-        "that cannot hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' does not "
-        "go below a quarter of it where there is another way; 0 in the paper",
+        "that cannot hold the shaft, and the box opens to all of v_max. A course of 'planned' or 'receding' goes "
+        "no more than a little below a quarter of it where there is another way; 0 in the paper",
     )  # fmt: skip
     ramp_s: NotNegative = Field(
         default=0.3, description="time over which the third level fades in at the start [s]; 0 in the paper"

@@ -165,7 +165,8 @@ def make_plan(
     bounded = time.perf_counter()
 
     def worth(course: Course) -> tuple[float, float]:
-        return lowered(course, robot, shaft_margin, most).value(objective), course.mu_mean
+        judged = lowered(course, robot, shaft_margin, most)
+        return judged.value(objective), judged.mu_mean
 
     courses = [
         max(

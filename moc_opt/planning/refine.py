@@ -40,6 +40,8 @@ SOFT_RAD = 0.003
 SMOOTH_LOSS = 0.05
 """Share of the objective that a smoother course, or one that brakes, may cost; where it costs more, the program went to
 another local maximum."""
+MEAN_TOO = 1e-3
+"""Weight of the mean of mu, in shares of itself, beside the worst mu."""
 LEAST_SHARE = 1e-4
 """Rounds the share of the squared lever off at zero, where a square root has no slope."""
 INSIDE = 1e-9
@@ -158,7 +160,8 @@ def _improved(
         variables, begin = ca.vertcat(variables, least), np.append(begin, course.mu.min() / scale)
         low, high = np.append(low, -np.inf), np.append(high, np.inf)
         rows.append(((mu - taken).T / scale - least, 0.0, np.inf))
-        cost = -least
+        # Once the least mu cannot be raised, its mean decides: a fixed start may be the worst pose of all.
+        cost = -least - MEAN_TOO * ca.dot(ca.DM(weight), ((mu - taken) / scale).T)
     else:
         worth = (ca.log(mu) if objective == "log" else mu / scale) - taken / scale
         cost = -ca.dot(ca.DM(weight), worth.T)
@@ -179,9 +182,11 @@ def _improved(
     if not np.isfinite(poses).all():
         return course
     found = make_course(robot, targets, poses, margin, speed_share, acceleration)
-    before, after = (lowered(each, robot, shaft_margin, top).value(objective) for each in (course, found))
-    loss = SMOOTH_LOSS * abs(course.value(objective)) if smoothness > 0.0 or np.isfinite(brake) else 0.0
-    if not found.kept or (course.kept and after < before - loss):
+    before, after = (lowered(each, robot, shaft_margin, top) for each in (course, found))
+    loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
+    judged: tuple[Objective, ...] = (objective, "mean") if loss and objective == "worst" else (objective,)
+    lost = any(after.value(what) < before.value(what) - loss * abs(course.value(what)) for what in judged)
+    if not found.kept or (course.kept and lost):
         return course
     return found.as_certified() if solver.stats()["success"] else found
 

@@ -23,12 +23,12 @@ from moc_opt.trace.trace import Trace
 
 MOST_OFF_M = 1e-3
 """So far tip or wrist may be off the run's targets; the program that makes a course smooth puts them there."""
-LIMITS = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf}
+LIMITS = {"margin_rad": 0.0, "margin_m": 0.0, "speed_share": 1.0, "acceleration": np.inf, "shaft_margin": 0.0}
 """What a course was planned for, and what stands for it in a file that does not say."""
 MOST_OFF_RAD = 1e-6
 """So far the first pose may be from the run's start, a joint beyond a limit, and an idle joint from its start."""
 ROUNDING = 1e-6
-"""Of a speed, as a share of its limit, and of the first and last time, as a share of the run's."""
+"""Of the first time [s]; of the last one, as a share of the run's, and of a speed, as a share of its limit."""
 
 
 class Given(NamedTuple):
@@ -41,6 +41,8 @@ class Given(NamedTuple):
     speed_share: float
     acceleration: float
     """[rad/s^2]; inf: no limit"""
+    shaft_margin: float = 0.0
+    """from losing the shaft, a share of the squared lever"""
 
 
 def save_course(
@@ -54,7 +56,7 @@ def save_course(
         found: the plan.
         scenario: that was planned.
         to: the file.
-        within: limits that it was planned for: margin_rad, margin_m, speed_share, acceleration, where there are any.
+        within: limits that it was planned for, by the names of `LIMITS`, where there are any.
 
     Raises:
         ScenarioError: there is none, neither from the start nor from elsewhere.
@@ -110,7 +112,7 @@ def load_course(scenario: Scenario, robot: RobotModel, q_start: Array, targets: 
     allowed = settings.course_speed_fraction
     return Given(
         make_course(robot, targets, poses, speed_share=allowed), objective_of(trace), margin,
-        max(fastest, min(allowed, told["speed_share"])), told["acceleration"],
+        max(fastest, min(allowed, told["speed_share"])), told["acceleration"], told["shaft_margin"],
     )  # fmt: skip
 
 
@@ -152,7 +154,7 @@ def _check_ends(trace: Trace, t: Array, q: Array, robot: RobotModel, q_start: Ar
                 f"begin there: [start] q_rad = {[round(angle, 9) for angle in q[0].tolist()]}",
             )
         raise _Refused(f"{name} begins {off[j]:.3g} rad from the start of the run")
-    if max(abs(t[0]), abs(t[-1] - end_s)) > ROUNDING * end_s:
+    if abs(t[0]) > ROUNDING or abs(t[-1] - end_s) > ROUNDING * end_s:
         raise _Refused(f"it goes from {t[0]:.4g} to {t[-1]:.4g} s, the run from 0 to {end_s:.4g}")
 
 

@@ -81,7 +81,7 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
     shaft = COURSE_SHARE * settings.shaft_margin
     lowered = keeping_shaft(found, robot, shaft)
 
-    def made(share: float, brake: float) -> Callable[[], Receding]:
+    def made(share: float, brake: float, held: float) -> Callable[[], Receding]:
         for margin in _margins(scenario, robot, layout.q):
             usual = float(np.nanmean(found.highest(margin)))
             to_go = ToGo(lowered, share * robot.v_max * path.period_s, margin, smooth / SETTLED_S**2 * usual)
@@ -91,16 +91,18 @@ def replanned(scenario: Scenario, robot: RobotModel, layout: Layout) -> Callable
             raise _stuck(scenario, make_plan(robot, layout.q, path, speed_share=share, refined=False))
         horizon = Horizon(
             robot, NODES, mu=usual, margin=margin, speed=CATCH_UP * share * robot.v_max, smoothness=smooth, brake=brake,
-            shaft_margin=shaft,
+            shaft_margin=held,
         )  # fmt: skip
         return lambda: Receding(  # one program, of which each controller makes a solver of its own
             to_go, copy(horizon), robot, fine, layout.q, period, horizon_s=settings.horizon_s,
             rate_per_s=settings.replan_per_s,
         )  # fmt: skip
 
-    ladder = [(part, scenario.guard.wall_brake_rad_per_s2) for part in SPEEDS] + [(SPEEDS[-1], np.inf)]
-    for part, brake in ladder:
-        make = made(part * settings.course_speed_fraction, brake)
+    ladder = [(part, scenario.guard.wall_brake_rad_per_s2, shaft) for part in SPEEDS]
+    # Without braking in time, and at last with V alone to hold the course from losing the shaft.
+    ladder += [(SPEEDS[-1], np.inf, shaft), (SPEEDS[-1], np.inf, 0.0)]
+    for part, brake, held in ladder:
+        make = made(part * settings.course_speed_fraction, brake, held)
         try:
             ready = [make()]
         except TaskError as error:
@@ -121,6 +123,7 @@ def followed_course(scenario: Scenario, robot: RobotModel, layout: Layout) -> Co
     shaft = COURSE_SHARE * settings.shaft_margin
     if settings.course:  # as it is where smoothness would cost too much
         given = load_course(scenario, robot, layout.q, targets)
+        shaft = max(shaft, given.shaft_margin)
         return _made_smooth(robot, targets, given, shaft, (brake, np.inf)) or given.course
     known = map_of(robot, layout.q, targets)
     for margin in _margins(scenario, robot, layout.q):

@@ -55,6 +55,8 @@ class PlantServer(Setup):
 
     def __init__(self, scenario: Scenario, listen: str, key: bytes | None = None, *, lock_step: bool = False) -> None:
         super().__init__(scenario)
+        if scenario.control.follows:
+            scenario.control.check_guided()
         where = parse_address(listen, "--listen")
         period = scenario.plant.period_s
         if not lock_step and not FASTEST_S <= period <= SLOWEST_S:

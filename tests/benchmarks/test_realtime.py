@@ -53,6 +53,19 @@ def test_the_goal_of_c_needs_enough_cycles_and_few_misses(missed, cycles, reache
     assert found["python"]["reached"] == found["rcm"]["reached"] == "not measured"
 
 
+def test_a_controller_that_stops_in_every_run_misses_a_goal():
+    case = realtime.summarise([run_of(20_000, ended="stopped: asked for")] * 50)
+    found = goal_verdicts({"cases": {"c, 500 Hz, quiet": case}}, realtime.GOALS)
+    assert found["quiet stops"]["reached"] == "no"
+
+
+def test_an_open_goal_is_counted_and_shown_with_its_interval():
+    summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(100_000, missed=1)])}}
+    summary["goals"] = goal_verdicts(summary, realtime.GOALS)
+    assert "1 of 5 goals are reached, 1 open, 3 not measured" in clock.sentences(summary)[-1]
+    assert clock.tables(summary)[0].rows[0]["value"].startswith("1e-05 [")
+
+
 def test_the_goals_under_load_look_at_every_loaded_case_and_at_no_other():
     good, bad = ({"cycles": 9, "unclean": k, "rcm_max_mm": 1.0 + 2.0 * k} for k in (0, 1))
     for name, reached in (("c, 1000 Hz, loaded", "no"), ("c, 1000 Hz, quiet", "yes")):
@@ -64,7 +77,9 @@ def test_tables_and_headline_say_what_was_found():
     summary = {"cases": {"c, 500 Hz, quiet": realtime.summarise([run_of(1000, missed=7)])}}
     summary["goals"] = goal_verdicts(summary, realtime.GOALS)
     goals, cycles, latencies = clock.tables(summary)
-    assert [row["reached"] for row in goals.rows] == ["not measured"] * 4
+    words = {row["what"]: row["reached"] for row in goals.rows}
+    assert words.pop("runs that were stopped, on a quiet machine") == "yes"
+    assert list(words.values()) == ["not measured"] * 4
     assert cycles.rows[0]["missed"] == 7
     assert [(row["what"], row["worst"]) for row in latencies.rows] == [
         ("wake-up latency", 100.0), ("round trip", 1000.0), ("controller", 10.0)

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from moc_opt.errors import TaskError
 from moc_opt.model.robot_model import RobotModel, load_robot
-from moc_opt.planning.course import make_course
+from moc_opt.planning.course import Objective, make_course
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.refine import refine
 from moc_opt.planning.shaft import WORTH, keeping_shaft, lowered, shaft_shares
+from moc_opt.planning.targets import Targets
 from moc_opt.scenario import Scenario
 from moc_opt.scenario.planned import layout_of, targets_of
 from tests.conftest import Array
@@ -130,6 +131,35 @@ def test_refinement_takes_the_margin_as_the_search_does(smoothness: float) -> No
     assert with_it > without
     assert with_it > (0.95 if smoothness else 1.0) * begun
     assert kept.mu_mean < free.mu_mean
+
+
+def held(robot: RobotModel, q: Array, times: int) -> Targets:
+    (tip,), (wrist,) = robot.tool_along(q[None])
+    return Targets(0.2 * np.arange(times), np.tile(tip, (times, 1)), np.tile(wrist, (times, 1)), np.zeros(times))
+
+
+@pytest.mark.parametrize("objective", ["worst", "log"])
+def test_every_objective_has_the_price(objective: Objective) -> None:
+    """mu rises below the margin; without the price the program goes far below, and its answer is not taken."""
+    robot, margin = arm("lwr4"), 0.015
+    q = np.array([-1.2843, -0.1638, -2.9671, 0.0758, 0.984, -1.449, -1.9038])
+    q = np.clip(q, robot.q_min + 1e-6, robot.q_max - 1e-6)
+    targets = held(robot, q, 4)
+    still = make_course(robot, targets, np.tile(q, (4, 1)))
+    found = refine(robot, targets, still, objective, free_start=True, shaft_margin=margin)
+    assert found is not still
+    assert 0.9 * margin < shaft_shares(robot, found.q_rad).min() < 1.05 * margin
+
+
+def test_the_worst_objective_leaves_a_start_that_loses_the_shaft() -> None:
+    """The start is the worst pose, whatever comes: smoothness must not hold the arm there."""
+    robot, margin = arm("lwr4"), 0.04375
+    q = start(robot, 20)
+    targets = held(robot, q, 10)
+    led = refine(robot, targets, make_course(robot, targets, np.tile(q, (10, 1))), shaft_margin=margin)
+    calm = refine(robot, targets, led, "worst", shaft_margin=margin, smoothness=1e-4)
+    assert shaft_shares(robot, led.q_rad)[-1] > 1.5 * shaft_shares(robot, q[None])[0]
+    assert shaft_shares(robot, calm.q_rad)[-1] > 0.9 * shaft_shares(robot, led.q_rad)[-1]
 
 
 def test_a_course_that_breaks_a_constraint_is_mended_below_the_margin_too() -> None:

@@ -104,7 +104,7 @@ def test_an_interrupt_says_where_it_goes_on(capsys):
 
 
 def test_sigterm_is_an_interrupt_while_it_works_and_only_then():
-    cleaned, before = [], signal.getsignal(signal.SIGTERM)
+    def mine(*_: object) -> None: ...
 
     def work(given):
         try:
@@ -112,9 +112,13 @@ def test_sigterm_is_an_interrupt_while_it_works_and_only_then():
         finally:
             cleaned.append(True)
 
-    assert cli.run(cli.parser("sweep", "about"), work, []) == 130
-    assert cleaned == [True]
-    assert signal.getsignal(signal.SIGTERM) is before
+    cleaned, before = [], signal.signal(signal.SIGTERM, mine)
+    try:
+        assert cli.run(cli.parser("sweep", "about"), work, []) == 130
+        assert cleaned == [True]
+        assert signal.getsignal(signal.SIGTERM) is mine
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_work_in_another_thread_needs_no_handler():
