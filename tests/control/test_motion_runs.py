@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from moc_opt.scenario import Scenario, run
+from moc_opt.scenario import Scenario, run, steps
 from moc_opt.sim import Plant
 
 QUICK = {"bound_samples": 0, "judge": False}
@@ -272,6 +272,7 @@ def test_a_velocity_of_the_wrong_sign_is_seen_as_soon_as_its_joint_moves(robot, 
         return seen._replace(v=np.where(np.arange(seen.v.size) == joint, -1.0, 1.0) * seen.v)
 
     monkeypatch.setattr(Plant, "measure", turned)
+    monkeypatch.setattr(steps, "compiled_steps", lambda *parts: None)  # which measure by themselves
     trace = run(Scenario(seed=5, robot={"name": robot}, start={"swivel": "random"}, duration_s=4.0, **QUICK))
     assert "do not follow their velocities" in trace.meta["ended"]
     moved = np.abs(trace.q_rad[:, joint] - trace.q_rad[0, joint])[trace.t_s <= trace.meta["stopped_at_s"]]

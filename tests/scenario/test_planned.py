@@ -135,7 +135,7 @@ def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, caps
     assert told["warnings"] == []
     assert main(["plan", file, "--json", "--speed-share", "1", "--margin", "0"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["within"] == {"margin_rad": 0.0, "margin_m": 0.0, "shaft_margin": 0.0875, "speed_share": 1.0}
+    assert told["within"] == {"margin_rad": 0.0, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": 1.0}
 
 
 @pytest.mark.parametrize("given", [None, 3])

@@ -10,7 +10,7 @@ from benchmarks.latency.tick import record
 from moc_opt.control.safety_filter import SafetyFilterSettings
 from moc_opt.live import LiveRun
 from moc_opt.procedure.hands_on import HandsOnSettings, guide_to
-from moc_opt.scenario import Scenario, Setup
+from moc_opt.scenario import Scenario, Setup, steps
 from moc_opt.sim import Plant
 from moc_opt.sim.closed_loop import ClosedLoop
 
@@ -69,6 +69,7 @@ def failing_encoders(monkeypatch):
         return seen._replace(q=seen.q + np.nan) if plant.time > 0.2 else seen
 
     monkeypatch.setattr(Plant, "measure", broken)
+    monkeypatch.setattr(steps, "compiled_steps", lambda *parts: None)  # which measure by themselves
 
 
 @pytest.mark.parametrize(("loop", "reason"), [*LOOPS, (procedure, "measurements not believed")])
