@@ -28,7 +28,7 @@ from moc_opt.planning.targets import Targets
 # mu_init is ipopt's first barrier: with 1e-3 it leaves a course that is fast or close to a limit, often for a slow one
 # at another local maximum of mu.
 OPTIONS: dict[str, Any] = {
-    "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 150, "ipopt.tol": 1e-8,
+    "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.max_iter": 300, "ipopt.tol": 1e-8,
     "ipopt.constr_viol_tol": 1e-10, "ipopt.bound_relax_factor": 0.0, "ipopt.honor_original_bounds": "yes",
     "ipopt.mu_init": 1e-5, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6, "ipopt.slack_bound_push": 1e-6,
     "ipopt.slack_bound_frac": 1e-6, "ipopt.acceptable_iter": 0,

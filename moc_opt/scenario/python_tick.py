@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import weakref
 from collections.abc import Mapping
 from time import perf_counter_ns
 from typing import Any
@@ -30,7 +31,13 @@ class PythonTick(ControllerAdapter):
     def __init__(self, adapter: ControllerAdapter) -> None:
         super().__init__(adapter.controller)
         n = adapter.controller.robot.n
-        self._call = _CALLBACK(self._called)  # kept: compiled code has its address alone
+        me = weakref.ref(self)  # not the method: the object, with a run's columns, would hold itself
+
+        def called(*_: object) -> int:
+            this = me()
+            return BAD_INPUT if this is None else this._called()
+
+        self._call = _CALLBACK(called)  # kept: compiled code has its address alone
         size = record_size(n)
         self.memory = TickMemory(
             function=np.array([ctypes.cast(self._call, ctypes.c_void_p).value]), pointers=np.zeros(7, dtype=np.int64),
@@ -57,9 +64,10 @@ class PythonTick(ControllerAdapter):
     def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
         """Take the time of writing columns off the ticks' (k,): the single step writes them after its clock."""
         self._take_torque()
+        self._columns = {}
         columns["tick_us"][first : first + returned.size] -= self._note_us[: returned.size]
 
-    def _called(self, *_: object) -> int:
+    def _called(self) -> int:
         """Do one tick on ``memory``; called from compiled code."""
         at = self.memory
         try:
