@@ -26,7 +26,7 @@ from moc_opt.planning.refine import SETTLED_S, across_shafts, too_fast
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
 
-# Four steps: the next solve, begun at this answer, goes on where it ends; six gave the same courses.
+# Four steps: the next solve, begun at this answer, goes on where it ends.
 OPTIONS: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
     "max_iter": 4, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp",
