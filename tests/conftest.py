@@ -13,6 +13,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from moc_opt.model.robot_model import RobotModel, load_robot
+from moc_opt.trace.metrics import METRICS
 
 Array = NDArray[np.float64]
 Draw = Callable[..., list[Array]]
@@ -45,6 +46,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         place = {file: k for k, file in enumerate(LONGEST)}
         assert all((config.rootpath / file).is_file() for file in place), "LONGEST names a file that is gone"
         items.sort(key=lambda item: place.get(item.nodeid.partition("::")[0], len(place)))
+
+
+@pytest.fixture(autouse=True)
+def registered_metrics() -> Iterator[None]:
+    """Forget what a test, or an example that it runs, has registered: the next test in this process has its own."""
+    before = dict(METRICS)
+    yield
+    METRICS.clear()
+    METRICS.update(before)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.commands.running import read_waypoints
 from moc_opt.errors import ScenarioError
-from moc_opt.trace.metrics import METRICS, registry
+from moc_opt.trace.metrics import registry
 
 PACKAGE = '''
 import numpy as np
@@ -44,8 +44,6 @@ def package(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(site))
     monkeypatch.setattr(registry, "_LOADED", {})
     monkeypatch.delitem(sys.modules, "own_things", raising=False)
-    yield
-    METRICS.pop("own_travel_rad", None)
 
 
 def printed(capsys, *arguments):
