@@ -14,7 +14,7 @@ import numpy as np
 
 from moc_opt.model.dynamics_kernels import energy_slope, gravity_torque
 from moc_opt.model.manipulability_kernels import manipulability, shaft_manipulability, yoshikawa
-from moc_opt.model.place_kernels import place_joints, point_in_world
+from moc_opt.model.place_kernels import place_joints, point_in_world, spatial_axes
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 from moc_opt.numerics.compiled import borrowed
@@ -123,14 +123,16 @@ def drift(axes: Array, jacobian: Array, v: Array, out: Array) -> None:
 
 
 @njit(cache=True)
-def tip_manipulability(q: Array, axes: Array, joints: Array, offsets: Array, moves: Array) -> float:
-    """Compute mu of the tip, from the arguments of `fill_state`."""
-    n = axes.shape[0]
-    tip, jacobian, places = np.empty(3), np.empty((3, n)), np.empty((n, 12))
-    place_joints(joints, q, places)
-    point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[0], tip)
-    point_jacobian(axes, tip, moves[0], jacobian)
-    return float(yoshikawa(jacobian))
+def mu_along(poses: Array, joints: Array, offsets: Array, moves: Array, mu: Array) -> None:
+    """Write mu of the tip at the poses (k,n) into mu (k,); other arguments as of `fill_state`."""
+    n = poses.shape[1]
+    tip, jacobian, places, axes = np.empty(3), np.empty((3, n)), np.empty((n, 12)), np.empty((n, 6))
+    for k in range(poses.shape[0]):
+        place_joints(joints, poses[k], places)
+        spatial_axes(joints, places, axes)
+        point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[0], tip)
+        point_jacobian(axes, tip, moves[0], jacobian)
+        mu[k] = yoshikawa(jacobian)
 
 
 @njit(cache=True)
@@ -143,7 +145,7 @@ def fill_state(
     Args:
         record: (record_size(n),).
         q, v: (n,).
-        axes: (n,6) spatial axes.
+        axes: (n,6) written, as by `spatial_axes`.
         joints: (n,16) as in `Chain.joints`.
         places: (n,12) written, as by `place_joints`.
         bodies: (n,10) of every link, in its joint's axes: mass [kg], mass times centre of mass [kg m], and the inertia
@@ -163,6 +165,7 @@ def fill_state(
         return BAD_V
     s = state_views(record, n)
     place_joints(joints, q, places)
+    spatial_axes(joints, places, axes)
     rotation_t, origin = places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:]
     point_in_world(rotation_t, origin, offsets[0], s.tip)
     point_in_world(rotation_t, origin, offsets[1], s.wrist)

@@ -68,6 +68,23 @@ def place_joints(joints: Array, q: Array, places: Array) -> None:
 
 
 @njit(cache=True)
+def spatial_axes(joints: Array, places: Array, axes: Array) -> None:
+    """Write the spatial axes (n,6) of `kinematics_kernels` from the frames (n,12) that `place_joints` wrote."""
+    for j in range(places.shape[0]):
+        place, joint = places[j], joints[j]
+        for i in range(3):  # the joint's axis in the world
+            axes[j, i] = place[i] * joint[12] + place[3 + i] * joint[13] + place[6 + i] * joint[14]
+            axes[j, 3 + i] = 0.0
+        if joint[15] == 0.0:
+            ax, ay, az = axes[j, 0], axes[j, 1], axes[j, 2]
+            # Linear velocity of the world origin for a turn about an axis through the joint's.
+            axes[j, 0] = place[10] * az - place[11] * ay
+            axes[j, 1] = place[11] * ax - place[9] * az
+            axes[j, 2] = place[9] * ay - place[10] * ax
+            axes[j, 3], axes[j, 4], axes[j, 5] = ax, ay, az
+
+
+@njit(cache=True)
 def tool_pose(joints: Array, q: Array, mount: Array, tip: Array, pose: Array) -> None:
     """Write the tool's axes and tip, (4,3) rows x, y, z, X in world axes.
 

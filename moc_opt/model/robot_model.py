@@ -1,6 +1,6 @@
 """RobotModel: all terms of the control laws at one (q, v) of an arm, computed once.
 
-Pinocchio gives joint axes, inertia and bias forces; the kernels beside it add what belongs to the tool.
+Pinocchio gives inertia and bias forces; the kernels beside it give the kinematics, and what belongs to the tool.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from moc_opt.robots import RobotData, load_data
 __all__ = ["RobotModel", "RobotState", "load_robot"]
 
 _FILL_STATE = CompiledKernel(kernels.fill_state, *[VECTOR] * 3, *[MATRIX] * 4, VECTOR, MATRIX, FLAGS, MATRIX, VECTOR)
-_TIP_MANIPULABILITY = CompiledKernel(kernels.tip_manipulability, VECTOR, MATRIX, MATRIX, MATRIX, FLAGS)
+_MU_ALONG = CompiledKernel(kernels.mu_along, *[MATRIX] * 3, FLAGS, VECTOR)
 _POINTS_ALONG = CompiledKernel(place_kernels.points_along, MATRIX, MATRIX, MATRIX, types.Array(float64, 3, "C"))
 _TOOL_POSE = CompiledKernel(place_kernels.tool_pose, MATRIX, VECTOR, MATRIX, VECTOR, MATRIX)
 _DOUBLE, _CLOSE = np.dtype(np.float64), (8,)
-_bias_forces, _inertia, _IN_THE_WORLD = pin.nonLinearEffects, pin.crba, pin.Convention.WORLD
+_bias_forces, _inertia = pin.nonLinearEffects, pin.crba
 _STRUCTURAL_ZERO = 1e-12  # a column this small at several random poses is zero at all of them
 
 
@@ -75,8 +75,7 @@ class RobotModel:
         self.n = n = data.n
         self.q_min, self.q_max, self.v_max, self.tau_max = data.q_min, data.q_max, data.v_max, data.tau_max
         self._pin = _build(data)
-        self._fill_state, self._tip_manipulability = _FILL_STATE.code, _TIP_MANIPULABILITY.code
-        self._tool_pose = _TOOL_POSE.code
+        self._fill_state, self._tool_pose = _FILL_STATE.code, _TOOL_POSE.code
         self._pin_data = self._pin.createData()
         self._side_data = self._pin.createData()
         frames = [_frame(self._pin, name) for name in (data.tip_frame, data.wrist_frame)]
@@ -85,8 +84,8 @@ class RobotModel:
         if np.linalg.norm(self._offsets[0] - self._offsets[1]) < 1e-6:
             raise RobotError("tip and wrist frames coincide: lengthen the tool or move the wrist frame")
         # Views into pinocchio's memory that later calls update in place; transposed: Eigen stores columns.
-        self._axes, self._inertia, self._bias = self._pin_data.J.T, self._pin_data.M.T, self._pin_data.nle
-        self._joints, self._places = self.chain.joints, np.empty((n, 12))
+        self._inertia, self._bias = self._pin_data.M.T, self._pin_data.nle
+        self._joints, self._places, self._axes = self.chain.joints, np.empty((n, 12)), np.empty((n, 6))
         self._bodies = np.array([_numbers(body) for body in list(self._pin.inertias)[1:]])
         self._field = np.array(self._pin.gravity.linear)
         self._shape, self._size, self._rest = (n,), kernels.record_size(n), np.zeros(n)
@@ -113,7 +112,7 @@ class RobotModel:
         velocity = self._rest if v is None else self._vector("v", v)
         model, data, record = self._pin, self._pin_data, np.empty(self._size)
         _bias_forces(model, data, position, velocity)
-        _inertia(model, data, position, _IN_THE_WORLD)  # there, axes and places come with it
+        _inertia(model, data, position)
         code = self._fill_state(
             record, position, velocity, self._axes, self._joints, self._places, self._bodies, self._field,
             self._offsets, self._moves, self._inertia, self._bias,
@@ -131,9 +130,7 @@ class RobotModel:
         """
         along = self._poses(poses)
         mu = np.empty(len(along))
-        for k, q in enumerate(along):
-            pin.computeJointJacobians(self._pin, self._pin_data, q)
-            mu[k] = self._tip_manipulability(q, self._axes, self._joints, self._offsets, self._moves)
+        _MU_ALONG.code(along, self._joints, self._offsets, self._moves, mu)
         return mu
 
     def tool_along(self, poses: Array) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.manipulability_kernels import yoshikawa
-from moc_opt.model.place_kernels import place_joints, point_in_world
+from moc_opt.model.place_kernels import place_joints, point_in_world, spatial_axes
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
 
@@ -42,18 +42,7 @@ def forward(arm: Constraint, q: Array, axes: Array, points: Array) -> None:
     n = q.shape[0]
     places = np.empty((n, 12))
     place_joints(arm.joints, q, places)
-    for j in range(n):
-        place, joint = places[j], arm.joints[j]
-        for i in range(3):  # the joint's axis in the world
-            axes[j, i] = place[i] * joint[12] + place[3 + i] * joint[13] + place[6 + i] * joint[14]
-            axes[j, 3 + i] = 0.0
-        if joint[15] == 0.0:
-            ax, ay, az = axes[j, 0], axes[j, 1], axes[j, 2]
-            # Linear velocity of the world origin for a turn about an axis through the joint's.
-            axes[j, 0] = place[10] * az - place[11] * ay
-            axes[j, 1] = place[11] * ax - place[9] * az
-            axes[j, 2] = place[9] * ay - place[10] * ax
-            axes[j, 3], axes[j, 4], axes[j, 5] = ax, ay, az
+    spatial_axes(arm.joints, places, axes)
     r_t, origin = places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:]
     point_in_world(r_t, origin, arm.offsets[0], points[0])
     point_in_world(r_t, origin, arm.offsets[1], points[1])
