@@ -107,8 +107,9 @@ class ControlSettings(Settings):
         default=20.0, description="third_level 'receding': number of courses computed in a second"
     )
     course_speed_fraction: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
-        default=0.97,
-        description="share of v_max that a course of 'planned' or 'receding' uses; the box on x has all of v_max",
+        default=0.85,
+        description="share of v_max that a course of 'planned' or 'receding' uses; the rest is for the arm to catch up "
+        "before the safety filter brakes it",
     )
     course_margin_rad: NotNegative = Field(
         default=0.05,

@@ -38,7 +38,7 @@ def usable_courses(
     poses = [each.q_rad for each in found if each.q_rad is not None and np.isfinite(each.q_rad).all()]
     wider = min(1.0, WIDER * shaft_margin)
     if refined and any((shaft_shares(robot, q) < wider).any() for q in poses):
-        step, held = speed_share * robot.v_max * targets.period_s, keeping_shaft(whole, robot, wider)
+        step, held = speed_share * robot.v_max * targets.period_s, keeping_shaft(whole, robot, wider, objective)
         for generous in (False, True):
             q = search(held, step, objective, start=start, margin=margin, generous=generous).q_rad
             if q is not None and np.isfinite(q).all() and not any(np.array_equal(q, known) for known in poses):

@@ -152,7 +152,7 @@ def make_plan(
     margin = margin_at(robot, q_start, margin)
     began = time.perf_counter()
     whole = map_of(robot, q_start, targets, swivels) if known is None else known
-    found, most = keeping_shaft(whole, robot, shaft_margin), largest(whole)
+    found, most = keeping_shaft(whole, robot, shaft_margin, objective), largest(whole)
     mapped = time.perf_counter()
     step = speed_share * robot.v_max * targets.period_s
     start = (np.array(q_start, dtype=np.float64), float(robot.state(q_start).mu))
@@ -165,7 +165,7 @@ def make_plan(
     bounded = time.perf_counter()
 
     def worth(course: Course) -> tuple[float, float]:
-        judged = lowered(course, robot, shaft_margin, most)
+        judged = lowered(course, robot, shaft_margin, most, objective)
         return judged.value(objective), judged.mu_mean
 
     courses = [

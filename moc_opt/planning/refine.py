@@ -151,19 +151,19 @@ def _improved(
         low[:a] = high[:a] = course.q_rad[0, moving]
     weight, variables = weights(k) / weights(k).sum(), ca.vec(x)
     scale, top = float(np.mean(course.mu)), float(course.mu.max())
-    taken = ca.MX.zeros(1, k)
+    price = ca.MX.zeros(1, k)
     if shaft_margin > 0.0:
         share = ca.sqrt(kin.shaft.map(k)(q) + LEAST_SHARE**2)
-        taken = WORTH * top * ca.fmax(1.0 - share / shaft_margin, 0.0) ** 2
+        price = WORTH * ca.fmax(1.0 - share / shaft_margin, 0.0) ** 2
+    worth = ca.log(mu) - price if objective == "log" else (mu - top * price) / scale
     if objective == "worst":
         least = ca.MX.sym("s")
         variables, begin = ca.vertcat(variables, least), np.append(begin, course.mu.min() / scale)
         low, high = np.append(low, -np.inf), np.append(high, np.inf)
-        rows.append(((mu - taken).T / scale - least, 0.0, np.inf))
+        rows.append((worth.T - least, 0.0, np.inf))
         # Once the least mu cannot be raised, its mean decides: a fixed start may be the worst pose of all.
-        cost = -least - MEAN_TOO * ca.dot(ca.DM(weight), ((mu - taken) / scale).T)
+        cost = -least - MEAN_TOO * ca.dot(ca.DM(weight), worth.T)
     else:
-        worth = (ca.log(mu) if objective == "log" else mu / scale) - taken / scale
         cost = -ca.dot(ca.DM(weight), worth.T)
     if smoothness > 0.0:
         still = ca.horzcat(x[:, 0], x, x[:, -1])
@@ -182,7 +182,7 @@ def _improved(
     if not np.isfinite(poses).all():
         return course
     found = make_course(robot, targets, poses, margin, speed_share, acceleration)
-    before, after = (lowered(each, robot, shaft_margin, top) for each in (course, found))
+    before, after = (lowered(each, robot, shaft_margin, top, objective) for each in (course, found))
     loss = SMOOTH_LOSS if smoothness > 0.0 or np.isfinite(brake) else 0.0
     judged: tuple[Objective, ...] = (objective, "mean") if loss and objective == "worst" else (objective,)
     lost = any(after.value(what) < before.value(what) - loss * abs(course.value(what)) for what in judged)

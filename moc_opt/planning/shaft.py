@@ -5,7 +5,8 @@ the squared lever is small the joints have to turn fast to keep the shaft in the
 error. On the map a pose below the margin m is worth less, so that a course goes there only where the path, or the
 start, leaves it no other way, and then as little as can be:
 
-    mu - WORTH mu_max (1 - share/m)^2,  share < m
+    mu - WORTH mu_max (1 - share/m)^2,        share < m
+    log mu - WORTH (1 - share/m)^2            where the mean of log mu is the objective
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from moc_opt.model.manipulability_kernels import shaft_manipulability
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.cache import njit
-from moc_opt.planning.course import Course
+from moc_opt.planning.course import Course, Objective
 from moc_opt.planning.pose_map import PoseMap
 from moc_opt.redundancy.continuation import Constraint, forward
 
@@ -27,36 +28,42 @@ COURSE_SHARE = 0.25
 """Of ``[control] shaft_margin``: there the push of the local climb begins; a course, which looks ahead, goes down to a
 quarter of it."""
 WORTH = 10.0
-"""Times the largest mu of the map that a pose at which the shaft is lost is worth less."""
+"""A pose at which the shaft is lost is worth less by so many times the map's largest mu; its log mu by this number."""
 
 
-def keeping_shaft(found: PoseMap, robot: RobotModel, shaft_margin: float) -> PoseMap:
+def keeping_shaft(
+    found: PoseMap, robot: RobotModel, shaft_margin: float, objective: Objective = "mean"
+) -> PoseMap:
     """Return the map with mu lowered where the shaft's share is below the margin, for a search alone.
 
     Args:
         found: every pose at every time of the path.
         robot: its model.
         shaft_margin: m, a share of the squared lever, 0 to 1; 0 leaves the map as it is.
+        objective: of the search.
     """
     if shaft_margin <= 0.0:
         return found
     # Every branch of a swivel has the same columns of A up to their signs.
     share = np.array([shaft_shares(robot, found.poses(k)[0]) for k in range(len(found.targets))])[:, None]
-    return replace(found, mu=found.mu - _taken_off(share, shaft_margin, largest(found)))
+    return replace(found, mu=_less(found.mu, share, shaft_margin, largest(found), objective))
 
 
-def lowered(course: Course, robot: RobotModel, shaft_margin: float, largest_mu: float) -> Course:
+def lowered(
+    course: Course, robot: RobotModel, shaft_margin: float, largest_mu: float, objective: Objective = "mean"
+) -> Course:
     """Return the course with mu lowered as on its map, to compare courses by what the search compares.
 
     Args:
         course: of the robot.
         robot: its model.
-        shaft_margin: as of `keeping_shaft`.
+        shaft_margin, objective: as of `keeping_shaft`.
         largest_mu: `largest` of the map before it was lowered [m^3].
     """
     if shaft_margin <= 0.0:
         return course
-    return replace(course, mu=course.mu - _taken_off(shaft_shares(robot, course.q_rad), shaft_margin, largest_mu))
+    share = shaft_shares(robot, course.q_rad)
+    return replace(course, mu=_less(course.mu, share, shaft_margin, largest_mu, objective))
 
 
 def largest(found: PoseMap) -> float:
@@ -64,11 +71,11 @@ def largest(found: PoseMap) -> float:
     return float(np.nanmax(found.mu, initial=0.0))
 
 
-def _taken_off(share: Array, shaft_margin: float, largest_mu: float) -> Array:
+def _less(mu: Array, share: Array, shaft_margin: float, largest_mu: float, objective: Objective) -> Array:
     with np.errstate(invalid="ignore"):
-        short = np.maximum(1.0 - share / shaft_margin, 0.0)
-    taken: Array = WORTH * largest_mu * short**2
-    return taken
+        price = WORTH * np.maximum(1.0 - share / shaft_margin, 0.0) ** 2
+    less: Array = mu * np.exp(-price) if objective == "log" else mu - largest_mu * price
+    return less
 
 
 def shaft_shares(robot: RobotModel, poses: Array) -> Array:

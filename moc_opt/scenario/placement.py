@@ -84,7 +84,7 @@ def place(
             targets = _targets(robot, layout, what, shift, times)
         except TaskError:  # the trocar is off the shaft somewhere
             return Placement(moved, None, depth)
-        found = keeping_shaft(map_of(robot, layout.q, targets, swivels), robot, shaft_margin)
+        found = keeping_shaft(map_of(robot, layout.q, targets, swivels), robot, shaft_margin, objective)
         step = speed_share * robot.v_max * targets.period_s
         q = search(found, step, objective, margin=margin).q_rad
         if q is not None:

@@ -14,6 +14,7 @@ from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.course import Objective, make_course
 from moc_opt.planning.plan import Plan, make_plan, map_of
 from moc_opt.planning.refine import refine
+from moc_opt.planning.search import gain_of
 from moc_opt.planning.shaft import WORTH, keeping_shaft, lowered, shaft_shares
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario import Scenario
@@ -52,11 +53,13 @@ def start(robot: RobotModel, seed: int) -> Array:
 
 
 @cache
-def planned(seed: int, margin: float, refined: bool = False) -> tuple[Plan, Array]:
+def planned(seed: int, margin: float, objective: Objective = "mean", refined: bool = False) -> tuple[Plan, Array]:
     """The plan and the shares along its course."""
     robot = arm("lwr4")
     q = start(robot, seed)
-    plan = make_plan(robot, q, task(robot, q, 60), swivels=360, shaft_margin=margin, refined=refined, elsewhere=False)
+    plan = make_plan(
+        robot, q, task(robot, q, 60), objective, swivels=360, shaft_margin=margin, refined=refined, elsewhere=False
+    )
     assert plan.from_start is not None
     return plan, shaft_shares(robot, plan.from_start.q_rad)
 
@@ -79,6 +82,20 @@ def test_the_map_is_lowered_below_the_margin_alone_and_the_more_the_further() ->
             assert (np.diff(off[k, 0][order]) <= 1e-12).all()
 
 
+def test_the_logarithm_is_lowered_by_the_same_price_however_small_mu_is() -> None:
+    """Taken off mu itself, the price would leave every pose far below the margin the same smallest logarithm."""
+    robot = arm("lwr4")
+    q = start(robot, 15)
+    found = map_of(robot, q, task(robot, q, 5), 90)
+    with np.errstate(invalid="ignore"):
+        price = np.log(found.mu) - gain_of(keeping_shaft(found, robot, 1.0, "log").mu, "log")
+    for k in range(5):
+        for branch in range(found.mu.shape[1]):
+            shares = shaft_shares(robot, found.poses(k)[branch])
+            there = ~np.isnan(found.mu[k, branch])
+            np.testing.assert_allclose(price[k, branch][there], WORTH * (1.0 - shares[there]) ** 2, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", [12, 15, 27])
 def test_a_course_keeps_the_margin_where_there_is_a_way(seed: int) -> None:
     """From these starts the best course loses the shaft almost, and another stays well above."""
@@ -90,9 +107,10 @@ def test_a_course_keeps_the_margin_where_there_is_a_way(seed: int) -> None:
     assert kept.from_start.mu_mean < free.from_start.mu_mean
 
 
-def test_a_margin_that_no_course_keeps_leaves_one_that_is_as_little_below_as_can_be() -> None:
+@pytest.mark.parametrize("objective", ["mean", "log"])
+def test_a_margin_that_no_course_keeps_leaves_one_that_is_as_little_below_as_can_be(objective: Objective) -> None:
     robot = arm("lwr4")
-    (free, below), (kept, less) = planned(15, 0.0), planned(15, 1.0)
+    (free, below), (kept, less) = planned(15, 0.0, objective), planned(15, 1.0, objective)
     assert kept.executable == free.executable
     assert less.max() < 1.0
     assert ((1.0 - less) ** 2).mean() < ((1.0 - below) ** 2).mean()

@@ -131,7 +131,7 @@ def test_it_plans_within_what_a_third_level_that_follows_keeps_to(tmp_path, caps
     file = scenario_file(tmp_path, 'duration_s = 0.5\n[control]\nthird_level = "planned"\n')
     assert main(["plan", file, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["within"] == {"margin_rad": 0.05, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": 0.97}
+    assert told["within"] == {"margin_rad": 0.05, "margin_m": 0.0, "shaft_margin": 0.04375, "speed_share": 0.85}
     assert told["warnings"] == []
     assert main(["plan", file, "--json", "--speed-share", "1", "--margin", "0"]) == 0
     told = json.loads(capsys.readouterr().out)
