@@ -133,11 +133,12 @@ def test_a_course_is_made_smooth_within_what_it_was_planned_for(tmp_path: Path) 
     assert 0.05 < shares[0] < 0.1 + 1e-6
     assert shares[1] > 0.3
     assert np.minimum(slow.q_rad - robot.q_min, robot.q_max - slow.q_rad)[:, :6].min() > 0.6 - 1e-6
-    save_course(plan(SCENARIO, objective="worst", acceleration=3.0, speed_share=0.85), SCENARIO, to, {"acceleration": 3.0})
+    steady = plan(SCENARIO, objective="worst", acceleration=3.0, speed_share=0.85)
+    save_course(steady, SCENARIO, to, {"acceleration": 3.0})
     given = loaded(scenario)
     assert (given.objective, given.acceleration) == ("worst", 3.0)
-    steady = guided.followed_course(scenario, robot, setup.layout)
-    assert faster(steady.q_rad).max() <= 3.0 * targets.period_s**2 + 1e-8
+    followed = guided.followed_course(scenario, robot, setup.layout)
+    assert faster(followed.q_rad).max() <= 3.0 * targets.period_s**2 + 1e-8
     trace = mo.Trace.load(to)
     for within in ({"margin_rad": "much"}, {"speed_share": -1.0}, ["acceleration"]):
         mo.Trace(trace.columns, {**trace.meta, "within": within}).save(to)
