@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from moc_opt.errors import TaskError
+from moc_opt.model.kinematics_kernels import point_jacobian
+from moc_opt.model.place_kernels import place_joints, point_in_world, spatial_axes
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.model.shaft_kernels import desired_wrist
 from moc_opt.numerics.arrays import Array
+from moc_opt.numerics.cache import njit
+from moc_opt.numerics.compiled import FLAGS, INTEGER, MATRIX, VECTOR, CompiledKernel
+from moc_opt.numerics.dense import cholesky, solve_in_place
 
-_TOLERANCE_M = 1e-8
+_TOLERANCE_M = 1e-9
 _LONGEST_STEP = 0.25  # [rad]: beyond it the linearization is worth little
 _RESTARTS = 60
 
@@ -46,29 +52,28 @@ def solve_pose(
         tip: (3,) [m].
         wrist: (3,) [m], at the tool's length from the tip; None leaves it free.
     """
-    pose = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
-    damping, last = 1e-12, np.inf
-    best, miss = pose, np.inf
-    for _ in range(iterations):
-        state = robot.state(pose)
-        error, jacobian = tip - state.tip, state.J_tip
-        if wrist is not None:
-            error, jacobian = np.concatenate([error, wrist - state.wrist]), state.A
-        worst = float(np.abs(error).max())
-        if worst < miss:
-            best, miss = pose, worst
-        if worst < _TOLERANCE_M:
-            break
-        # Out of reach, undamped steps swing about without end.
-        damping = 1e-12 if worst < 0.5 * last else min(max(10.0 * damping, 1e-8), 1e-2)
-        last = worst
-        step = _step(robot, pose, error, jacobian, damping)
-        length = float(np.abs(step).max())
-        if length < 1e-12:
-            break
-        pose = np.clip(pose + step * min(1.0, _LONGEST_STEP / length), robot.q_min, robot.q_max)
+    begin = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
+    points = np.array([tip, tip if wrist is None else wrist], dtype=np.float64)
+    rows = 3 if wrist is None else 6
+    best, miss = nearest_pose(robot, begin, points[: rows // 3], robot.q_min, robot.q_max, iterations)
     stuck = np.flatnonzero((best <= robot.q_min) | (best >= robot.q_max))
     return Placed(best, miss, tuple(stuck.tolist()))
+
+
+def nearest_pose(
+    robot: RobotModel, q: Array, points: Array, low: Array, high: Array, iterations: int
+) -> tuple[Array, float]:
+    """Go on from q (n,) within these limits; return the best pose (n,), and what it misses the points by [m].
+
+    Args:
+        points: (1,3) of the tip, or (2,3) of tip and wrist [m].
+        low, high: (n,) limits; infinite: none.
+    """
+    chain, best = robot.chain, np.empty(robot.n)
+    miss = _NEAREST.code(
+        chain.joints, chain.offsets, robot.moves, np.array(points), low, high, np.array(q), iterations, best
+    )
+    return best, float(miss)
 
 
 def pose_with_tip(robot: RobotModel, q: ArrayLike, tip: ArrayLike) -> Array:
@@ -124,24 +129,74 @@ def pose_through(robot: RobotModel, tip: ArrayLike, trocar: ArrayLike) -> Array:
     return good[int(np.argmax(room))]
 
 
-def _step(robot: RobotModel, q: Array, error: Array, jacobian: Array, damping: float) -> Array:
-    """Return the smallest damped least-squares step whose joints do not run against the limits they stand at."""
-    free = np.ones(robot.n, dtype=np.bool_)
-    step = np.zeros(robot.n)
-    for _ in range(robot.n):
-        part = jacobian[:, free]
-        gram = part @ part.T
-        # Tip and wrist are rigidly tied: the product is singular, so a trace of damping is always there.
-        gram[np.diag_indices_from(gram)] += max(damping, 1e-10 * float(np.trace(gram)), 1e-14)
-        step[:] = 0.0
-        step[free] = part.T @ np.linalg.solve(gram, error)
-        blocked = free & (((q >= robot.q_max) & (step > 0.0)) | ((q <= robot.q_min) & (step < 0.0)))
-        if not blocked.any():
+@njit(cache=True)
+def _nearest(
+    joints: Array, offsets: Array, moves: Array, points: Array, low: Array, high: Array, q: Array, iterations: int,
+    best: Array,
+) -> float:  # fmt: skip
+    """Damped Gauss-Newton on q, in place; arguments as of `nearest_pose` and `kinematics_kernels.fill_state`."""
+    n, rows = q.shape[0], 3 * points.shape[0]
+    places, axes, there = np.empty((n, 12)), np.empty((n, 6)), np.empty(3)
+    jacobian, error, step = np.empty((rows, n)), np.empty(rows), np.empty(n)
+    damping, last, miss = 1e-12, math.inf, math.inf
+    best[:] = q
+    for _ in range(iterations):
+        place_joints(joints, q, places)
+        spatial_axes(joints, places, axes)
+        worst = 0.0
+        for p in range(points.shape[0]):
+            point_in_world(places[n - 1, :9].reshape((3, 3)), places[n - 1, 9:], offsets[p], there)
+            point_jacobian(axes, there, moves[p], jacobian[3 * p : 3 * p + 3])
+            for i in range(3):
+                error[3 * p + i] = points[p, i] - there[i]
+                worst = max(worst, abs(error[3 * p + i]))
+        if worst < miss:
+            best[:], miss = q, worst
+        if worst < _TOLERANCE_M:
             break
-        free &= ~blocked
-        if not free.any():
-            return np.zeros(robot.n)
-    return step
+        # Out of reach, undamped steps swing about without end.
+        damping = 1e-12 if worst < 0.5 * last else min(max(10.0 * damping, 1e-8), 1e-2)
+        last = worst
+        _step(jacobian, error, damping, q, low, high, step)
+        length = np.abs(step).max()
+        if not length >= 1e-12:
+            break
+        for j in range(n):
+            q[j] = min(max(q[j] + step[j] * min(1.0, _LONGEST_STEP / length), low[j]), high[j])
+    return miss
+
+
+@njit(cache=True)
+def _step(jacobian: Array, error: Array, damping: float, q: Array, low: Array, high: Array, step: Array) -> None:
+    """Write the smallest damped least-squares step whose joints do not run against the limits they stand at."""
+    rows, n = jacobian.shape
+    free = np.ones(n, dtype=np.bool_)
+    for _ in range(n):
+        gram, trace = np.zeros((rows, rows)), 0.0
+        for i in range(rows):
+            for k in range(rows):
+                for j in range(n):
+                    if free[j]:
+                        gram[i, k] += jacobian[i, j] * jacobian[k, j]
+            trace += gram[i, i]
+        for i in range(rows):
+            # Tip and wrist are rigidly tied: the product is singular, so a trace of damping is always there.
+            gram[i, i] += max(damping, 1e-10 * trace, 1e-14)
+        weight, blocked = error.copy(), False
+        solve_in_place(cholesky(gram), weight)
+        for j in range(n):
+            step[j] = 0.0
+            if free[j]:
+                for i in range(rows):
+                    step[j] += jacobian[i, j] * weight[i]
+                if (q[j] >= high[j] and step[j] > 0.0) or (q[j] <= low[j] and step[j] < 0.0):
+                    free[j], blocked = False, True
+        if not blocked:
+            return
+    step[:] = 0.0
+
+
+_NEAREST = CompiledKernel(_nearest, MATRIX, MATRIX, FLAGS, MATRIX, VECTOR, VECTOR, VECTOR, INTEGER, VECTOR)
 
 
 def _limits(robot: RobotModel, placed: Placed) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from moc_opt.errors import RobotError
 from moc_opt.model.frames import link_frames
+from moc_opt.model.inverse_kinematics import nearest_pose
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.redundancy.self_motion import SelfMotion
@@ -104,16 +105,10 @@ class SwivelCurve:
 
 
 def reach(robot: RobotModel, q: Array, tip: Array, wrist: Array) -> Array | None:
-    """Return the pose with that tip and wrist nearest to q, by Newton's method; None where it finds none."""
-    pose = np.array(q)
-    for _ in range(30):
-        state = robot.state(pose)
-        error = np.concatenate([tip - state.tip, wrist - state.wrist])
-        if np.abs(error).max() < REACHED_M:
-            return pose
-        step = np.linalg.pinv(state.A, rcond=1e-6) @ error
-        pose = pose + step * min(1.0, 0.3 / max(float(np.abs(step).max()), 1e-12))
-    return None
+    """Return a pose near q with that tip and wrist, whatever the limits, by Newton's method; None: it finds none."""
+    anywhere = np.full(robot.n, np.inf)
+    pose, miss = nearest_pose(robot, q, np.array([tip, wrist]), -anywhere, anywhere, 30)
+    return pose if miss < REACHED_M else None
 
 
 def without_limits(robot: RobotModel) -> RobotModel:
