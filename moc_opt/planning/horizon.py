@@ -26,10 +26,10 @@ from moc_opt.planning.refine import SETTLED_S, across_shafts, too_fast
 from moc_opt.planning.targets import Targets
 from moc_opt.planning.to_go import End
 
-# Four steps: the next solve, begun at this answer, goes on where it ends.
+# Three steps: the next solve, begun at this answer, goes on where it ends.
 OPTIONS: dict[str, Any] = {
     "print_time": False, "print_header": False, "print_iteration": False, "print_status": False, "error_on_fail": False,
-    "max_iter": 4, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp",
+    "max_iter": 3, "tol_pr": 1e-6, "tol_du": 1e-3, "convexify_strategy": "regularize", "qpsol": "osqp",
     "qpsol_options": {
         "error_on_fail": False,
         "osqp": {"verbose": False, "max_iter": 1000, "eps_abs": 1e-5, "eps_rel": 1e-5, "adaptive_rho_interval": 25},

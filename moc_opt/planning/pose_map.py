@@ -40,8 +40,6 @@ class PoseMap:
     """(k,b,m) [m^3], of forbidden poses too; NaN where there is no pose"""
     room_rad: Array
     """(k,b,m) distance of the nearest joint from its limit, below zero beyond it; idle joints do not count"""
-    window: NDArray[np.int64]
-    """(k,) how many swivels beside its own a pose may come from within one period, at most"""
 
     def poses(self, k: int) -> Array:
         """Return the poses (b,m,n) [rad] at time k; NaN where there is none."""
@@ -151,11 +149,10 @@ def spherical_map(
     swivel = first + 2.0 * np.pi * np.arange(swivels) / swivels
     each = np.broadcast_to(swivel, (len(targets), swivels))
     angles, mu, room = _evaluate(arm, reference, targets.tip, targets.wrist, each)
-    window = _window(robot, arm, targets, swivels)
     shared = np.broadcast_to(mu[:, None], room.shape)
     idle_rad = 0.0 if start is None else float(start[6])
     return SphericalMap(
-        targets, shared, room, window, arm=arm, swivel_rad=swivel, angles=angles, reference=reference, idle_rad=idle_rad
+        targets, shared, room, arm=arm, swivel_rad=swivel, angles=angles, reference=reference, idle_rad=idle_rad
     )
 
 
@@ -171,15 +168,3 @@ def _evaluate(
         np.ascontiguousarray(swivels), angles, mu, room,
     )  # fmt: skip
     return angles, mu, room
-
-
-def _window(robot: RobotModel, arm: Spherical, targets: Targets, swivels: int) -> NDArray[np.int64]:
-    """Return how far the elbow gets on its circle in one period: joints 1 and 2 carry it, the wrist the circle."""
-    span = np.linalg.norm(targets.wrist - arm.shoulder, axis=1)
-    along = (arm.upper**2 + span**2 - arm.fore**2) / (2.0 * span)
-    radius = np.sqrt(np.maximum(arm.upper**2 - along**2, 1e-12))
-    carried = abs(arm.upper) * float(robot.v_max[:2].sum()) * targets.period_s
-    moved = np.linalg.norm(np.diff(targets.wrist, axis=0, prepend=targets.wrist[:1]), axis=1)
-    turn = (carried + 2.0 * moved * (1.0 + abs(arm.upper) / span)) / radius
-    wanted = np.ceil(1.6 * turn * swivels / (2.0 * np.pi)) + 2.0  # a chord is shorter than its arc: pi/2 at most
-    return np.minimum(wanted, swivels // 2).astype(np.int64)

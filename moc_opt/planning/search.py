@@ -88,7 +88,7 @@ def search(
         slack = _slack(q, generous)
         advance(
             before, slack_before, value_before, q, slack, np.ascontiguousarray(gain[k]), step_rad,
-            int(found.window[k]), found.crossing(k, step_rad), worst, value, back[k],
+            found.crossing(k, step_rad), worst, value, back[k],
         )  # fmt: skip
         if not np.isfinite(value).any():
             return Search(-np.inf, k, None, last)

@@ -24,6 +24,7 @@ from moc_opt.numerics.cache import njit
 from moc_opt.planning.course import weights
 from moc_opt.planning.pose_map import Margin, PoseMap
 from moc_opt.planning.search import half_cells
+from moc_opt.planning.search_kernels import BLOCK, boxes, out_of_reach
 
 NEARBY_RAD = 0.2
 """Poses within this way of each other are one neighbourhood, in which V is a parabola."""
@@ -130,17 +131,16 @@ class ToGo:
         self, k: int, before: Array, slack: Array, value_before: Array, gain: Array, periods: float = 1.0
     ) -> tuple[Array, NDArray[np.int32]]:
         value, back = np.empty(gain.shape), np.empty(gain.shape, dtype=np.int32)
-        window = math.ceil(int(self.map.window[k : k + 2].max()) * max(periods, 1.0))
         price, step = self._price / max(periods, 1e-9), periods * self._step
         crossing = self.map.crossing(k, step)
-        spread(before, slack, value_before, *self._poses(k), gain, step, window, crossing, price, value, back)
+        spread(before, slack, value_before, *self._poses(k), gain, step, crossing, price, value, back)
         return value, back
 
 
 @njit(cache=True, nogil=True)
 def spread(
     before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array, step: Array,
-    window: int, crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
+    crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Fill value and back (b,m) as `search_kernels.advance` does, but going out from the poses that have a value.
 
@@ -148,29 +148,34 @@ def spread(
     """
     branches, m, n = q.shape
     m0 = before.shape[1]
-    first, count = -window, 2 * window + 1
-    if count >= m or m0 == 1:
-        first, count = 0, m
+    low, high = boxes(q, slack)
+    blocks = low.shape[1]
+    crossed = np.zeros(blocks, dtype=np.int64)
+    for j in range(m):
+        crossed[j // BLOCK] |= crossing[j]
     value[:], back[:] = -math.inf, -1
     for b in range(branches):
         for j0 in range(m0):
             worth = value_before[b, j0]
             if worth == -math.inf:
                 continue
-            for i in range(count):
-                j = (j0 + first + i) % m
-                flips = crossing[j]
+            for block in range(blocks):
+                flips = crossed[block]
                 while True:  # over all subsets of the bits, the empty one last
                     to = b ^ flips
-                    near, total = worth + gain[to, j] > value[to, j], worth + gain[to, j]
-                    for a in range(n):
-                        if not near:
-                            break
-                        away = abs(q[to, j, a] - before[b, j0, a])
-                        near = away <= step[a] + slack[to, j, a] + slack_before[b, j0, a]
-                        total -= price * away * away
-                    if near and total > value[to, j]:
-                        value[to, j], back[to, j] = total, b * m0 + j0
+                    if not out_of_reach(low[to, block], high[to, block], before[b, j0], slack_before[b, j0], step):
+                        for j in range(block * BLOCK, min(m, (block + 1) * BLOCK)):
+                            if flips & ~crossing[j]:
+                                continue
+                            near, total = worth + gain[to, j] > value[to, j], worth + gain[to, j]
+                            for a in range(n):
+                                if not near:
+                                    break
+                                away = abs(q[to, j, a] - before[b, j0, a])
+                                near = away <= step[a] + slack[to, j, a] + slack_before[b, j0, a]
+                                total -= price * away * away
+                            if near and total > value[to, j]:
+                                value[to, j], back[to, j] = total, b * m0 + j0
                     if flips == 0:
                         break
-                    flips = (flips - 1) & crossing[j]
+                    flips = (flips - 1) & crossed[block]

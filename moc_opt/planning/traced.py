@@ -134,4 +134,4 @@ def _stacked(
     mu[known] = robot.mu_along(q[known])
     room[known] = np.minimum(q[known] - robot.q_min, robot.q_max - q[known])[:, moving].min(axis=1)
     limits = np.where(moving, robot.q_min, -np.inf), np.where(moving, robot.q_max, np.inf)
-    return TracedMap(targets, mu, room, np.full(len(columns), longest, dtype=np.int64), q, limits)
+    return TracedMap(targets, mu, room, q, limits)

@@ -12,9 +12,11 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
 from moc_opt.planning.pose_map import PoseMap, SphericalMap, spherical_map
-from moc_opt.planning.search import search
+from moc_opt.planning.search import half_cells, search
+from moc_opt.planning.search_kernels import advance
 from moc_opt.planning.spherical import branch_of, spherical
 from moc_opt.planning.targets import Targets, lay_targets
+from moc_opt.planning.to_go import spread
 from moc_opt.tasks import Reference, Trocar, make_path
 from tests.conftest import Array
 
@@ -32,7 +34,7 @@ class Small(PoseMap):
 def small(rng: np.random.Generator, k: int = 5, m: int = 4) -> Small:
     targets = Targets(np.arange(float(k)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k))
     room = rng.uniform(-0.2, 1.0, (k, 2, m))
-    return Small(targets, rng.uniform(0.1, 1.0, (k, 2, m)), room, np.full(k, m), rng.uniform(0.0, 1.0, (k, 2, m, 1)))
+    return Small(targets, rng.uniform(0.1, 1.0, (k, 2, m)), room, rng.uniform(0.0, 1.0, (k, 2, m, 1)))
 
 
 def value(mu: Array, objective: Objective) -> float:
@@ -149,12 +151,33 @@ def test_halving_the_grid_moves_the_course_by_less_than_half_a_percent(robot: Ro
     assert values[1] == pytest.approx(values[0], rel=0.005)
 
 
-def test_the_window_leaves_no_way_out(robot: RobotModel) -> None:
-    rng = np.random.default_rng(7)
-    for q in [robot.data.q_home, *(robot.random_regular_pose(rng, margin=0.2) for _ in range(3))]:
-        found, step = map_of(robot, q, count=30, swivels=90)
-        wide = SphericalMap(**{**found.__dict__, "window": np.full(30, 90)})
-        assert search(found, step).value == search(wide, step).value
+@pytest.mark.parametrize("generous", [False, True])
+def test_passing_over_whole_blocks_leaves_no_way_out(robot: RobotModel, generous: bool) -> None:
+    """Every pose against every other, in branches of its own and next to it, without boxes."""
+    rng, reached, crossed = np.random.default_rng(7), 0, 0
+    for q_start in [robot.data.q_home, *(robot.random_regular_pose(rng, margin=0.2) for _ in range(3))]:
+        found, step = map_of(robot, q_start, count=30, swivels=90)
+        for k in (1, 15, 29):
+            before, q, crossing = found.poses(k - 1), found.poses(k), found.crossing(k, step)
+            slacks = [half_cells(each) if generous else np.zeros_like(each) for each in (before, q)]
+            value_before, gain = (np.where(rng.random((8, 90)) < 0.3, -np.inf, rng.random((8, 90))) for _ in range(2))
+            ways = np.full((8, 90, 8, 90), -np.inf)  # into branch and swivel, from branch and swivel
+            for b, b0 in itertools.product(range(8), range(8)):
+                apart = np.abs(q[b][:, None] - before[b0][None])
+                near = (apart <= step + slacks[1][b][:, None] + slacks[0][b0][None]).all(axis=2)
+                near &= ((b ^ b0) & ~crossing == 0)[:, None]
+                crossed += near.sum() if b != b0 else 0
+                ways[b, :, b0] = np.where(near, value_before[b0] + gain[b][:, None], -np.inf)
+            best = ways.reshape(8, 90, -1).max(axis=2)
+            given = before, slacks[0], value_before, q, slacks[1], gain, step
+            for kernel, last in ((advance, (crossing, False)), (spread, (crossing, 0.0))):
+                value, back = np.empty((8, 90)), np.empty((8, 90), dtype=np.int32)
+                kernel(*given, *last, value, back)
+                np.testing.assert_array_equal(value, best)
+                np.testing.assert_array_equal(back >= 0, np.isfinite(best))
+            reached += np.isfinite(best).sum()
+    assert reached > 1000
+    assert crossed > 0
 
 
 def test_a_margin_costs_mu_and_is_kept(robot: RobotModel) -> None:
