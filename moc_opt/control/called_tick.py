@@ -12,8 +12,9 @@ from moc_opt.numerics.arrays import Array
 from moc_opt.numerics.compiled import INDICES, MATRIX, VECTOR, named
 
 BAD_INPUT = 3
-"""Returned by a tick that has changed nothing: an input, or its torque, is not usable. Smaller numbers are the
-statuses of `solvers.exact`."""
+"""Returned where an input, or the torque, is not usable. The tick in C has changed nothing then, and raises the reason
+when it is called again; one in Python has kept its error, to raise it then. Smaller numbers are the statuses of
+`solvers.exact`."""
 
 
 class TickMemory(NamedTuple):
@@ -24,12 +25,15 @@ class TickMemory(NamedTuple):
     pointers: NDArray[np.int64]
     """(7,) addresses of its arguments"""
     q: Array
+    """(n,) measured [rad], and v [rad/s]"""
     v: Array
     tip_ref: Array
+    """(3, 3) rows X_d, dX_d, ddX_d; trocar (2, 3) rows P_t, dP_t"""
     trocar: Array
     tau: Array
+    """(n,) written [Nm]"""
     report: Array
-    """the part of it that a trace keeps"""
+    """(m,) written: what becomes columns of a trace"""
     torque: Array
     """(n,) the one that the observer takes for applied [Nm]"""
     known: Array

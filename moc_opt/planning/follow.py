@@ -20,9 +20,9 @@ from moc_opt.planning.course import Course
 from moc_opt.planning.receding import Receding
 
 LOST_RAD = 0.3
-"""Farther from its course in one joint, an arm has left it: where it follows one the error is a tenth of that."""
+"""Farther from its course in one joint, an arm has left it: some ten times the usual error on a course."""
 ASKED_EACH = 25
-"""Ticks from one look for another way to the next."""
+"""Ticks between two checks whether the arm has left its course."""
 
 
 class Follower:

@@ -6,10 +6,10 @@ The equations of `refine` at N evenly spaced times after the pose that was measu
     s.t. X(q_k) = X_d,  B_k^T (N(q_k) - X_d) = 0,  q_min <= q_k <= q_max,  |q_k - q_k-1| <= v_max dt,
          and no joint is `refine.too_fast`
 
-With a margin from losing the shaft one inequality more a time: its share of the squared lever (`shaft`), linear about
-the guess, is not below the margin, nor below what it is at a guess that is close to it. V is what the pose at the end
-is worth for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve it, begun at a
-course that is near; the answer is judged by the caller.
+With a margin from losing the shaft one inequality more a time: the pose's share (`shaft`), linear about the guess, is
+at least the margin, or that of a guess between `LEFT` and all of it; below that there is no inequality. V is what the
+pose at the end is worth for the rest of the path, as a parabola (`to_go`). Sequential quadratic programs (OSQP) solve
+it, begun at a course that is near; the answer is judged by the caller.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OPTIONS: dict[str, Any] = {
     },
 }  # fmt: skip
 LEFT = 0.95
-"""A guess below this share of the shaft's margin has no other way: there it is not asked for, V alone holds it."""
+"""Of the shaft's margin: where a guess is below it, the program has no inequality, and V alone keeps it away."""
 
 
 class Horizon:

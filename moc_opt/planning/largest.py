@@ -23,7 +23,7 @@ SCANNED = "scanned, all branches"
 STARTS = 96
 """Random starts at the first point, where nothing is in closed form."""
 LATER = 8
-"""At each later point one start in so many: maxima are followed along the path."""
+"""At each later point one of so many starts is tried: maxima are followed along the path."""
 KEPT = 6
 """Different maxima that are followed from a point to its neighbours."""
 SAME = 1e-5

@@ -1,7 +1,7 @@
 """Dynamic programming over the map: the best course within joint limits and joint speeds, and a bound on any course.
 
 At time k the value of a pose is the best of the values of the poses from which it can be reached in one period, plus
-(mean mu, mean log mu) or at most (worst mu) its own: V_k(p) = g_k(p) + max V_{k-1}(p'), |q - q'| <= v_max dt for every
+(mean mu, mean log mu) or at most (worst mu) its own: F_k(p) = g_k(p) + max F_{k-1}(p'), |q - q'| <= v_max dt for every
 joint. From a singular pose a course may go on in another branch: the joints tell which is next to it.
 
 The bound searches the same map made generous: every pose stands for the half cell around it, so it is allowed where a
@@ -22,7 +22,7 @@ from moc_opt.planning.pose_map import Margin, PoseMap
 from moc_opt.planning.search_kernels import advance
 
 CURVED = 1.1
-"""The content of half a cell beyond its samples: of a joint's way, and of the rise of mu."""
+"""Factor on a joint's way in half a cell and on the higher differences of mu, for what lies between the samples."""
 
 
 @dataclass(frozen=True, eq=False)

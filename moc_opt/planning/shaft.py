@@ -58,7 +58,7 @@ def lowered(
         course: of the robot.
         robot: its model.
         shaft_margin, objective: as of `keeping_shaft`.
-        largest_mu: `largest` of the map before it was lowered [m^3].
+        largest_mu: `largest` of the map before it was lowered, or of the course that a program begins at [m^3].
     """
     if shaft_margin <= 0.0:
         return course

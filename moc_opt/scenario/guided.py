@@ -27,12 +27,13 @@ from moc_opt.scenario.layout import Layout
 from moc_opt.scenario.planned import margin_of, targets_of
 
 V_PERIOD_S = 0.1
-"""Between the times of the map under a receding horizon: a joint passes many poses in it, so no speed is rounded."""
+"""Between the times of the map under a receding horizon: so long that the way from pose to pose of the map is small
+beside what a joint turns in it."""
 TARGETS_PER_TIME = 20
 """Targets between two times of that map: the horizon interpolates between them."""
 SPEEDS = (1.0, 0.7, 0.4)
-"""Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one may go
-without braking."""
+"""Of a course's speed, one after the other where no faster one is smooth and brakes off in time; the last one need not
+brake where no course does."""
 BRAKE_SHARE = 0.9
 """Of the deceleration that the safety filter's wall allows, a course that is made before the run uses this much."""
 SMOOTHNESS = {"planned": 1e-4, "receding": 5e-4}

@@ -18,7 +18,7 @@ from moc_opt.scenario.adapter import ControllerAdapter
 
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 7)
 _MOST = 500
-"""Periods of one compiled call: so many times of writing columns are kept until they are taken off."""
+"""Periods of one compiled call at most: as many times of `note` are kept."""
 
 
 class PythonTick(ControllerAdapter):
@@ -62,7 +62,7 @@ class PythonTick(ControllerAdapter):
         self._columns, self._first, self._row = columns, first, first
 
     def took(self, returned: NDArray[np.int64], columns: Mapping[str, NDArray[Any]], first: int) -> None:
-        """Take the time of writing columns off the ticks' (k,): the single step writes them after its clock."""
+        """Subtract the time of `note` from the ticks' times: the single step reads its clock before `note`."""
         self._take_torque()
         self._columns = {}
         columns["tick_us"][first : first + returned.size] -= self._note_us[: returned.size]

@@ -45,7 +45,7 @@ from moc_opt.sim.sensors import Measurement
 Indices = NDArray[np.int64]
 
 MEASURED, COMPUTED, MOVED, ALL = range(4)
-"""The half of a period in which something was found: before the tick, after it, in the plant; in none."""
+"""Where a call ended: before the tick, after it, in the plant; or nowhere, all periods done."""
 ROW, WHERE, FOUND, STAMP, SLOT, LIMITED = range(6)
 """Places in the memory of a call: row and half where it ended, and what was found there; number of the measurement,
 place in the drives' queue, joints limited last."""
@@ -126,14 +126,14 @@ def steps(
         tick.q[:], tick.v[:], tick.tip_ref[:], tick.trocar[:] = q, v, tip_ref, registered
         p = tick.pointers
         rows.codes[row] = ask(tick.function[0], (p[0], p[1], p[2], p[3], p[4], p[5], p[6]))
-        if rows.codes[row] == BAD_INPUT:  # it has changed nothing: asked once more, it says why
+        if rows.codes[row] == BAD_INPUT:  # called once more, it raises the reason
             return
         now.sent[:] = tick.tau
         for i in range(tick.places.size):
             now.record[i] = tick.known[tick.places[i]]
         at[WHERE] = COMPUTED
         at[FOUND] = safety.after(guard, nothing, parts[1], q, v, now.applied, now.record, nothing, tip_ref, now.sent)
-        at[LIMITED] = at[FOUND] // safety.INSIDE - 2
+        at[LIMITED] = at[FOUND] // safety.INSIDE - 2  # see `safety_tick.after`; below 0: not a number of joints
         rows.tick_us[row] = _microseconds(call_clock, now.clock) - begin
         if at[FOUND] % safety.INSIDE != 0 or at[LIMITED] < 0:
             return

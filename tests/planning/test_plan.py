@@ -22,6 +22,24 @@ from tests.conftest import Array
 from tests.planning.test_search import task
 
 
+def test_the_time_of_the_bounds_is_told_apart_from_that_of_the_courses(
+    robot: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from moc_opt.planning import plan as module
+
+    now = [0.0]
+
+    def timed(*given: Any, generous: bool = False, **named: Any) -> Search:
+        now[0] += 3.0 if generous else 1.0
+        return search(*given, generous=generous, **named)
+
+    monkeypatch.setattr(module, "search", timed)
+    monkeypatch.setattr(module.time, "perf_counter", lambda: now[0])
+    q = robot.data.q_home
+    plan = make_plan(robot, q, task(robot, q, 10), swivels=90, refined=False)
+    assert (plan.map_s, plan.search_s, plan.bound_s, plan.refine_s) == (0.0, 2.0, 6.0, 0.0)
+
+
 def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot: RobotModel) -> None:
     q = robot.data.q_home
     targets = task(robot, q, 60)
