@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from moc_opt.errors import TaskError
+from moc_opt.errors import RobotError, TaskError
 from moc_opt.model.kinematics_kernels import point_jacobian
 from moc_opt.model.place_kernels import place_joints, point_in_world, spatial_axes
 from moc_opt.model.robot_model import RobotModel
@@ -51,11 +51,13 @@ def solve_pose(
         q: (n,) where to begin [rad]; put inside the limits first.
         tip: (3,) [m].
         wrist: (3,) [m], at the tool's length from the tip; None leaves it free.
+
+    Raises:
+        RobotError: as of `nearest_pose`.
     """
     begin = np.clip(np.asarray(q, dtype=np.float64), robot.q_min, robot.q_max)
-    points = np.array([tip, tip if wrist is None else wrist], dtype=np.float64)
-    rows = 3 if wrist is None else 6
-    best, miss = nearest_pose(robot, begin, points[: rows // 3], robot.q_min, robot.q_max, iterations)
+    points = np.stack([tip] if wrist is None else [tip, wrist])
+    best, miss = nearest_pose(robot, begin, points, robot.q_min, robot.q_max, iterations)
     stuck = np.flatnonzero((best <= robot.q_min) | (best >= robot.q_max))
     return Placed(best, miss, tuple(stuck.tolist()))
 
@@ -68,11 +70,19 @@ def nearest_pose(
     Args:
         points: (1,3) of the tip, or (2,3) of tip and wrist [m].
         low, high: (n,) limits; infinite: none.
+
+    Raises:
+        RobotError: a pose or a point of another shape, or not finite.
     """
     chain, best = robot.chain, np.empty(robot.n)
-    miss = _NEAREST.code(
-        chain.joints, chain.offsets, robot.moves, np.array(points), low, high, np.array(q), iterations, best
-    )
+    begin, wanted = (np.array(given, dtype=np.float64, order="C") for given in (q, points))
+    for name, value, shapes in (("q", begin, [(robot.n,)]), ("tip or wrist", wanted, [(1, 3), (2, 3)])):
+        if value.shape not in shapes:
+            raise RobotError(f"{name} has shape {value.shape}: give {' or '.join(map(str, shapes))}")
+        if not np.isfinite(value).all():
+            raise RobotError(f"{name} = {value.tolist()} is not finite: check the sensor or step that gave it")
+    limits = (np.ascontiguousarray(limit, dtype=np.float64) for limit in (low, high))
+    miss = _NEAREST.code(chain.joints, chain.offsets, robot.moves, wanted, *limits, begin, iterations, best)
     return best, float(miss)
 
 

@@ -146,7 +146,7 @@ class RobotModel:
 
     def _poses(self, given: object) -> Array:
         try:
-            poses = np.array(given, dtype=np.float64)
+            poses = np.array(given, dtype=np.float64, order="C")  # compiled code takes that for granted
         except (TypeError, ValueError) as error:
             raise RobotError(f"poses = {shown(given)}: give an array of numbers (k, {self.n})") from error
         if poses.ndim != 2 or poses.shape[1] != self.n:

@@ -75,7 +75,7 @@ def blocked(
     if not np.isfinite(wanted):
         return Blocked(*at, "no pose of the branch is within the joint limits there")
     doubt = "" if proven else " between the poses of the map; the bound excludes no other way"
-    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.2f} times its speed limit{doubt}")
+    return Blocked(*at, f"{names[fast]} would have to turn at {wanted:.3g} times its speed limit{doubt}")
 
 
 def _too_sudden(robot: RobotModel, targets: Targets, q: Array) -> Blocked:

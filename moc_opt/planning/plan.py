@@ -142,13 +142,15 @@ def make_plan(
         TaskError: an argument is out of range, or the start is not at the first target.
         RobotError: fewer than 8 swivels.
     """
-    _check(robot, q_start, targets, objective, margin, speed_share)
+    check_limits(robot, objective, margin, speed_share, shaft_margin)
+    tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
+    off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
+    if off > 1e-6:
+        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
     if not _is_number(acceleration) or not acceleration > 0.0:
         raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
     if np.isfinite(acceleration) and not refined:
         raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
-    if not _is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
-        raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")
     margin = margin_at(robot, q_start, margin)
     began = time.perf_counter()
     whole = map_of(robot, q_start, targets, swivels) if known is None else known
@@ -214,9 +216,14 @@ def _is_number(value: object) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
-def _check(
-    robot: RobotModel, q_start: Array, targets: Targets, objective: str, margin: Margin, speed_share: float
+def check_limits(
+    robot: RobotModel, objective: Objective, margin: Margin, speed_share: float, shaft_margin: float
 ) -> None:
+    """Check the limits of a plan; arguments as of `make_plan`.
+
+    Raises:
+        TaskError: one is out of range.
+    """
     if not isinstance(objective, str) or objective not in OBJECTIVES:
         raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
     if not _is_number(speed_share) or not 0.0 < speed_share <= 1.0:
@@ -225,7 +232,5 @@ def _check(
     if not one or not ((np.asarray(margin) >= 0.0) & (2.0 * np.asarray(margin) < robot.q_max - robot.q_min)).all():
         name = "margin_rad" if _is_number(margin) else "margin_rad and margin_m, joint by joint,"
         raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
-    tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])
-    off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
-    if off > 1e-6:
-        raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
+    if not _is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
+        raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")

@@ -6,19 +6,20 @@ swivel and branch at the start, within joint limits and speeds. The path of the 
 
 from __future__ import annotations
 
+import numbers
 from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError, TaskError
+from moc_opt.errors import ScenarioError, TaskError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Objective, make_course
 from moc_opt.planning.placement import Placement
-from moc_opt.planning.plan import map_of
+from moc_opt.planning.plan import check_limits, map_of
 from moc_opt.planning.search import search
-from moc_opt.planning.shaft import keeping_shaft
+from moc_opt.planning.shaft import keeping_shaft, largest, lowered
 from moc_opt.planning.targets import Targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout
@@ -56,7 +57,7 @@ def place(
         objective, margin_rad, margin_m, speed_share, shaft_margin: as of `moc_opt.scenario.planned.plan`.
 
     Raises:
-        ScenarioError: an argument is out of range.
+        ScenarioError, TaskError: an argument is out of range.
         MocOptError: the scenario's start, path or trocar is not usable.
 
     Example:
@@ -67,37 +68,39 @@ def place(
     """
     if what not in MOVABLE:
         raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
-    if not 0.0 < box_m <= 1.0:
+    if not isinstance(box_m, numbers.Real) or not 0.0 < box_m <= 1.0:
         raise ScenarioError(f"box_m = {box_m!r}: give half the edge of a cube, above 0 to 1 m")
-    for name, count in (("candidates", candidates), ("best", best)):
-        if count < 1:
-            raise ScenarioError(f"{name} = {count!r}: give 1 or more")
+    for name, count, least in (("candidates", candidates, 1), ("best", best, 1), ("seed", seed, 0)):
+        if not isinstance(count, numbers.Integral) or count < least:
+            raise ScenarioError(f"{name} = {shown(count)}: give a whole number, {least} or more")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)
     margin = margin_of(robot, margin_rad, margin_m)
+    check_limits(robot, objective, margin, speed_share, shaft_margin)
     shifts = np.vstack([np.zeros(3), np.random.default_rng(seed).uniform(-box_m, box_m, (candidates, 3))])
 
-    def planned(shift: Array, times: int | None, swivels: int) -> Placement:
-        moved, course = (float(shift[0]), float(shift[1]), float(shift[2])), None
+    def planned(shift: Array, times: int | None, swivels: int) -> tuple[float, Placement]:
+        moved = float(shift[0]), float(shift[1]), float(shift[2])
         depth = float(np.linalg.norm(_trocar(layout, what, shift).at(0.0)[0] - robot.state(layout.q).tip))
         try:
             targets = _targets(robot, layout, what, shift, times)
         except TaskError:  # the trocar is off the shaft somewhere
-            return Placement(moved, None, depth)
-        found = keeping_shaft(map_of(robot, layout.q, targets, swivels), robot, shaft_margin, objective)
+            return -np.inf, Placement(moved, None, depth)
+        whole = map_of(robot, layout.q, targets, swivels)
+        found = keeping_shaft(whole, robot, shaft_margin, objective)
         step = speed_share * robot.v_max * targets.period_s
         q = search(found, step, objective, margin=margin).q_rad
-        if q is not None:
-            course = make_course(robot, targets, q, margin, speed_share)
-        return Placement(moved, course, depth)
-
-    def value(placement: Placement) -> float:
-        return -np.inf if placement.course is None else placement.course.value(objective)
+        if q is None:
+            return -np.inf, Placement(moved, None, depth)
+        course = make_course(robot, targets, q, margin, speed_share)
+        worth = lowered(course, robot, shaft_margin, largest(whole), objective).value(objective)
+        return worth, Placement(moved, course, depth)
 
     coarse_times = max(2, round(layout.duration_s / COARSE_S) + 1)
-    coarse = [value(planned(shift, coarse_times, COARSE_SWIVELS)) for shift in shifts]
+    coarse = [planned(shift, coarse_times, COARSE_SWIVELS)[0] for shift in shifts]
     order = [int(k) for k in np.argsort(coarse)[::-1] if np.isfinite(coarse[int(k)]) and k][:best]
-    return sorted((planned(shifts[k], None, 720) for k in (0, *order)), key=value, reverse=True)
+    found = sorted((planned(shifts[k], None, 720) for k in (0, *order)), key=lambda each: each[0], reverse=True)
+    return [each for _, each in found]
 
 
 def _trocar(layout: Layout, what: Movable, shift: Array) -> Trocar:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from moc_opt.errors import TaskError
-from moc_opt.model.inverse_kinematics import pose_through, pose_with_tip, solve_pose
+from moc_opt.errors import RobotError, TaskError
+from moc_opt.model.inverse_kinematics import nearest_pose, pose_through, pose_with_tip, solve_pose
 from moc_opt.tasks import shaft_distance
 
 
@@ -46,6 +46,42 @@ def test_out_of_reach_it_goes_as_near_as_it_can(robot):
     assert not placed.found
     reach = 0.4 + 0.39 + 0.378  # shoulder to tip, stretched
     assert placed.miss_m == pytest.approx(3.0 - reach, abs=0.05)
+    gap = np.abs(np.array([3.0, 0.0, 0.3]) - robot.state(placed.q).tip).max()
+    assert placed.miss_m == pytest.approx(gap, abs=1e-12)
+
+
+def test_the_nearest_pose_on_the_way_is_returned_where_it_ends_farther_off(robot):
+    """From the pose of 40 steps the miss only ever falls: the best one is kept, whatever the last one is."""
+    wanted = np.array([1.1, 0.4, 0.2])
+    misses = [solve_pose(robot, robot.data.q_home, wanted, iterations=count).miss_m for count in range(1, 60)]
+    assert (np.diff(misses) <= 0.0).all()
+    assert misses[-1] > 0.01
+
+
+@pytest.mark.parametrize(
+    ("q", "tip", "message"),
+    [
+        (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"),
+        (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
+        (np.zeros((7, 1)), np.zeros(3), r"q has shape \(7, 1\)|operands"),
+        (np.zeros(7), np.zeros(2), r"tip or wrist has shape \(1, 2\)"),
+    ],
+)
+def test_what_is_no_pose_and_no_point_is_refused(robot, q, tip, message):
+    """A comparison with NaN is false: unchecked, such a point would count as reached."""
+    with pytest.raises((RobotError, ValueError), match=message):
+        solve_pose(robot, q, tip)
+    with pytest.raises(RobotError):
+        solve_pose(robot, robot.data.q_home, robot.state(robot.data.q_home).tip, np.full(3, np.nan))
+
+
+def test_integers_and_other_orders_are_taken(robot):
+    state = robot.state(robot.data.q_home)
+    points = np.array([state.tip, state.wrist])
+    none = np.full(7, np.inf)
+    one = nearest_pose(robot, np.zeros(7), points, -none, none, 40)
+    other = nearest_pose(robot, np.zeros(7, dtype=int), np.asfortranarray(points), -none, none, 40)
+    np.testing.assert_array_equal(one[0], other[0])
 
 
 @given(st.integers(0, 10_000))

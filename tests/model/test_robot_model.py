@@ -405,3 +405,11 @@ def test_points_along_poses_are_those_of_the_states(arm):
     for q, tip, wrist in zip(poses, tips, wrists, strict=True):
         state = arm.state(q)
         np.testing.assert_allclose([tip, wrist], [state.tip, state.wrist], rtol=0, atol=1e-14)
+
+
+def test_poses_in_another_order_of_memory_are_taken(robot):
+    """Compiled code reads rows that lie beside each other; columns would be read as rows without a word."""
+    poses = np.random.default_rng(0).uniform(robot.q_min, robot.q_max, (5, 7))
+    for same in (np.asfortranarray(poses), poses.T.copy().T):
+        np.testing.assert_array_equal(robot.mu_along(same), robot.mu_along(poses))
+        np.testing.assert_array_equal(robot.tool_along(same)[0], robot.tool_along(poses)[0])

@@ -151,6 +151,29 @@ def test_halving_the_grid_moves_the_course_by_less_than_half_a_percent(robot: Ro
     assert values[1] == pytest.approx(values[0], rel=0.005)
 
 
+def test_ways_into_other_branches_are_those_of_the_bits_that_each_pose_has() -> None:
+    """Random bits, so that poses of one block differ in them; and what is told leads to the value."""
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        m, m0, step = int(rng.integers(1, 50)), int(rng.integers(1, 50)), np.array([0.1, 0.3])
+        q, before = rng.uniform(0.0, 1.0, (8, m, 2)), rng.uniform(0.0, 1.0, (8, m0, 2))
+        q[rng.random((8, m)) < 0.2] = np.nan
+        gain, value_before = rng.random((8, m)), rng.random((8, m0))
+        crossing, price = rng.integers(0, 8, m) * (rng.random(m) < 0.4), float(rng.choice([0.0, 2.0]))
+        away = np.abs(q[:, :, None, None] - before[None, None])
+        bits = np.bitwise_xor.outer(np.arange(8), np.arange(8))
+        allowed = (bits[:, None] & ~crossing[None, :, None]) == 0
+        near = (away <= step).all(axis=-1) & allowed[..., None]
+        ways = np.where(near, value_before + gain[:, :, None, None] - price * (away**2).sum(axis=-1), -np.inf)
+        ways = ways.reshape(8, m, -1)
+        slacks = [np.zeros_like(each) for each in (before, q)]
+        value, back = np.empty((8, m)), np.empty((8, m), dtype=np.int32)
+        spread(before, slacks[0], value_before, q, slacks[1], gain, step, crossing, price, value, back)
+        np.testing.assert_allclose(value, ways.max(axis=2), atol=1e-12)
+        led = np.take_along_axis(ways, np.maximum(back, 0)[..., None].astype(np.int64), axis=2)[..., 0]
+        np.testing.assert_allclose(led[back >= 0], value[back >= 0], atol=1e-12)
+
+
 @pytest.mark.parametrize("generous", [False, True])
 def test_passing_over_whole_blocks_leaves_no_way_out(robot: RobotModel, generous: bool) -> None:
     """Every pose against every other, in branches of its own and next to it, without boxes."""

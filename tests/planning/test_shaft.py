@@ -96,6 +96,15 @@ def test_the_logarithm_is_lowered_by_the_same_price_however_small_mu_is() -> Non
             np.testing.assert_allclose(price[k, branch][there], WORTH * (1.0 - shares[there]) ** 2, atol=1e-9)
 
 
+def test_courses_are_compared_by_the_price_of_their_objective() -> None:
+    robot = arm("lwr4")
+    course, shares = planned(15, 1.0)[0].from_start, planned(15, 1.0)[1]
+    assert course is not None
+    price = WORTH * (1.0 - shares) ** 2
+    np.testing.assert_allclose(lowered(course, robot, 1.0, 0.3).mu, course.mu - 0.3 * price)
+    np.testing.assert_allclose(lowered(course, robot, 1.0, 0.3, "log").mu, course.mu * np.exp(-price))
+
+
 @pytest.mark.parametrize("seed", [12, 15, 27])
 def test_a_course_keeps_the_margin_where_there_is_a_way(seed: int) -> None:
     """From these starts the best course loses the shaft almost, and another stays well above."""

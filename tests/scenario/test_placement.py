@@ -10,7 +10,7 @@ import pytest
 
 import moc_opt as mo
 from moc_opt.__main__ import main
-from moc_opt.errors import ScenarioError
+from moc_opt.errors import ScenarioError, TaskError
 from moc_opt.scenario.placement import MOVABLE, Movable, place
 from moc_opt.scenario.planned import plan
 
@@ -58,10 +58,16 @@ def test_the_search_is_seeded_and_plans_what_it_is_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"what": "table"}, "place = 'table'"), ({"box_m": 0.0}, "box_m = 0.0"), ({"candidates": 0}, "candidates = 0")],
-)
+    [
+        ({"what": "table"}, "place = 'table'"), ({"box_m": 0.0}, "box_m = 0.0"), ({"box_m": "a"}, "box_m = 'a'"),
+        ({"candidates": 0}, "candidates = 0"), ({"candidates": 2.5}, "candidates = 2.5"), ({"seed": -1}, "seed = -1"),
+        ({"objective": "x"}, "objective = 'x'"), ({"margin_rad": -1.0}, "margin_rad = -1.0"),
+        ({"margin_m": "x"}, "margin_m = 'x'"), ({"speed_share": -1.0}, "speed_share = -1.0"),
+        ({"shaft_margin": -1.0}, "shaft_margin = -1.0"),
+    ],
+)  # fmt: skip
 def test_bad_arguments_are_named(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ScenarioError, match=message):
+    with pytest.raises((ScenarioError, TaskError), match=message):
         place(ASKED, **{"what": "base", **change})  # type: ignore[arg-type]
 
 
