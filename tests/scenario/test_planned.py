@@ -102,7 +102,7 @@ def test_a_wrong_argument_exits_with_two(capsys: pytest.CaptureFixture[str]) -> 
         (["--acceleration", "0"], "--acceleration 0.0: give a limit above 0"),
         (["--box", "0.1"], "--box 0.1: without --place nothing is searched"),
         (["--candidates", "3"], "--candidates 3: without --place nothing is searched"),
-        (["--place", "base", "--candidates", "0"], "--candidates 0: give 1 or more"),
+        (["--place", "base", "--candidates", "0"], "--candidates 0: give a whole number, 1 or more"),
         (["--place", "base", "--box", "2"], "--box 2.0: give half the edge"),
     ],
 )
