@@ -63,7 +63,7 @@ def test_the_nearest_pose_on_the_way_is_returned_where_it_ends_farther_off(robot
     [
         (np.full(7, np.nan), np.zeros(3), "q = .* is not finite"),
         (np.zeros(7), np.array([0.5, 0.0, np.nan]), "tip or wrist = .* is not finite"),
-        (np.zeros((7, 1)), np.zeros(3), r"q has shape \(7, 1\)|operands"),
+        (np.zeros((7, 1)), np.zeros(3), "q has shape"),
         (np.zeros(7), np.zeros(2), r"tip or wrist has shape \(1, 2\)"),
     ],
 )
