@@ -51,6 +51,7 @@ class Config(Configuration):
 
     robots: list[str] = Field(["lwr4", "iiwa14", "panda"], min_length=1)
     tasks: list[str] = Field(["circle", "sinusoid", "spiral"], min_length=1)
+    seed: int = Field(4000, ge=0, description="not one of those that the limits of courses were chosen on")
     poses: int = Field(20, ge=1, description="random starts per task and robot")
     loops: dict[str, dict[str, Any]] = Field(LOOPS, description="closed loops: name -> [control]")
     halvings: int = Field(3, ge=0, description="starts at which the grid is halved")
