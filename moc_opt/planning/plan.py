@@ -147,7 +147,7 @@ def make_plan(
     off = max(np.abs(tips[0] - targets.tip[0]).max(), np.abs(wrists[0] - targets.wrist[0]).max())
     if off > 1e-6:
         raise TaskError(f"q_start: tip or wrist is {1e3 * off:.3g} mm from the path's first point: begin it there")
-    if not _is_number(acceleration) or not acceleration > 0.0:
+    if not is_number(acceleration) or not acceleration > 0.0:
         raise TaskError(f"acceleration = {acceleration!r}: give a limit above 0")
     if np.isfinite(acceleration) and not refined:
         raise TaskError(f"acceleration = {acceleration!r}: the grid alone knows no such limit; give refined = True")
@@ -212,7 +212,8 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 7
     return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Return whether a value is a real number, and no truth value."""
     return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
@@ -226,11 +227,11 @@ def check_limits(
     """
     if not isinstance(objective, str) or objective not in OBJECTIVES:
         raise TaskError(f"objective = {objective!r}: choose one of {', '.join(map(repr, OBJECTIVES))}")
-    if not _is_number(speed_share) or not 0.0 < speed_share <= 1.0:
+    if not is_number(speed_share) or not 0.0 < speed_share <= 1.0:
         raise TaskError(f"speed_share = {speed_share!r}: give a share above 0 up to 1")
-    one = _is_number(margin) or (isinstance(margin, np.ndarray) and margin.shape == (robot.n,))
+    one = is_number(margin) or (isinstance(margin, np.ndarray) and margin.shape == (robot.n,))
     if not one or not ((np.asarray(margin) >= 0.0) & (2.0 * np.asarray(margin) < robot.q_max - robot.q_min)).all():
-        name = "margin_rad" if _is_number(margin) else "margin_rad and margin_m, joint by joint,"
+        name = "margin_rad" if is_number(margin) else "margin_rad and margin_m, joint by joint,"
         raise TaskError(f"{name} = {margin!r}: give zero or more, and less than half of every joint's range")
-    if not _is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
+    if not is_number(shaft_margin) or not 0.0 <= shaft_margin <= 1.0:
         raise TaskError(f"shaft_margin = {shaft_margin!r}: give a share of the squared lever from 0 to 1")

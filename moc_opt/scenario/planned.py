@@ -10,7 +10,7 @@ import numpy as np
 from moc_opt.errors import ScenarioError, TaskError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
-from moc_opt.planning.plan import Plan, make_plan
+from moc_opt.planning.plan import Plan, is_number, make_plan
 from moc_opt.planning.pose_map import Margin
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
@@ -78,8 +78,7 @@ def margin_of(robot: RobotModel, margin_rad: float, margin_m: float) -> Margin:
         TaskError: a margin is no number of zero or more.
     """
     for name, value in (("margin_rad", margin_rad), ("margin_m", margin_m)):
-        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not number or not 0.0 <= float(value) < np.inf:
+        if not is_number(value) or not 0.0 <= value < np.inf:
             raise TaskError(f"{name} = {value!r}: give zero or more, and less than half of every joint's range")
     slides = robot.chain.prismatic
     return np.where(slides, margin_m, margin_rad) if slides.any() else margin_rad
