@@ -29,7 +29,8 @@ class ExchangeableController:
     """The controller in use, as the closed loop calls it (``sim.protocols.TorqueController``).
 
     After an exchange the torque goes on where it was, tau = tau_new + offset with offset = tau_old - tau_new at
-    first, and offset decays by exp(-t / BLEND_S).
+    first, and offset decays by exp(-t / BLEND_S). The next exchange waits for BLEND_S: exchanges at every tick would
+    hold the torque where it is, and nobody would control the arm. Of those that wait the last one counts.
 
     Args:
         robot: the model that the control law uses.
@@ -43,6 +44,7 @@ class ExchangeableController:
     ) -> None:
         self._robot, self._refused = robot, refused
         self._decay = float(np.exp(-period_s / BLEND_S))
+        self._apart, self._wait = round(BLEND_S / period_s), 0  # ticks between exchanges, and until the next one may be
         self.used = first
         self._next: Choice | None = first
         self._offset, self._applied = np.zeros(robot.n), np.empty(0)
@@ -53,12 +55,12 @@ class ExchangeableController:
         return self.state.tip
 
     def replace(self, choice: Choice) -> None:
-        """Use another controller from the next tick on, if it can start there."""
+        """Use another controller from the next tick on, or BLEND_S after the last exchange, if it can start there."""
         self._next = choice
 
     def restart(self) -> None:
         """Forget the motion so far: the next tick is the first one of a run."""
-        self._next = self._next or self.used
+        self._next, self._wait = self._next or self.used, 0
         self._offset, self._applied = np.zeros(self._robot.n), np.empty(0)
 
     def start(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> None:
@@ -68,7 +70,8 @@ class ExchangeableController:
     def tick(self, q: Array, v: Array, tip_ref: Array, trocar: Array) -> Array:
         """Compute the torque (n,) [Nm] of the controller in use, blended with that of the one before."""
         self.state = state = self._robot.state(q, v)
-        if self._next is not None:
+        self._wait -= 1
+        if self._next is not None and self._wait <= 0:
             self._exchange(self._next, state, tip_ref, trocar)
         tau = self.used.controller.tick(state, tip_ref, trocar)
         if self._offset.any():
@@ -100,4 +103,5 @@ class ExchangeableController:
         if self._applied.size:  # not the first tick of a run
             self._offset = self._applied - first
             controller.set_applied_torque(self._applied)
+            self._wait = self._apart
         self.used = choice

@@ -45,8 +45,8 @@ class LiveRun:
     """The closed loop of a scenario, its path to and fro for ever.
 
     `advance` belongs to one thread; every other method may be called from any. What they change takes effect at
-    the next tick, and what is wrong with it is raised at once, or, where only the running loop can tell, found
-    in `messages`.
+    the next tick (a new controller at least 0.1 s after the one before), and what is wrong with it is raised at once,
+    or, where only the running loop can tell, found in `messages`.
 
     Attributes:
         one_way_s: time from one end of the path to the other, rests included [s].

@@ -71,11 +71,13 @@ def test_a_solver_is_exchanged_at_the_next_tick(run: LiveRun) -> None:
     run.advance(1)
     assert run.moment().solver == run.solver != "exact"
     run.choose(DCAC)
-    run.advance(30)
+    run.advance(1)
+    assert run.moment().solver != DCAC, "not while the torques of the exchange before blend"
+    run.advance(79)
     assert run.moment().status == "none"
     assert np.isnan(column(run, "solve_us", 30)).all()
     run.choose("exact")
-    run.advance(30)
+    run.advance(80)
     assert run.moment().status == "solved"
     assert (column(run, "solve_us", 30) > 0.0).all()
     assert not run.messages
@@ -254,6 +256,19 @@ def test_orders_come_from_many_threads(run: LiveRun) -> None:
     assert not run.messages
     assert run.moment().solver == run.solver
     assert column(run, "tip_error_m", 20).max() < 5e-3
+
+
+def test_a_controller_asked_for_at_every_tick_leaves_the_arm_controlled(run: LiveRun) -> None:
+    """Exchanges at every tick would hold the torque: the last of those that wait follows 0.1 s after the one before."""
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        run.choose(str(rng.choice([DCAC, "exact", "rnn"])))
+        run.advance(1)
+    assert not run.messages
+    assert column(run, "tip_error_m", 400).max() < 1e-3
+    assert column(run, "rcm_error_m", 400).max() < 3e-3
+    run.advance(50)
+    assert run.moment().solver == run.solver
 
 
 # --- its parts ---
