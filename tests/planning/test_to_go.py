@@ -50,6 +50,32 @@ def test_no_course_from_a_pose_is_worth_more(seed: int, step: float, price: floa
     np.testing.assert_allclose(to_go.value, expected, atol=1e-12)
 
 
+@given(SEEDS, st.floats(0.3, 0.9), st.floats(0.0, 2.0), st.floats(0.1, 0.9))
+def test_the_first_step_of_a_way_has_the_time_that_is_left(seed: int, step: float, price: float, late: float) -> None:
+    """From within a period a joint turns by less, and the same turn is dearer: price (q' - q)^2 over the time."""
+    found = small(np.random.default_rng(seed), k=4, m=6)
+    to_go = ToGo(found, np.array([step]), price=price)
+    way, end = to_go.way(np.array([0.5]), late, 2), 2 if late > 0.5 else 1
+    poses, cell, left = found.q_rad[end, ..., 0], cells(to_go)[end], end - late
+    away = np.abs(poses - 0.5)
+    reached = away <= left * step + cell
+    first = np.where(reached, to_go._gain[end] - price / left * away**2, -np.inf)
+    if end == 2:
+        total = np.where(reached, to_go.value[2] - price / left * away**2, -np.inf)
+    else:
+        ahead, ahead_cell = found.q_rad[2, ..., 0], cells(to_go)[2]
+        turn = np.abs(ahead[:, None, :] - poses[:, :, None])
+        allowed = turn <= step + cell[:, :, None] + ahead_cell[:, None, :]
+        total = np.where(allowed, first[:, :, None] - price * turn**2, -np.inf).max(axis=1) + to_go.value[2]
+    if not np.isfinite(total).any():
+        assert way is None
+        return
+    assert way is not None
+    times, _, b, j = way
+    assert times[0] == late and len(times) == 4 - end
+    assert total[b, j] == pytest.approx(total.max(), abs=1e-12)
+
+
 def test_it_goes_with_its_last_user() -> None:
     """A map's poses are tens of megabytes: a study of many runs must not wait for the garbage collector."""
     gc.collect()
