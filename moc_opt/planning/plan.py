@@ -140,7 +140,7 @@ def make_plan(
 
     Raises:
         TaskError: an argument is out of range, or the start is not at the first target.
-        RobotError: fewer than 8 swivels.
+        RobotError: fewer than 8 swivels, or more than `pose_map.MOST_SWIVELS`.
     """
     check_limits(robot, objective, margin, speed_share, shaft_margin)
     tips, wrists = robot.tool_along(np.asarray(q_start, dtype=np.float64)[None])

@@ -27,6 +27,8 @@ Margin = float | Array
 
 ROUNDING_RAD = 1e-9
 """A pose this far beyond a limit still stands on it."""
+MOST_SWIVELS = 10_000
+"""Of one turn: a map of 1000 times then takes a gigabyte."""
 CANDIDATES = 4
 """Local maxima of mu that are climbed to their top at each point of the path."""
 
@@ -138,10 +140,10 @@ def spherical_map(
         start: (7,) [rad] a pose whose swivel is one of the samples, and where joint 7 stands; None: from -pi, and 0.
 
     Raises:
-        RobotError: fewer than 8 swivels.
+        RobotError: fewer than 8 swivels, or more than `MOST_SWIVELS`.
     """
-    if not isinstance(swivels, numbers.Integral) or swivels < 8:
-        raise RobotError(f"swivels = {shown(swivels)}: give a whole number, 8 or more")
+    if not isinstance(swivels, numbers.Integral) or not 8 <= swivels <= MOST_SWIVELS:
+        raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
     elbow = Elbow(robot, targets.wrist)
     reference, first = elbow.reference, -np.pi
     if start is not None:

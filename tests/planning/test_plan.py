@@ -11,8 +11,9 @@ import pytest
 from moc_opt.errors import TaskError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
-from moc_opt.planning.course import MOST_VIOLATION
+from moc_opt.planning.course import MOST_VIOLATION, Course, Objective, make_course
 from moc_opt.planning.plan import make_plan
+from moc_opt.planning.pose_map import PoseMap
 from moc_opt.planning.search import Search, search
 from moc_opt.planning.targets import Targets
 from moc_opt.procedure.reachability import UnreachableError, check_reachable
@@ -59,6 +60,25 @@ def test_the_courses_are_in_order_and_the_proposed_start_keeps_its_promise(robot
     assert again.from_start is not None
     assert again.start_swivel_rad == pytest.approx(plan.best_swivel_rad)
     assert again.from_start.mu_mean == pytest.approx(plan.best.mu_mean, rel=1e-4)
+
+
+@pytest.mark.parametrize(("objective", "taken"), [("mean", 0), ("worst", 2), ("log", 1)])
+def test_of_several_courses_the_best_by_the_objective_is_taken(
+    robot: RobotModel, monkeypatch: pytest.MonkeyPatch, objective: Objective, taken: int
+) -> None:
+    first, second = np.arange(20) < 9, np.arange(20) >= 9
+    mus = [0.1 * first + 0.4 * second, 0.15 * first + 0.3 * second, np.full(20, 0.2)]
+
+    def several(robot: RobotModel, whole: PoseMap, found: list[Search], *_: object, **limits: object) -> list[Course]:
+        assert found[0].q_rad is not None
+        made = make_course(robot, whole.targets, found[0].q_rad)
+        return [replace(made, mu=mu) for mu in mus]
+
+    monkeypatch.setattr("moc_opt.planning.plan.usable_courses", several)
+    q = robot.data.q_home
+    plan = make_plan(robot, q, task(robot, q, 20), objective, swivels=90)
+    assert plan.best is not None
+    np.testing.assert_array_equal(plan.best.mu, mus[taken])
 
 
 def test_a_bound_that_a_course_shows_to_be_none_is_not_given(

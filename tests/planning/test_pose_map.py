@@ -112,6 +112,7 @@ def test_out_of_reach_is_no_pose(robot: RobotModel) -> None:
     assert np.isnan(found.highest()[1])
 
 
-def test_too_few_swivels_are_refused(robot: RobotModel) -> None:
-    with pytest.raises(RobotError, match="swivels = 4"):
-        map_of(robot, [robot.data.q_home], swivels=4)
+@pytest.mark.parametrize("swivels", [4, 10**12])
+def test_too_few_and_too_many_swivels_are_refused(robot: RobotModel, swivels: int) -> None:
+    with pytest.raises(RobotError, match=f"swivels = {swivels}: give a whole number from 8 to 10000"):
+        map_of(robot, [robot.data.q_home], swivels=swivels)

@@ -72,7 +72,8 @@ def test_the_first_step_of_a_way_has_the_time_that_is_left(seed: int, step: floa
         return
     assert way is not None
     times, _, b, j = way
-    assert times[0] == late and len(times) == 4 - end
+    assert times[0] == late
+    assert len(times) == 4 - end
     assert total[b, j] == pytest.approx(total.max(), abs=1e-12)
 
 
