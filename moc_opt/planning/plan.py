@@ -16,12 +16,12 @@ from moc_opt.planning.blocked import Blocked, blocked
 from moc_opt.planning.candidates import usable_courses
 from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course, margin_at
-from moc_opt.planning.pose_map import Margin, PoseMap, spherical_map
+from moc_opt.planning.pose_map import SWIVELS, Margin, PoseMap, check_swivels, spherical_map
 from moc_opt.planning.search import Search, search
 from moc_opt.planning.shaft import keeping_shaft, largest, lowered
 from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets
-from moc_opt.planning.traced import traced_map
+from moc_opt.planning.traced import STEP_RAD, traced_map
 from moc_opt.redundancy.arm_angle import Elbow
 
 
@@ -111,7 +111,7 @@ def make_plan(
     targets: Targets,
     objective: Objective = "mean",
     *,
-    swivels: int = 720,
+    swivels: int = SWIVELS,
     margin: Margin = 0.0,
     speed_share: float = 1.0,
     acceleration: float = np.inf,
@@ -127,7 +127,7 @@ def make_plan(
         q_start: (n,) with tip and wrist at the first target [rad].
         targets: of tip and wrist at k evenly spaced times, (k,3) each [m].
         objective: "mean", "worst" or "log".
-        swivels: samples of one turn, of an arm with a closed form.
+        swivels: samples of one turn; of an arm without a closed form see `map_of`.
         margin: that every joint keeps from its limits, one number or (n,) [rad], [m] where a joint slides; a start
             that is nearer to one lowers it, see `margin_at`.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
@@ -204,11 +204,15 @@ def _bound(found: Search, course: Course | None, objective: Objective) -> float:
     return np.nan if course is None or course.value(objective) > found.value else found.value
 
 
-def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = 720) -> PoseMap:
-    """Make the map in closed form if the arm has one, else by continuation; idle joints stay as at the start."""
+def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = SWIVELS) -> PoseMap:
+    """Make the map in closed form if the arm has one, else by continuation; idle joints stay as at the start.
+
+    More than `SWIVELS` samples of a turn make the samples along the curves of a continuation denser, too.
+    """
     arm = spherical(robot)
     if arm is None:
-        return traced_map(robot, targets, q_start)
+        check_swivels(swivels)
+        return traced_map(robot, targets, q_start, step_rad=STEP_RAD * min(1.0, SWIVELS / swivels))
     return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
 
 

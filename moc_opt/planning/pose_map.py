@@ -27,6 +27,8 @@ Margin = float | Array
 
 ROUNDING_RAD = 1e-9
 """A pose this far beyond a limit still stands on it."""
+SWIVELS = 720
+"""Samples of one turn, where no other number is asked for."""
 MOST_SWIVELS = 10_000
 """Of one turn: a map of 1000 times then takes a gigabyte."""
 CANDIDATES = 4
@@ -130,7 +132,7 @@ class SphericalMap(PoseMap):
 
 
 def spherical_map(
-    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = 720, start: Array | None = None
+    robot: RobotModel, arm: Spherical, targets: Targets, *, swivels: int = SWIVELS, start: Array | None = None
 ) -> SphericalMap:
     """Compute the closed form over the path.
 
@@ -142,8 +144,7 @@ def spherical_map(
     Raises:
         RobotError: fewer than 8 swivels, or more than `MOST_SWIVELS`.
     """
-    if not isinstance(swivels, numbers.Integral) or not 8 <= swivels <= MOST_SWIVELS:
-        raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
+    check_swivels(swivels)
     elbow = Elbow(robot, targets.wrist)
     reference, first = elbow.reference, -np.pi
     if start is not None:
@@ -156,6 +157,16 @@ def spherical_map(
     return SphericalMap(
         targets, shared, room, arm=arm, swivel_rad=swivel, angles=angles, reference=reference, idle_rad=idle_rad
     )
+
+
+def check_swivels(swivels: object) -> None:
+    """Check a number of samples of one turn.
+
+    Raises:
+        RobotError: it is no whole number from 8 to `MOST_SWIVELS`.
+    """
+    if not isinstance(swivels, numbers.Integral) or not 8 <= int(swivels) <= MOST_SWIVELS:
+        raise RobotError(f"swivels = {shown(swivels)}: give a whole number from 8 to {MOST_SWIVELS}")
 
 
 def _evaluate(

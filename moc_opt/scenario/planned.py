@@ -11,7 +11,7 @@ from moc_opt.errors import ScenarioError, TaskError, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
 from moc_opt.planning.plan import Plan, is_number, make_plan
-from moc_opt.planning.pose_map import Margin
+from moc_opt.planning.pose_map import SWIVELS, Margin
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.layout import Layout, lay_out, seeds_of
@@ -26,7 +26,7 @@ def plan(
     *,
     objective: Objective = "mean",
     times: int | None = None,
-    swivels: int = 720,
+    swivels: int = SWIVELS,
     margin_rad: float = 0.0,
     margin_m: float = 0.0,
     speed_share: float = 1.0,
@@ -45,7 +45,7 @@ def plan(
         times: points of the path; None: one each `PERIOD_S`, 2 to 1000.
         margin_rad: that every joint keeps from its limits [rad].
         margin_m: the same of a joint that slides [m].
-        swivels: samples of one turn of the elbow, on an arm with a closed form.
+        swivels: samples of one turn of the elbow; an arm without a closed form takes only those above the default.
         speed_share: of the joints' speed limits that a course may use, above 0 to 1.
         acceleration: most of any joint, from rest [rad/s^2]; the refinement keeps it, the grid does not know it.
         shaft_margin: least share of the squared lever that the shaft's manipulability keeps, where there is a way.

@@ -10,6 +10,7 @@ import pytest
 from moc_opt.errors import RobotError
 from moc_opt.model.inverse_kinematics import solve_pose
 from moc_opt.model.robot_model import RobotModel
+from moc_opt.planning.plan import map_of
 from moc_opt.planning.pose_map import spherical_map
 from moc_opt.planning.spherical import spherical
 from moc_opt.planning.targets import Targets, lay_targets
@@ -79,6 +80,18 @@ def test_a_panda_has_every_pose_that_random_starts_find(tmp_path: Path) -> None:
     assert seen > 5
     rooms = np.minimum(poses[known] - panda.q_min, panda.q_max - poses[known])[:, :6].min(axis=1)
     np.testing.assert_allclose(found.room_rad[2, 0, known], rooms, atol=1e-12)
+
+
+def test_more_swivels_than_the_default_are_denser_samples(tmp_path: Path) -> None:
+    panda = build(tmp_path, PANDA)
+    targets = line_from(panda, panda.data.q_home, 2)
+    fewer, usual, twice = (map_of(panda, panda.data.q_home, targets, swivels) for swivels in (90, 720, 1440))
+    one, two, four = (np.isfinite(found.mu[0]).sum() for found in (fewer, usual, twice))
+    assert one == two
+    assert four == pytest.approx(2 * two, rel=0.05)
+    assert twice.highest()[0] == pytest.approx(usual.highest()[0], rel=1e-3)
+    with pytest.raises(RobotError, match="swivels = 4"):
+        map_of(panda, panda.data.q_home, targets, 4)
 
 
 def test_the_same_seed_finds_the_same_map(robot: RobotModel) -> None:
