@@ -48,10 +48,22 @@ class End(NamedTuple):
     high: float
 
 
-def _poses_and_ways(found: PoseMap, k: int) -> tuple[Array, Array]:
-    """Return poses (b,m,n) of time k, and the way that each stands for, (b,m,n) [rad]."""
+class _Poses(NamedTuple):
+    """Poses of one time, and what a step to them is measured by."""
+
+    q: Array
+    """(b,m,n) [rad]"""
+    slack: Array
+    """(b,m,n) the way that each stands for [rad]"""
+    low: Array
+    """(b,blocks,n) and high: as of `search_kernels.boxes`"""
+    high: Array
+
+
+def _poses(found: PoseMap, k: int) -> _Poses:
     q = found.poses(k)
-    return q, 0.5 * half_cells(q)
+    slack = 0.5 * half_cells(q)
+    return _Poses(q, slack, *boxes(q, slack))
 
 
 class ToGo:
@@ -68,13 +80,14 @@ class ToGo:
         self._price = price / found.targets.period_s
         self.map, self._step, count = found, step_rad, len(found.targets)
         # Not a method: the object would hold itself, 50 MB that wait for the garbage collector.
-        self._poses = lru_cache(KEPT)(partial(_poses_and_ways, found))
+        self._poses = lru_cache(KEPT)(partial(_poses, found))
         weight = weights(count) * found.targets.period_s
         self._gain = np.where(found.feasible(margin), found.mu * weight[:, None, None], -np.inf)
         self.value = np.array(self._gain)
         """(k,b,m) [m^3 s], its own share included; -inf: the end cannot be reached from there"""
         for k in range(count - 2, -1, -1):
-            self.value[k] = self._spread(k, *self._poses(k + 1), self.value[k + 1], self._gain[k])[0]
+            after = self._poses(k + 1)
+            self.value[k] = self._spread(k, after.q, after.slack, self.value[k + 1], self._gain[k])[0]
 
     def way(self, q: Array, t_s: float, end: int, hurry: float = 1.0) -> tuple[Array, Array, int, int] | None:
         """Find the best way from a pose at any time to the map's time ``end``, and on from there by V.
@@ -98,19 +111,19 @@ class ToGo:
             gain = self.value[k] if k == end else self._gain[k]
             value, back = self._spread(k, before, slack, value, gain, hurry * (float(t[k]) - now) / period)
             backs.append(back)
-            (before, slack), now = self._poses(k), float(t[k])
+            (before, slack, *_), now = self._poses(k), float(t[k])
         b, j = (int(i) for i in np.unravel_index(int(np.argmax(value)), value.shape))
         if not np.isfinite(value[b, j]):
             return None
         poses, at = [], (b, j)
         for k, back in zip(range(end, first - 1, -1), backs[::-1], strict=True):
-            poses.append(self._poses(k)[0][at])
+            poses.append(self._poses(k).q[at])
             at = divmod(int(back[at]), back.shape[1])
         return np.append(t_s, t[first : end + 1]), np.array([q, *poses[::-1]]), b, j
 
     def near(self, end: int, b: int, j: int) -> End:
         """Return the parabola through V around one pose of the map."""
-        q, count, value = self._poses(end)[0][b], self.value.shape[2], self.value[end, b]
+        q, count, value = self._poses(end).q[b], self.value.shape[2], self.value[end, b]
         along = q[(j + 1) % count] - q[j - 1]
         size = float(np.linalg.norm(along))
         if not 0.0 < size < NEARBY_RAD:
@@ -139,16 +152,16 @@ class ToGo:
 
 @njit(cache=True, nogil=True)
 def spread(
-    before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, gain: Array, step: Array,
-    crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
+    before: Array, slack_before: Array, value_before: Array, q: Array, slack: Array, low: Array, high: Array,
+    gain: Array, step: Array, crossing: NDArray[np.int64], price: float, value: Array, back: NDArray[np.int32],
 ) -> None:  # fmt: skip
     """Fill value and back (b,m) as `search_kernels.advance` does, but going out from the poses that have a value.
 
-    That costs what is reached, not what there is: a horizon begins at one pose. Price: of a step's square [1/rad^2].
+    That costs what is reached, not what there is: a horizon begins at one pose. Low, high: `search_kernels.boxes` of
+    q and slack. Price: of a step's square [1/rad^2].
     """
     branches, m, n = q.shape
     m0 = before.shape[1]
-    low, high = boxes(q, slack)
     blocks = low.shape[1]
     crossed = np.zeros(blocks, dtype=np.int64)
     for j in range(m):

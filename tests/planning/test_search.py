@@ -13,7 +13,7 @@ from moc_opt.planning.climb import climb
 from moc_opt.planning.course import OBJECTIVES, Course, Objective, make_course
 from moc_opt.planning.pose_map import PoseMap, SphericalMap, spherical_map
 from moc_opt.planning.search import half_cells, search
-from moc_opt.planning.search_kernels import advance
+from moc_opt.planning.search_kernels import advance, boxes
 from moc_opt.planning.spherical import branch_of, spherical
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.planning.to_go import spread
@@ -168,7 +168,8 @@ def test_ways_into_other_branches_are_those_of_the_bits_that_each_pose_has() -> 
         ways = ways.reshape(8, m, -1)
         slacks = [np.zeros_like(each) for each in (before, q)]
         value, back = np.empty((8, m)), np.empty((8, m), dtype=np.int32)
-        spread(before, slacks[0], value_before, q, slacks[1], gain, step, crossing, price, value, back)
+        low, high = boxes(q, slacks[1])
+        spread(before, slacks[0], value_before, q, slacks[1], low, high, gain, step, crossing, price, value, back)
         np.testing.assert_allclose(value, ways.max(axis=2), atol=1e-12)
         led = np.take_along_axis(ways, np.maximum(back, 0)[..., None].astype(np.int64), axis=2)[..., 0]
         np.testing.assert_allclose(led[back >= 0], value[back >= 0], atol=1e-12)
@@ -192,10 +193,11 @@ def test_passing_over_whole_blocks_leaves_no_way_out(robot: RobotModel, generous
                 crossed += near.sum() if b != b0 else 0
                 ways[b, :, b0] = np.where(near, value_before[b0] + gain[b][:, None], -np.inf)
             best = ways.reshape(8, 90, -1).max(axis=2)
-            given = before, slacks[0], value_before, q, slacks[1], gain, step
-            for kernel, last in ((advance, (crossing, False)), (spread, (crossing, 0.0))):
+            given, boxed = (before, slacks[0], value_before, q, slacks[1]), boxes(q, slacks[1])
+            kernels = (advance, (gain, step, crossing, False)), (spread, (*boxed, gain, step, crossing, 0.0))
+            for kernel, more in kernels:
                 value, back = np.empty((8, 90)), np.empty((8, 90), dtype=np.int32)
-                kernel(*given, *last, value, back)
+                kernel(*given, *more, value, back)
                 np.testing.assert_array_equal(value, best)
                 np.testing.assert_array_equal(back >= 0, np.isfinite(best))
             reached += np.isfinite(best).sum()

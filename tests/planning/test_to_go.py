@@ -37,7 +37,7 @@ def worth(found: Small, cell: Array, step: float, k: int, b: int, j: int, price:
 
 
 def cells(to_go: ToGo) -> Array:
-    return np.array([to_go._poses(k)[1][..., 0] for k in range(len(to_go.map.targets))])
+    return np.array([to_go._poses(k).slack[..., 0] for k in range(len(to_go.map.targets))])
 
 
 @given(SEEDS, st.floats(0.05, 0.6), st.sampled_from([0.0, PRICE]))
