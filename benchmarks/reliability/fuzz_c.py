@@ -61,7 +61,7 @@ def warm_up() -> None:
 
 
 def exported(case: dict[str, Any]) -> Literal["accepted", "refused"]:
-    """Compare the torques of both: finite, within the limits, and the same; refused where the guard stopped the arm.
+    """Compare the torques of both: finite, within the limits, and the same; refused where the filter stopped the arm.
 
     Raises:
         AssertionError: one of them is not.

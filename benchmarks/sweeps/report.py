@@ -33,7 +33,7 @@ def tables(summary: Summary) -> list[Table]:
     counts = [
         Column("runs", "runs", format="d"),
         Column("failed", "failed", format="d", better="low", help="ended by an error; see rows.parquet"),
-        Column("stopped", "stopped", format="d", better="low", help="by the guard; they enter no mean"),
+        Column("stopped", "stopped", format="d", better="low", help="by the safety filter; they enter no mean"),
         Column("oscillated", "oscillated", format="d", better="low", help="a joint shook; they enter the means"),
     ]
     found = []
@@ -61,7 +61,8 @@ def tables(summary: Summary) -> list[Table]:
 def headline(summary: Summary) -> str:
     """Return the result in words, computed."""
     runs = summary["sweep"]["runs"]
-    parts = [f"{runs['all']} runs, {runs['failed']} of them ended by an error, {runs['stopped']} stopped by the guard"]
+    ended = f"{runs['failed']} of them ended by an error, {runs['stopped']} stopped by the safety filter"
+    parts = [f"{runs['all']} runs, {ended}"]
     if runs["lost"]:
         parts[0] += f" ({runs['lost']} because their worker died; starting the sweep again tries these once more)"
     best = {name: group["mu_mean"]["mean"] for name, group in summary["solvers"].items() if "mu_mean" in group}

@@ -26,7 +26,7 @@ class MotionSettings(Settings):
     """When a measurement is not believed to show the arm: part of ``[guard]``."""
 
     motion: bool = Field(
-        True, description="whether the guard checks the age of the measurements and the motion that they show"
+        True, description="whether the safety filter checks the age of the measurements and the motion that they show"
     )
     motion_s: float = Field(0.1, gt=0.0, description="time over which q - integral of v is remembered")
     motion_rad: float = Field(0.001, gt=0.0, description="largest |q - integral of v| of a joint")

@@ -1,8 +1,8 @@
 """Arms with a spherical shoulder and wrist, found from their joint axes, and their poses in closed form.
 
-Joints 1 to 3 meet in the shoulder S, joints 3 to 5 in the elbow E, joints 5 to 7 in the wrist centre W, neighbouring
+Joints 1 to 3 meet in the shoulder S, joints 3 to 5 in the elbow E, joints 5 to 7 in the wrist N, neighbouring
 axes are at right angles, and the tool lies on axis 7. With tip and wrist given, the elbow turns on a circle about the
-line S W by the arm angle (Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 (shoulder, elbow,
+line S N by the arm angle (Kreutz-Delgado, Long and Seraji 1992), and the signs of joints 2, 4 and 6 (shoulder, elbow,
 wrist) give eight poses for each place of the elbow. A change of sign turns a joint axis round and leaves the line it
 lies on: all eight have the same J_T J_T^T, hence the same manipulability. Joint 7 moves neither tip nor wrist: idle.
 """
@@ -24,10 +24,10 @@ BRANCHES = 8
 
 
 class Spherical(NamedTuple):
-    """The normal form R = B Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset, of such an arm."""
+    """The normal form R = R_0 Rz(t1) Ry(t2) Rz(t3) Ry(t4) Rz(t5) Ry(t6) Rz(t7), t = q + offset, of such an arm."""
 
     base: Array
-    """(3,3) columns: the axes of the normal form at the shoulder, in the world"""
+    """R_0 (3,3), columns: the axes of the normal form at the shoulder, in the world"""
     shoulder: Array
     """(3,) [m]"""
     upper: float

@@ -62,7 +62,7 @@ def fill_pose(
         upper, fore, tool: of `Spherical` [m].
         cosine, sine: of the swivel.
         u: (3,) direction of axis 7, in the base.
-        span: |S W| [m].
+        span: |S N| [m].
         angles: (6,) to fill [rad].
     """
     ex = along * frame[0, 0] + radius * (cosine * frame[1, 0] + sine * frame[2, 0])

@@ -64,7 +64,7 @@ def part(trace: Trace) -> str:
 
 
 def warnings(trace: Trace) -> list[str]:
-    """Return a sentence on each warning of the guard."""
+    """Return a sentence on each warning of the safety filter."""
     return [
         f"warning: {w['of']} was above {w['level']:g} {w['unit']} from t = {w['first_s']:.3f} s on, "
         f"{w['largest']:.3g} {w['unit']} at most"

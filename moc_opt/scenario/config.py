@@ -24,7 +24,7 @@ from moc_opt.sim.sensors import longest_repetition, repeats_no_reading
 from moc_opt.sim.settings import PlantSettings
 
 _LAGS = 3.0
-"""Time constants of the encoders' velocity filter that the guard takes for its lag, at least."""
+"""Time constants of the encoders' velocity filter that the safety filter takes for its lag, at least."""
 _TORQUE, _SPEED = 500.0, 600.0
 """For each rad of the encoders' step: change of a torque [of tau_max], and speed [rad/s] by the momentum residual, that
 may come before a sound joint shows a step. Chosen on 85 runs without encoder noise, and judged on others."""

@@ -54,7 +54,7 @@ def faults(trace: Trace) -> float:
 
 @metric
 def limited_ticks(trace: Trace) -> float:
-    """Ticks at which the guard changed the torque that was asked for."""
+    """Ticks at which the safety filter changed the torque that was asked for."""
     return count(trace.limited)
 
 
