@@ -148,8 +148,9 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
 
     Returns:
         |A x - b|_inf, NaN where x is not finite; box violation; natural residual along the line with the best duals
-        and the cost divided by c2 |grad_mu|_inf, with several freedoms by the size of the reduced gradient: never
-        above the residuals' ``relative``; distance from the optimum and from the opposite optimum [rad/s].
+        and the cost divided by max(c2 |grad_mu|_inf, rho), with several freedoms by the size of the reduced
+        gradient: never above the residuals' ``relative``; distance from the optimum and from the opposite optimum
+        [rad/s], zero where rho is that scale, or with several freedoms, and the natural residual is below `PASSES`.
     """
     row, Z, x = borrowed(row), borrowed(Z), borrowed(x)
     if not all_finite(x):
@@ -172,7 +173,9 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     largest = np.max(np.abs(grad_mu))
     if np.sqrt(dot(line, line)) <= 1e-12 * largest or c2 == 0.0:
         return primal, outside, 0.0, 0.0, 0.0
-    several, still, scale = freedoms(row, n, Z.shape[0]) > 1, 1e-9, c2 * largest
+    # The floor rho: a course that rests asks for x_d = 0, and its gradient (rho/c2) x_d is no scale then.
+    several, still, scale = freedoms(row, n, Z.shape[0]) > 1, 1e-9, max(c2 * largest, rho)
+    faint = rho >= c2 * largest
     if several:
         scale, still = way_down(row, n, Z, x, line), 1e-6
     length = np.sqrt(dot(line, line))
@@ -199,7 +202,7 @@ def answer_residuals(row: Array, n: int, Z: Array, x: Array) -> tuple[float, flo
     desired = pull / rho if rho > 0.0 else np.inf
     best, worst = min(max(desired - place, low), high), min(max(-desired - place, low), high)
     natural = min(abs(slope) / total, room)
-    if several and natural <= PASSES:
+    if (several or faint) and natural <= PASSES:
         return primal, outside, natural, 0.0, 0.0
     return primal, outside, natural, abs(best), abs(worst)
 

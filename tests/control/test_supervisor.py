@@ -524,6 +524,28 @@ def test_a_claim_is_never_both_verified_and_refused(recorded, place, k):
         assert mine.fault is Fault.NONE
 
 
+@settings(max_examples=200)
+@given(
+    seed=st.integers(0, 10**6), rest=st.floats(-12.0, 0.0), off=st.floats(-9.0, -1.0), rho=st.sampled_from([1e-5, 1e-3])
+)  # fmt: skip
+def test_what_is_verified_is_taken_where_a_course_rests(seed, rest, off, rho):
+    """A followed course has (rho/c2) x_d in the place of the gradient, and x_d is nearly zero where it rests."""
+    rng = np.random.default_rng(seed)
+    begun = random_problem(rng, regularization=rho)
+    qp = NullSpaceQP(
+        begun.J_tip, begun.J_wrist, begun.b[:3], begun.b[3:], rho / begun.c2 * 10.0**rest * rng.normal(size=7),
+        begun.lower, begun.upper, c2=begun.c2, regularization=rho, q=begun.q,
+    )  # fmt: skip
+    Zs, exact = null_space(qp.A), solved(qp)
+    assert exact.status is Status.SOLVED
+    x = exact.x + 10.0**off * Zs.T @ rng.normal(size=len(Zs)) * (np.arange(7) < 6)
+    found, mine = qp.residuals(x), supervisor()
+    mine.solve(Scripted(Solution(x, None, Status.SOLVED)), qp, Zs)
+    assert answer_residuals(qp.row, 7, Zs, x)[2] <= found.relative * (1.0 + 1e-6) + 1e-9
+    if found.verified():
+        assert mine.fault is Fault.NONE
+
+
 def test_the_residuals_are_those_of_the_judge(recorded):
     rng = np.random.default_rng(3)
     for row in recorded[::7]:
@@ -558,7 +580,8 @@ def along_the_line(qp, Z, x):
         inside = minimize_scalar(cost, bounds=ends, method="bounded", options={"xatol": 1e-12})
         return abs(min([*edges, inside.x], key=cost))
 
-    slope = d @ (qp.regularization * x - qp.c2 * qp.grad_mu) / (qp.c2 * np.abs(qp.grad_mu).max())
+    scale = max(qp.c2 * np.abs(qp.grad_mu).max(), qp.regularization)
+    slope = d @ (qp.regularization * x - qp.c2 * qp.grad_mu) / scale
 
     def reaches(t):  # is there a w with d . w = slope and |x - clip(x - w)| <= t?
         least = np.where(qp.upper - x <= t, -np.inf, -t)

@@ -7,6 +7,7 @@
 
 #define STILL 1e-9        /* a joint that moves less along a unit vector of self-motion does not bound it */
 #define NO_GRADIENT 1e-12 /* share of the gradient along the self-motion below which there is none */
+#define PASSES 2e-3       /* where rho is the scale an answer with a smaller natural residual may be right */
 #define IMMOBILE 1e-12    /* squared length of a joint's column of Z below which it does not move */
 #define SWEEPS 50         /* of the retreat over the joints; one freedom needs two */
 #define DONE 1e-12        /* change in a sweep after which none is needed [rad/s] */
@@ -44,10 +45,12 @@ moc_residuals moc_compute_residuals(const double *record, const double *Z, int r
     if (!(length > NO_GRADIENT * steepest) || !(c2 > 0.0))
         return found;
 
+    int faint = rho >= c2 * steepest; /* a course that rests: its gradient is no scale */
+    double scale = largest(c2 * steepest, rho);
     double slope = 0.0, total = 0.0, place = 0.0, pull = 0.0, low = -HUGE_VAL, high = HUGE_VAL, room = HUGE_VAL;
     for (int j = 0; j < MOC_N; j++) {
         line[j] /= length;
-        slope += line[j] * (rho * x[j] - c2 * grad[j]) / (c2 * steepest);
+        slope += line[j] * (rho * x[j] - c2 * grad[j]) / scale;
         pull += c2 * line[j] * grad[j];
         total += fabs(line[j]);
         place += line[j] * x[j];
@@ -68,6 +71,8 @@ moc_residuals moc_compute_residuals(const double *record, const double *Z, int r
     }
     double desired = rho > 0.0 ? pull / rho : HUGE_VAL;
     found.natural = fmin(fabs(slope) / total, room);
+    if (faint && found.natural <= PASSES)
+        return found;
     found.off = fabs(moc_clip(desired - place, low, high));
     found.opposite = fabs(moc_clip(-desired - place, low, high));
     return found;
