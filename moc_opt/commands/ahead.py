@@ -50,18 +50,16 @@ def _plan_scenario(given: argparse.Namespace) -> int:
         folder = new_file(given.out).absolute().parent
         if not folder.is_dir():
             raise TraceError(f"--out {given.out}: there is no folder {str(folder)!r}: make it first")
+    follows = scenario.control.follows or given.out is not None  # a course is written to be followed
     found, within = followable_plan(
         scenario, given.margin, given.speed_share, objective=given.objective, acceleration=given.acceleration,
-        margin_m=given.margin_m,
+        margin_m=given.margin_m, followed=follows,
     )
     began, places = time.perf_counter(), []
     if given.place is not None:
         places = place(scenario, given.place, box_m=box_m, candidates=candidates, objective=given.objective, **within)
     took = time.perf_counter() - began
-    follows = scenario.control.follows or given.out is not None
     warned = following_warnings(scenario, found) if follows else []
-    for line in warned:
-        print(f"{title}: warning: {line}", file=sys.stderr)
     if given.json:
         told = {"places": place_json(places), "place_s": took} if places else {}
         print_json(plan_json(found) | {"within": within, "warnings": warned} | told)
@@ -74,6 +72,8 @@ def _plan_scenario(given: argparse.Namespace) -> int:
             for piece in table.fitted(screen.width):
                 screen.print(piece)
         print(start_toml(scenario.robot.arm(), found, places))
+    for line in warned:  # last, below the tables
+        print(f"{title}: warning: {line}", file=sys.stderr)
     if given.out is not None:
         limits = {**within, "acceleration": given.acceleration}
         path = save_course(found, scenario, given.out, limits)

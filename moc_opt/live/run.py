@@ -215,10 +215,13 @@ class LiveRun:
     def _t(self) -> float:
         return self._loop.ticks * self.period_s
 
-    def _refused(self, error: MocOptError) -> None:
-        """Keep the controller in use where the one that was chosen cannot start."""
-        _, self._name, self._control = self._in_use.used
-        self.messages.append(f"{error}; {self._name} goes on")
+    def _refused(self, choice: Choice, error: MocOptError) -> None:
+        """Say that a choice cannot start, and take back that it was asked for, unless another one was since."""
+        _, name, control = self._in_use.used
+        with self._lock:
+            if choice.settings is self._control:
+                self._name, self._control = name, control
+        self.messages.append(f"{error}; {name} goes on")
 
     def _note(self, t: float, tip_ref: Array, trocar: Array) -> None:
         n, state, controller = self.robot.n, self._in_use.state, self._in_use.used.controller
@@ -274,5 +277,6 @@ class LiveRun:
     def _exchange(self, control: ControlSettings, name: str) -> None:
         gently = control.model_copy(update={"ramp_s": max(control.ramp_s, RAMP_S)})
         choice = Choice(self._build(gently, name), name, control)
-        self._control, self._name = control, name
-        self._todo.put(lambda: self._in_use.replace(choice))
+        with self._lock:
+            self._control, self._name = control, name
+            self._todo.put(lambda: self._in_use.replace(choice))

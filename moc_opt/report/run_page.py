@@ -72,10 +72,11 @@ def run_page(
 def asked(trace: Trace) -> str:
     """Say in a few words what was run; empty where the trace does not say."""
     scenario = table(trace.meta, "scenario")
-    law = about(trace).get("solver")
+    law, control = about(trace).get("solver"), table(scenario, "control")
     known = {
         "path": table(scenario, "task").get("path"), "controller" if law == "dcac" else "solver": law,
-        "gains": table(scenario, "control").get("gains"), "seed": scenario.get("seed"),
+        "gains": control.get("gains"), "third level": None if law == "dcac" else control.get("third_level"),
+        "course": control.get("course") or None, "seed": scenario.get("seed"),
     }  # fmt: skip
     return ", ".join(f"{word} {value}" for word, value in known.items() if value is not None)
 

@@ -26,20 +26,21 @@ class Within(TypedDict):
 
 def followable_plan(
     scenario: Scenario, margin_rad: float | None, speed_share: float | None, *, objective: Objective,
-    acceleration: float, margin_m: float | None = None,
+    acceleration: float, margin_m: float | None = None, followed: bool | None = None,
 ) -> tuple[Plan, Within]:  # fmt: skip
-    """Plan within what the scenario's third level keeps to where it follows a course, else within the arm's own limits.
+    """Plan within what a third level keeps to that follows a course, or within the arm's own limits.
 
     Args:
         scenario: of the run.
         margin_rad, margin_m, speed_share: in place of these, where given; a margin alone leaves the other at zero.
         objective, acceleration: as of `moc_opt.scenario.planned.plan`.
+        followed: whether the course is to be followed; None: if the scenario's third level follows one.
 
     Raises:
         MocOptError: as of `moc_opt.scenario.planned.plan`.
     """
     settings = scenario.control
-    follows = settings.follows
+    follows = settings.follows if followed is None else followed
     if speed_share is None:
         speed_share = settings.course_speed_fraction if follows else 1.0
     shaft = COURSE_SHARE * settings.shaft_margin if follows else 0.0

@@ -182,8 +182,12 @@ def test_a_run_away_stops_and_can_be_reset(run: LiveRun) -> None:
     run.advance(100)
     assert run.moment().t_s == stopped.t_s, "nothing moves"
     run.tune(K_X=2000.0)
+    run.tune(regularization=0.0)
+    run.choose("quadprog")  # refuses rho = 0: the gain that was asked for before it counts
     run.reset()
     run.advance(1000)
+    assert (run._in_use.used.settings.K_X, run.control.K_X, run.solver) == (2000.0, 2000.0, "exact")
+    assert "exact goes on" in run.messages[-1]
     assert not run.moment().stopped
     assert run.moment().t_s == pytest.approx(1.998)
     assert column(run, "tip_error_m", 50).max() < 1e-3
