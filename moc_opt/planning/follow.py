@@ -57,6 +57,8 @@ class Follower:
     def start(self) -> None:
         """Go back to t = 0, and to the course."""
         self._tick, self._lost_s = 0, np.inf
+        if self._rescue is not None:
+            self._rescue.renew()  # not where it takes over: within a tick that would stall the loop
 
     @property
     def told(self) -> dict[str, float]:

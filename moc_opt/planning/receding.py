@@ -89,12 +89,17 @@ class Receding:
 
     def start(self) -> None:
         """Go back to t = 0."""
+        self.renew()
         self.begin(self._q_start, 0)
+
+    def renew(self) -> None:
+        """Make the program's solver anew, for 0.15 s, so that the next run repeats one before to the last bit."""
+        self._horizon.forget()
 
     def begin(self, q: Array, tick: int) -> bool:
         """Begin from rest in a pose (n,) [rad] at a tick; False: no course was found from there."""
-        self._horizon.forget()
-        self._tick, self.solve_s, self.refused = tick, [], 0
+        self._tick, self._begun = tick, tick
+        self.solve_s, self.refused = [], 0
         self._answer: Answer | None = None
         self._before = self._answer = self._next = self._solve(q, tick * self._period)
         return self._answer is not None
@@ -109,7 +114,7 @@ class Receding:
     def desired_velocity(self, state: RobotState) -> Array:
         """Return x_d (n,) [rad/s] of this tick; the next call is the next tick's."""
         t = self._tick * self._period
-        if self._tick and self._tick % self._every == 0:
+        if self._tick > self._begun and self._tick % self._every == 0:
             self._before, self._answer, self._next = self._answer, self._next, self._solve(state.q, t)
         assert self._answer is not None
         assert self._before is not None
