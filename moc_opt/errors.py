@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Real
 from typing import ClassVar
 
 
@@ -92,6 +93,17 @@ class UnknownNameError(MocOptError, LookupError):
 
 def _likeness(name: str, other: str) -> float:
     return difflib.SequenceMatcher(None, name[:100], other).ratio()
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value is a real number, numpy's included, and no truth value.
+
+    Example:
+        >>> from moc_opt.errors import is_number
+        >>> is_number(1), is_number(np.float64("nan")), is_number(True), is_number("1")
+        (True, True, False, False)
+    """
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def shown(value: object, most: int = 200) -> str:

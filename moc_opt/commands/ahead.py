@@ -74,7 +74,9 @@ def _plan_scenario(given: argparse.Namespace) -> int:
         print(start_toml(scenario.robot.arm(), found, places))
     for line in warned:  # last, below the tables
         print(f"{title}: warning: {line}", file=sys.stderr)
-    if given.out is not None:
+    if given.out is not None and found.course is None:
+        print(f"{title}: --out {given.out}: no course goes all the way: nothing is written", file=sys.stderr)
+    elif given.out is not None:
         limits = {**within, "acceleration": given.acceleration}
         path = save_course(found, scenario, given.out, limits)
         print(path, file=sys.stderr if given.json else sys.stdout)

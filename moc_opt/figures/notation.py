@@ -7,7 +7,8 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
-from numbers import Real
+
+from moc_opt.errors import is_number
 
 NARROW_SPACE, INFINITY, DASH = "\u202f", "\u221e", "\u2013"
 
@@ -87,11 +88,6 @@ def _tidy(written: str) -> str:
     """Return Python's 5.4e-07 as 5.4e-7, and a plain 0."""
     mantissa, exponent = written.split("e")
     return f"{mantissa}e{int(exponent)}" if float(mantissa) else "0"
-
-
-def is_number(value: object) -> bool:
-    """Say whether a value is a real number, numpy's scalars included, flags not."""
-    return isinstance(value, Real) and not isinstance(value, bool) and type(value).__name__ != "bool"
 
 
 def missing(value: object) -> Missing | None:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from moc_opt.control import ControlSettings
-from moc_opt.errors import RobotError, ScenarioError
+from moc_opt.errors import RobotError, ScenarioError, is_number
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 
@@ -45,8 +45,15 @@ class Moment:
     """Why the arm was stopped; empty while it runs."""
 
 
+def _check_numbers(what: str, *given: object) -> None:
+    for value in given:
+        if not is_number(value):
+            raise LiveError(f"{what}: {value!r} is no number")
+
+
 def checked_offset(x_m: float, y_m: float, z_m: float) -> Array:
-    """Return the offset (3,) [m]; LiveError where it is farther than `MOST_OFFSET_M`."""
+    """Return the offset (3,) [m]; LiveError where it is no number, or farther than `MOST_OFFSET_M`."""
+    _check_numbers("trocar offset", x_m, y_m, z_m)
     offset = np.array([x_m, y_m, z_m], dtype=np.float64)
     if not np.abs(offset).max() <= MOST_OFFSET_M:
         raise LiveError(f"trocar offset {offset.tolist()} m: give up to {MOST_OFFSET_M} m in each direction")
@@ -55,6 +62,7 @@ def checked_offset(x_m: float, y_m: float, z_m: float) -> Array:
 
 def check_breathing(amplitude_m: float, period_s: float) -> None:
     """Raise LiveError where the breathing is out of range."""
+    _check_numbers("breathing", amplitude_m, period_s)
     if not (0.0 <= amplitude_m <= MOST_BREATH_M and LEAST_PERIOD_S <= period_s < np.inf):
         raise LiveError(
             f"breathing of {amplitude_m} m in {period_s} s: give 0 to {MOST_BREATH_M} m, "
@@ -64,6 +72,7 @@ def check_breathing(amplitude_m: float, period_s: float) -> None:
 
 def check_push(force_N: float, seconds: float) -> None:
     """Raise LiveError where the push is out of range."""
+    _check_numbers("push", force_N, seconds)
     if not (abs(force_N) <= MOST_PUSH_N and 0.0 < seconds <= MOST_PUSH_S):
         raise LiveError(f"a push of {force_N} N for {seconds} s: give up to {MOST_PUSH_N} N, for up to {MOST_PUSH_S} s")
 

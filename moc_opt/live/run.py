@@ -157,7 +157,13 @@ class LiveRun:
             return self._moment
 
     def history(self, points: int = 400) -> Array:
-        """Return the last `HISTORY_S` seconds (k, 8), columns as in `history.QUANTITIES`, at most `points` rows."""
+        """Return the last `HISTORY_S` seconds (k, 8), columns as in `history.QUANTITIES`, at most `points` rows.
+
+        Raises:
+            LiveError: points is no whole number, 1 or more.
+        """
+        if not isinstance(points, int) or isinstance(points, bool) or points < 1:
+            raise LiveError(f"points = {points!r}: give a whole number, 1 or more")
         with self._lock:
             rows = self._history.latest()
         return thinned(rows, points)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import numbers
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
-from moc_opt.errors import TaskError
+from moc_opt.errors import TaskError, is_number
 from moc_opt.inputs.notebook import table_html
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
@@ -214,11 +213,6 @@ def map_of(robot: RobotModel, q_start: Array, targets: Targets, swivels: int = S
         check_swivels(swivels)
         return traced_map(robot, targets, q_start, step_rad=STEP_RAD * min(1.0, SWIVELS / swivels))
     return spherical_map(robot, arm, targets, swivels=swivels, start=np.asarray(q_start, dtype=np.float64))
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value is a real number, and no truth value."""
-    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def check_limits(

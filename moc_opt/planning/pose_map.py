@@ -29,8 +29,8 @@ ROUNDING_RAD = 1e-9
 """A pose this far beyond a limit still stands on it."""
 SWIVELS = 720
 """Samples of one turn, where no other number is asked for."""
-MOST_SWIVELS = 10_000
-"""Of one turn: a map of 1000 times then takes a gigabyte."""
+MOST_SWIVELS = 2880
+"""Of one turn: planning over 1000 times then takes 2.5 GB."""
 CANDIDATES = 4
 """Local maxima of mu that are climbed to their top at each point of the path."""
 

@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from moc_opt.errors import ReportError
+from moc_opt.errors import ReportError, is_number
 from moc_opt.figures import notation
-from moc_opt.figures.notation import Mark, Missing, Notation, is_number, printable
+from moc_opt.figures.notation import Mark, Missing, Notation, printable
 from moc_opt.inputs.notebook import grid_html
 
 EDGE, GAP, TEXT, SHORT_TEXT = 2, 3, 24, 14

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError, TaskError, shown
+from moc_opt.errors import ScenarioError, TaskError, is_number, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.numerics.arrays import Array
 from moc_opt.planning.course import Objective, make_course
@@ -68,10 +68,10 @@ def place(
     """
     if what not in MOVABLE:
         raise ScenarioError(f"place = {what!r}: choose one of {', '.join(map(repr, MOVABLE))}")
-    if not isinstance(box_m, numbers.Real) or not 0.0 < box_m <= 1.0:
+    if not is_number(box_m) or not 0.0 < box_m <= 1.0:
         raise ScenarioError(f"box_m = {box_m!r}: give half the edge of a cube, above 0 to 1 m")
     for name, count, least in (("candidates", candidates, 1), ("best", best, 1), ("seed", seed, 0)):
-        if not isinstance(count, numbers.Integral) or count < least:
+        if not isinstance(count, numbers.Integral) or isinstance(count, bool) or count < least:
             raise ScenarioError(f"{name} = {shown(count)}: give a whole number, {least} or more")
     robot = scenario.robot.arm()
     layout = layout_of(scenario, robot)

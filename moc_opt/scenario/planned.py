@@ -7,10 +7,10 @@ import os
 
 import numpy as np
 
-from moc_opt.errors import ScenarioError, TaskError, shown
+from moc_opt.errors import ScenarioError, TaskError, is_number, shown
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import Objective
-from moc_opt.planning.plan import Plan, is_number, make_plan
+from moc_opt.planning.plan import Plan, make_plan
 from moc_opt.planning.pose_map import SWIVELS, Margin
 from moc_opt.planning.targets import Targets, lay_targets
 from moc_opt.scenario.config import Scenario

@@ -143,6 +143,10 @@ def test_wrong_orders_are_refused_and_the_run_goes_on(run: LiveRun) -> None:
         (lambda: run.push_elbow(1e4), LiveError, "push"),
         (lambda: run.push_elbow(float("nan")), LiveError, "push"),
         (lambda: run.push_elbow(10.0, 0.0), LiveError, "push"),
+        (lambda: run.place_trocar("a", 0.0), LiveError, "trocar offset: 'a' is no number"),
+        (lambda: run.breathe(None, 4.0), LiveError, "breathing: None is no number"),
+        (lambda: run.push_elbow([20.0]), LiveError, "push"),
+        (lambda: run.history(0), LiveError, "points = 0"), (lambda: run.history(-1), LiveError, "points = -1"),
     ]
     for order, kind, words in orders:
         with pytest.raises(kind, match=words):

@@ -114,5 +114,5 @@ def test_out_of_reach_is_no_pose(robot: RobotModel) -> None:
 
 @pytest.mark.parametrize("swivels", [4, 10**12])
 def test_too_few_and_too_many_swivels_are_refused(robot: RobotModel, swivels: int) -> None:
-    with pytest.raises(RobotError, match=f"swivels = {swivels}: give a whole number from 8 to 10000"):
+    with pytest.raises(RobotError, match=f"swivels = {swivels}: give a whole number from 8 to 2880"):
         map_of(robot, [robot.data.q_home], swivels=swivels)

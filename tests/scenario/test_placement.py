@@ -60,7 +60,8 @@ def test_the_search_is_seeded_and_plans_what_it_is_asked_for() -> None:
     ("change", "message"),
     [
         ({"what": "table"}, "place = 'table'"), ({"box_m": 0.0}, "box_m = 0.0"), ({"box_m": "a"}, "box_m = 'a'"),
-        ({"candidates": 0}, "candidates = 0"), ({"candidates": 2.5}, "candidates = 2.5"), ({"seed": -1}, "seed = -1"),
+        ({"candidates": 0}, "candidates = 0"), ({"candidates": 2.5}, "candidates = 2.5"),
+        ({"candidates": True}, "candidates = True"), ({"box_m": True}, "box_m = True"), ({"seed": -1}, "seed = -1"),
         ({"objective": "x"}, "objective = 'x'"), ({"margin_rad": -1.0}, "margin_rad = -1.0"),
         ({"margin_m": "x"}, "margin_m = 'x'"), ({"speed_share": -1.0}, "speed_share = -1.0"),
         ({"shaft_margin": -1.0}, "shaft_margin = -1.0"),
