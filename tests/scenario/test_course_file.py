@@ -174,10 +174,22 @@ def test_its_place_is_that_of_the_scenario(file: Path, tmp_path: Path) -> None:
     assert mo.Scenario.load(other / "again.toml") == scenario
 
 
+def test_where_no_course_goes_all_the_way_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fast, to = tmp_path / "fast.toml", tmp_path / "course.parquet"
+    fast.write_text('[task]\npath = "circle"\nv_max_m_per_s = 3.0\na_max_m_per_s2 = 50.0\n', encoding="utf-8")
+    assert main(["plan", str(fast), "--out", str(to)]) == 3
+    assert "nothing is written" in capsys.readouterr().err
+    assert not to.exists()
+
+
 def test_the_commands_write_and_follow_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mine, to, ran = tmp_path / "mine.toml", tmp_path / "course.parquet", tmp_path / "run.parquet"
-    mine.write_text('duration_s = 0.5\nbound_samples = 0\n[control]\nthird_level = "planned"\n', encoding="utf-8")
-    assert main(["plan", str(mine), "--out", str(to)]) == 0
+    mine.write_text('duration_s = 0.5\nbound_samples = 0\n[control]\nthird_level = "local"\n', encoding="utf-8")
+    assert main(["plan", str(mine), "--out", str(to)]) == 0  # to be followed, though this third level follows none
+    assert "warning" not in capsys.readouterr().err
+    assert mo.Trace.load(to).meta["within"]["speed_share"] == 0.85
     assert main(["run", str(mine), "--course", str(to), "--trace", str(ran)]) == 0
     assert mo.Trace.load(ran).meta["scenario"]["control"]["course"] == str(to)
     assert main(["run", str(mine), "--course", str(to), "--seed", "1", "--third-level", "local"]) == 2
@@ -186,7 +198,8 @@ def test_the_commands_write_and_follow_it(tmp_path: Path, capsys: pytest.Capture
     assert "give the file" in capsys.readouterr().err
     before = to.read_bytes()
     own = tmp_path / "own.toml"
-    own.write_text(mine.read_text(encoding="utf-8") + 'course = "course.parquet"\n', encoding="utf-8")
+    planned = mine.read_text(encoding="utf-8").replace("local", "planned")
+    own.write_text(planned + 'course = "course.parquet"\n', encoding="utf-8")
     for command in (["run", str(mine), "--course", str(to)], ["run", str(own)]):
         assert main([*command, "--trace", str(to)]) == 2
         assert "that file is read; give another name" in capsys.readouterr().err
