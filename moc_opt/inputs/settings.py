@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )  # fmt: skip
 
-from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, shown
+from moc_opt.errors import MocOptError, ScenarioError, UnknownNameError, is_number, shown
 from moc_opt.inputs import names
 from moc_opt.inputs.files import LARGEST_INTEGER, wrong_size
 from moc_opt.inputs.toml import to_toml
@@ -178,6 +178,14 @@ def field_name(keys: Iterable[object]) -> str:
     return repr(".".join(f"{key!s:.80}" for key in keys))[1:-1]
 
 
+def _in_metres(field: str, item: Mapping[str, Any]) -> str:
+    """Return what a length would be if it was given in millimetres; empty for what is no length that is too large."""
+    value = item["input"]
+    if not field.endswith("_m") or not item["type"].startswith("less_than") or not is_number(value):
+        return ""
+    return f" m; {value:g} mm is {1e-3 * value:g}"
+
+
 def explain(error: ValidationError, kind: str) -> list[str]:
     """Return one line per wrong field: kind of table, name, value, cure; errors of a table inside are not repeated."""
     lines = []
@@ -187,7 +195,9 @@ def explain(error: ValidationError, kind: str) -> list[str]:
         if isinstance(item.get("ctx", {}).get("error"), MocOptError):  # of a table inside: it names its own field
             lines.append(message if not field or message.startswith(f"[{field}]") else f"{kind} {field}: {message}")
         elif field:
-            lines.append(f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}")
+            lines.append(
+                f"{kind} {field} = {shown(item['input'])}: {message[0].lower()}{message[1:]}{_in_metres(field, item)}"
+            )
         else:
             lines.append(f"{kind} {message}")
     return lines

@@ -134,6 +134,8 @@ def _targets(
     """Return tip X_d and wrist N_d = X_d + L e that the path asks for, (k, 3) each."""
     column = "trocar_registered_m" if "trocar_registered_m" in guide.columns else "trocar_m"
     for name, trace in traces.items():
+        if trace.meta.get("kind") == "course":
+            raise ReportError(f"{name!r} is a course, not a run: `moc-opt run SCENARIO --course FILE` follows it")
         if column not in trace.columns:
             raise ReportError(f"run {name!r} has no column {column!r}: give a trace as `run` leaves it")
         shared = ticks[ticks < len(trace)]

@@ -34,7 +34,7 @@ COURSES_TERMS = (
     "better, 'grid' the best of the map's samples. Violation: the largest miss of the path or of a limit."
 )
 PLACES = [
-    Column("shift", "moved by", unit="mm"), Column("depth_mm", "tip below trocar", unit="mm", format=".0f"),
+    Column("shift", "moved by x, y, z", unit="mm"), Column("depth_mm", "tip below trocar", unit="mm", format=".0f"),
     Column("mu_mean", "mean mu", unit="m^3", format=".4f", better="high"),
     Column("mu_worst", "worst mu", unit="m^3", format=".4f", better="high"),
 ]  # fmt: skip

@@ -161,4 +161,7 @@ def test_runs_that_cannot_be_shown_together_are_refused(
         == 2
     )
     assert "'moved' was given another path" in capsys.readouterr().err
+    Trace(dict(first.columns), {**first.meta, "kind": "course"}).save(tmp_path / "course.parquet")
+    assert command.main(["map", str(tmp_path / "course.parquet"), "--out", str(tmp_path / "m.html")]) == 2
+    assert "'course' is a course, not a run" in capsys.readouterr().err
     assert not (tmp_path / "m.html").exists()

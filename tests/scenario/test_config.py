@@ -621,3 +621,10 @@ def test_recorded_solve_times_are_replayed_from_the_first_tick_on():
     setup = Setup(Scenario(duration_s=0.01, solver={"replay_us": times}, **BARE))
     assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]
     assert setup.trace().solve_us.tolist() == [11.0, 12.0, 13.0, 11.0, 12.0]
+
+
+def test_a_length_in_millimetres_is_told_what_it_would_be_in_metres():
+    with pytest.raises(ScenarioError, match=r"depth_m = 150.0: .* less than or equal to 10 m; 150 mm is 0.15"):
+        Scenario(trocar={"depth_m": 150.0})
+    with pytest.raises(ScenarioError, match=r"depth_m = -1.0: [^;]*$"):
+        Scenario(trocar={"depth_m": -1.0})
