@@ -29,7 +29,7 @@ def run_plant(given: argparse.Namespace) -> int:
         trace = error.trace
     for name, value in trace.meta["wire"].items():
         if value:
-            print(f"plant: {name}: {value}", file=sys.stderr)
+            print(f"plant: {name}: {_words(value)}", file=sys.stderr)
     return show(scenario, f"{title}, plant", trace, given)
 
 
@@ -70,4 +70,6 @@ def _ending_table(title: str, found: dict[str, Any]) -> Table:
 
 
 def _words(value: Any) -> str:
+    if isinstance(value, dict) and value.keys() == {"count", "first_at_s", "first"}:  # of answers that were refused
+        return f"{value['count']}, first at {value['first_at_s']:.3f} s: {value['first']}"
     return value if isinstance(value, str) else to_json(value, indent=None)

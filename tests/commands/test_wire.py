@@ -1,33 +1,14 @@
-"""What the controller's end of a wire prints of a run."""
+"""What the two ends of the wire print of a run."""
 
-import json
+from __future__ import annotations
 
-import pytest
-
-from moc_opt.__main__ import main
-from moc_opt.realtime.answering import Ending
-from moc_opt.realtime.link import Quality
+from moc_opt.commands.wire import _ending_table
 
 
-@pytest.fixture
-def ended(monkeypatch):
-    """The run of a plant that nobody has to wait for."""
-    found = Ending("stopped: pressed", 40, Quality(forged=3), {"missed": 2, "late": 0}, [], {"lied": {"count": 1}})
-    monkeypatch.setattr("moc_opt.scenario.wired.answer", lambda *given, **more: found)
-
-
-def test_a_table_says_whose_figures_they_are(ended, capsys):
-    assert main(["control"]) == 3
-    said = capsys.readouterr().out
-    assert "Controller of circle" in said
-    expected = {"ended": "stopped: pressed", "ticks": "40", "quality: forged": "3", "plant: missed": "2"}
-    for what, value in expected.items():
-        assert any(what in line and value in line for line in said.splitlines()), what
-    assert "late" not in said  # nothing of that kind happened
-    assert max(map(len, said.splitlines())) <= 80
-
-
-def test_json_has_everything(ended, capsys):
-    assert main(["control", "--json"]) == 3
-    found = json.loads(capsys.readouterr().out)
-    assert (found["ticks"], found["quality"]["forged"], found["plant"]["late"]) == (40, 3, 0)
+def test_what_is_zero_is_left_out_and_refused_answers_are_told_in_words() -> None:
+    lied = {"count": 48, "first_at_s": 7.25, "first": "not optimal"}
+    table = _ending_table("mine", {"ended": "completed", "faults": {"lied": lied}, "missed": 0, "system": {"load": 1.5}})
+    told = [(row["what"], row["value"]) for row in table.rows]
+    assert told == [
+        ("ended", "completed"), ("faults: lied", "48, first at 7.250 s: not optimal"), ("system: load", "1.5"),
+    ]  # fmt: skip
