@@ -99,3 +99,13 @@ def test_what_the_margin_leaves_is_counted_from_the_guess(robot: RobotModel, of_
         assert slope[0, j] == pytest.approx((shares[1] - shares[0]) / (2.0 * step), abs=1e-6)
     wanted = {"down to the margin": margin - share, "no further down": 0.0, "none": -np.inf}[room]
     assert least[0] - slope[0] @ q == pytest.approx(wanted, abs=1e-12)
+
+
+def test_it_begins_at_the_speed_that_the_arm_has(robot: RobotModel) -> None:
+    made, start, guess, there = problem(robot)
+    steps = [
+        made.solve(guess, start, speed * np.ones(robot.n), there, nothing(start))[0] - start for speed in (-0.5, 0.5)
+    ]
+    along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
+    assert abs(along @ (steps[1] - steps[0])[:6]) > 1e-4
+    assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())

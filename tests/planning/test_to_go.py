@@ -50,6 +50,13 @@ def test_no_course_from_a_pose_is_worth_more(seed: int, step: float, price: floa
     np.testing.assert_allclose(to_go.value, expected, atol=1e-12)
 
 
+def test_poses_within_the_margin_are_worth_nothing() -> None:
+    found = small(np.random.default_rng(1), k=4, m=6)
+    to_go = ToGo(found, np.array([2.0]), margin=0.4)
+    np.testing.assert_array_equal(np.isfinite(to_go.value), found.room_rad >= 0.4)
+    assert 0.2 < np.isfinite(to_go.value).mean() < 0.8
+
+
 @given(SEEDS, st.floats(0.3, 0.9), st.floats(0.0, 2.0), st.floats(0.1, 0.9))
 def test_the_first_step_of_a_way_has_the_time_that_is_left(seed: int, step: float, price: float, late: float) -> None:
     """From within a period a joint turns by less, and the same turn is dearer: price (q' - q)^2 over the time."""
