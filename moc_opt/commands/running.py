@@ -58,7 +58,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
     """Print how a run ended, and its metrics; return the exit status."""
     from moc_opt.report.console import console, print_json
     from moc_opt.report.machine import busy
-    from moc_opt.report.run_page import asked, run_page
+    from moc_opt.report.run_page import run_page
     from moc_opt.report.run_table import MATTER, below_best, part, refusals, run_json, run_table, warnings
     from moc_opt.trace.metrics import summarize
 
@@ -84,7 +84,7 @@ def show(scenario: Scenario, title: str, trace: Trace, given: argparse.Namespace
         print_json(run_json(trace, wanted))
     else:
         short = not scenario.metrics and not given.all
-        screen, table = console(), run_table(f"{title}: {asked(trace)}", trace, wanted, first=short)
+        screen, table = console(), run_table(title, trace, wanted, first=short)
         for piece in table.fitted(screen.width):
             screen.print(piece)
         if short:

@@ -11,10 +11,9 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.manipulability_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
-from moc_opt.report.run_table import below_best, part, refusals, run_table, warnings
+from moc_opt.report.run_table import asked, below_best, part, refusals, run_table, warnings
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
-from moc_opt.trace.views import about, table
 
 COLUMNS_PER_S, COLUMNS = 12.0, (10, 96)
 """Of the map."""
@@ -67,18 +66,6 @@ def run_page(
     for shown in beside(whole, traces):
         page.table(shown)
     return page
-
-
-def asked(trace: Trace) -> str:
-    """Say in a few words what was run; empty where the trace does not say."""
-    scenario = table(trace.meta, "scenario")
-    law, control = about(trace).get("solver"), table(scenario, "control")
-    known = {
-        "path": table(scenario, "task").get("path"), "controller" if law == "dcac" else "solver": law,
-        "gains": control.get("gains"), "third level": None if law == "dcac" else control.get("third_level"),
-        "course": control.get("course") or None, "seed": scenario.get("seed"),
-    }  # fmt: skip
-    return ", ".join(f"{word} {value}" for word, value in known.items() if value is not None)
 
 
 def beside(tables: Mapping[str, Table], traces: Mapping[str, Trace]) -> list[Table]:

@@ -11,7 +11,7 @@ from moc_opt.report.tables import Column, Table
 from moc_opt.trace.ending import Ending
 from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
-from moc_opt.trace.views import about
+from moc_opt.trace.views import about, table
 
 WHOLE_RUN = ("completed", "share_of_run")
 METHOD = "mu_bound_method"
@@ -123,6 +123,18 @@ def replaced(trace: Trace) -> str:
     return f"at {total} of {len(trace)} ticks: {most}{', '.join(f'{fault} {count}' for fault, count in counts.items())}"
 
 
+def asked(trace: Trace) -> str:
+    """Say in a few words what was run; empty where the trace does not say."""
+    scenario = table(trace.meta, "scenario")
+    law, control = about(trace).get("solver"), table(scenario, "control")
+    known = {
+        "path": table(scenario, "task").get("path"), "controller" if law == "dcac" else "solver": law,
+        "gains": control.get("gains"), "third level": None if law == "dcac" else control.get("third_level"),
+        "course": control.get("course") or None, "seed": scenario.get("seed"),
+    }  # fmt: skip
+    return ", ".join(f"{word} {value}" for word, value in known.items() if value is not None)
+
+
 def run_table(
     name: str, trace: Trace, metrics: Mapping[str, float], *, first: bool = False, explained: bool = False
 ) -> Table:
@@ -134,7 +146,7 @@ def run_table(
         name: of the run.
         trace: of the run.
         metrics: name -> value.
-        first: those of `MATTER` alone, each with what it says.
+        first: those of `MATTER` alone, each with what it says, and what was run in the title.
         explained: all, each with what it is.
     """
     of = part(trace)
@@ -158,7 +170,8 @@ def run_table(
     columns = [Column("metric", "metric"), Column("value", "value")]
     columns += [Column("says", "what it says")] if first or explained else []
     said = [ANOTHER_PROBLEM] if other and set(VERDICTS) & set(metrics) else []
-    return Table(f"{name}{of}", columns, rows, caption="\n".join([*said, *warnings(trace)]))
+    title = f"{name}{of}: {asked(trace)}" if first and asked(trace) else f"{name}{of}"
+    return Table(title, columns, rows, caption="\n".join([*said, *warnings(trace)]))
 
 
 def _written(value: float) -> str | Missing:

@@ -6,8 +6,8 @@ import pytest
 import moc_opt as mo
 from moc_opt.__main__ import main
 from moc_opt.errors import ReportError
-from moc_opt.report.run_page import asked, beside, run_page
-from moc_opt.report.run_table import run_table
+from moc_opt.report.run_page import beside, run_page
+from moc_opt.report.run_table import asked, run_table
 from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
 
