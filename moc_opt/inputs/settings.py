@@ -179,11 +179,11 @@ def field_name(keys: Iterable[object]) -> str:
 
 
 def _in_metres(field: str, item: Mapping[str, Any]) -> str:
-    """Return what a length would be if it was given in millimetres; empty for what is no length that is too large."""
-    value = item["input"]
-    if not field.endswith("_m") or not item["type"].startswith("less_than") or not is_number(value):
+    """Return what a length or a speed that is too large would be if it was given in mm, mm/s; empty for others."""
+    value, per = item["input"], "/s" if field.endswith("_m_per_s") else ""
+    if not field.endswith(("_m", "_m_per_s")) or not item["type"].startswith("less_than") or not is_number(value):
         return ""
-    return f" m; {value:g} mm is {1e-3 * value:g}"
+    return f" m{per}; {value:g} mm{per} is {1e-3 * value:g}"
 
 
 def explain(error: ValidationError, kind: str) -> list[str]:

@@ -128,7 +128,7 @@ class TaskTable(Settings):
         default=(1.0, 0.0, 0.0),
         description="direction in which the path begins, in base axes; only its part in the path's plane counts",
     )  # fmt: skip
-    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=1e3, description="largest speed of the tip")
+    v_max_m_per_s: float = Field(default=0.05, gt=0.0, le=10.0, description="largest speed of the tip")
     a_max_m_per_s2: float = Field(
         default=0.2, gt=0.0, le=1e6, description="largest acceleration of the tip, in curves too"
     )

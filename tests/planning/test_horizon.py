@@ -8,6 +8,7 @@ import pytest
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.planning.course import make_course
 from moc_opt.planning.horizon import Horizon
+from moc_opt.planning.refine import SOFT_RAD, too_fast
 from moc_opt.planning.search import search
 from moc_opt.planning.shaft import shaft_shares
 from moc_opt.planning.targets import Targets
@@ -109,3 +110,55 @@ def test_it_begins_at_the_speed_that_the_arm_has(robot: RobotModel) -> None:
     along = np.linalg.svd(robot.state(start).A[:, :6])[2][-1]
     assert abs(along @ (steps[1] - steps[0])[:6]) > 1e-4
     assert np.sign(along @ (steps[1] - steps[0])[:6]) == np.sign(along.sum())
+
+
+def towards(robot: RobotModel, free: Array, start: Array) -> tuple[int, float, float]:
+    """Return the joint that goes farthest towards its nearer limit, on which side that is, and how far [rad].
+
+    Of the joints that the elbow's motion turns: tip and shaft alone say where the others are.
+    """
+    side = np.sign(start - 0.5 * (robot.q_min + robot.q_max))
+    turned = np.abs(np.linalg.svd(robot.state(start).A[:, :6])[2][-1]) > 0.1
+    way = side * (free[-1] - start) * np.append(turned, False)
+    joint = int(np.argmax(way))
+    return joint, float(side[joint]), float(way[joint])
+
+
+def margin_at(robot: RobotModel, joint: int, side: float, end: float) -> Array:
+    """Return margins (n,) from the limits with which a joint's range ends at ``end`` [rad] on this side."""
+    margin = np.zeros(robot.n)
+    margin[joint] = robot.q_max[joint] - end if side > 0.0 else end - robot.q_min[joint]
+    return margin
+
+
+def test_a_margin_from_a_limit_is_kept_where_the_course_would_go_beyond(robot: RobotModel) -> None:
+    made, start, guess, there = problem(robot)
+    free = made.solve(guess, start, np.zeros(robot.n), there, nothing(start))
+    joint, side, far = towards(robot, free, start)
+    end = start[joint] + 0.7 * side * far
+    margin = margin_at(robot, joint, side, end)
+    made = Horizon(robot, NODES, mu=0.1, margin=margin, speed=robot.v_max, smoothness=1e-3)
+    kept = made.solve(guess, start, np.zeros(robot.n), there, nothing(start))
+    assert (side * (free[:, joint] - end)).max() > 1e-3
+    assert (side * (kept[:, joint] - end)).max() < 1e-6
+    assert make_course(robot, there, kept).violation < 1e-4
+
+
+def test_a_joint_near_its_limit_is_slow_enough_to_stop_before_it(robot: RobotModel) -> None:
+    made, start, guess, there = problem(robot)
+    free = made.solve(guess, start, np.zeros(robot.n), there, nothing(start))
+    joint, side, far = towards(robot, free, start)
+    margin = margin_at(robot, joint, side, start[joint] + side * (far + 0.01))
+    low, high = robot.q_min + margin, robot.q_max - margin
+    fastest = np.abs(np.diff(free[:, joint])).max() / there.period_s
+    brake = 0.5 * (0.5 * fastest / (np.sqrt(0.01 + SOFT_RAD) - np.sqrt(SOFT_RAD))) ** 2
+
+    def excess(q: Array) -> float:
+        speed = np.diff(np.concatenate([start[None], q]), axis=0) / there.period_s
+        return max(float(np.max(too_fast(*pair, low, high, brake))) for pair in zip(speed, q, strict=True))
+
+    made = Horizon(robot, NODES, mu=0.1, margin=margin, speed=robot.v_max, smoothness=1e-3, brake=brake)
+    braked = made.solve(guess, start, np.zeros(robot.n), there, nothing(start))
+    assert excess(free) > 1e-2
+    assert excess(braked) < 1e-3
+    assert make_course(robot, there, braked).violation < 1e-4

@@ -10,7 +10,7 @@ import pytest
 
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.planning.course import OBJECTIVES, Objective, make_course
-from moc_opt.planning.refine import refine, too_fast
+from moc_opt.planning.refine import OPTIONS, refine, too_fast
 from moc_opt.planning.search import search
 from moc_opt.planning.traced import traced_map
 from moc_opt.scenario import Scenario
@@ -141,3 +141,16 @@ def test_a_course_for_which_the_joints_are_far_too_slow_is_none(robot: RobotMode
     answer = search(found, step)
     assert answer.q_rad is not None
     assert not refine(robot, found.targets, make_course(robot, found.targets, answer.q_rad, **slow), **slow).kept
+
+
+def test_a_course_is_certified_only_where_the_program_has_ended(robot: RobotModel, monkeypatch) -> None:
+    """Stopped after few steps it may be better, and is at no optimum."""
+    q = robot.data.q_home
+    found, step = map_of(robot, q, count=60, swivels=90)
+    course = course_of(robot, found, search(found, step, start=(q, robot.state(q).mu)).q_rad)
+    said = []
+    for most in (8, 300):
+        monkeypatch.setitem(OPTIONS, "ipopt.max_iter", most)
+        said.append(refine(robot, found.targets, course))
+    assert [each.certified for each in said] == [False, True]
+    assert course.mu_mean <= said[0].mu_mean < said[1].mu_mean

@@ -628,3 +628,8 @@ def test_a_length_in_millimetres_is_told_what_it_would_be_in_metres():
         Scenario(trocar={"depth_m": 150.0})
     with pytest.raises(ScenarioError, match=r"depth_m = -1.0: [^;]*$"):
         Scenario(trocar={"depth_m": -1.0})
+
+
+def test_a_speed_in_millimetres_is_told_what_it_would_be_in_metres():
+    with pytest.raises(ScenarioError, match=r"v_max_m_per_s = 50.0: .* less than or equal to 10 m/s; 50 mm/s is 0.05"):
+        Scenario(task={"v_max_m_per_s": 50.0})

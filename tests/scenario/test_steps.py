@@ -176,12 +176,12 @@ def test_columns_are_written_outside_of_the_time_of_a_tick(monkeypatch):
     note = ControllerAdapter.note
 
     def slow(self, row, columns):
-        time.sleep(0.003)
+        time.sleep(0.02)
         note(self, row, columns)
 
     monkeypatch.setattr(ControllerAdapter, "note", slow)
     trace = compiled_run(backend="python", duration_s=0.1)
-    assert 0.0 < np.median(trace.tick_us) < 2000.0
+    assert 0.0 < np.median(trace.tick_us) < 10_000.0
 
 
 @pytest.mark.parametrize("error", [RuntimeError("lost"), KeyboardInterrupt(), ControlError("no answer")])
