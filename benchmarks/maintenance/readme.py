@@ -52,8 +52,9 @@ def paper_section(summary: Summary, environment: Summary) -> str:
         found = [_goal(row) for row in (goal, away.get(goal["goal"])) if row is not None]
         rows.append([what, f"{side} {goal['limit']:g}", *found])
     trials = max((row["trials"] for row in summary.get("tuned", {}).values()), default=0)
-    said = f"`python -m benchmarks.paper` (seed {environment['seed']}), {trials:g} trials a column, mean and 95 % interval:\n\n"
-    return "\n\n".join([said + table(heads, rows), *_claims(summary)])
+    seed = environment["seed"]
+    said = f"`python -m benchmarks.paper` (seed {seed}), {trials:g} trials a column, mean and 95 % interval:"
+    return "\n\n".join([said, table(heads, rows), *_claims(summary)])
 
 
 def _goal(goal: Mapping[str, Any]) -> str:
