@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,10 @@ Draw = Callable[..., list[Array]]
 # Properties are tested on the same examples in every run, however busy the machine; `benchmarks.fuzz` looks for others.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+# A shell ignores Ctrl-C in what it starts in the background, and so would every process that a test starts there.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST = (
     "tests/test_documents.py", "tests/benchmarks/test_plan.py", "tests/embedded/test_guarded.py",

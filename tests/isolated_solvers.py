@@ -48,6 +48,13 @@ def crash(qp):
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
+def fork_and_exit_3(qp):
+    """End, and leave a child behind that keeps all that was open."""
+    if os.fork() == 0:
+        time.sleep(20.0)
+    os._exit(3)
+
+
 def close_everything(qp):
     os.closerange(3, 256)
     hang(qp)
@@ -74,7 +81,12 @@ def shrink(qp):
 def scribble(qp):
     """Fill the shared memory with ones, all numbers of the exchange among it."""
     fd = shared_file()
-    os.pwrite(fd, b"\1" * 4000, 0)
+    os.pwrite(fd, b"\1" * min(4000, os.fstat(fd).st_size), 0)  # it cannot grow
+
+
+def scribble_and_hang(qp):
+    scribble(qp)
+    hang(qp)
 
 
 def huge(qp):

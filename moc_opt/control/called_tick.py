@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -36,12 +37,14 @@ class TickMemory(NamedTuple):
     """(m,) written: what becomes columns of a trace"""
     torque: Array
     """(n,) the one that the observer takes for applied [Nm]"""
+    open: NDArray[np.int64]
+    """(1,) of a controller in Python: 1 before its tick, 0 at its end; (0,) of one in C, which nothing interrupts"""
     known: Array
     """numbers from which ``places`` takes a state's record"""
     places: NDArray[np.int64]
 
 
-TICK = named(TickMemory, INDICES, INDICES, VECTOR, VECTOR, MATRIX, MATRIX, *[VECTOR] * 4, INDICES)
+TICK = named(TickMemory, INDICES, INDICES, VECTOR, VECTOR, MATRIX, MATRIX, *[VECTOR] * 3, INDICES, VECTOR, INDICES)
 
 
 @runtime_checkable
@@ -53,6 +56,9 @@ class CalledTick(Protocol):
     """(N, m) rows of ``memory.report``; (0, 0) where there are none"""
     most: int
     """periods of one compiled call at most"""
+
+    def calling(self) -> AbstractContextManager[None]:
+        """Return what surrounds the compiled call that calls the tick."""
 
     def begin(self, columns: Mapping[str, NDArray[Any]], first: int) -> None:
         """Prepare for ticks whose columns are those of rows from ``first`` on."""

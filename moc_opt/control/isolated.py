@@ -64,6 +64,7 @@ class Isolated:
         inner: any solver that pickle can copy.
         settings: when a process is replaced.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
+            Start a session in a thread that lives as long as it does: the process ends with that thread.
         waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it uses the
             fallback, and a second process is kept ready.
 
@@ -156,11 +157,11 @@ class IsolatedSession:
             raise Unanswered(Fault.LOST, f"the solver's process was lost: {found}")
         if found is None:
             found = worker.exchange.answer(max(number - settings.answer_age_ticks, worker.first))
-            if found is None:
-                raise Unanswered(Fault.LATE, f"{Fault.LATE.value}: no answer after {self._solver.budget_us:g} us")
         grown_MB = worker.exchange.memory * 1e-6
         if grown_MB > settings.memory_MB:
             self._lose(f"it had {grown_MB:.0f} MB of memory, and {settings.memory_MB:g} MB are allowed")
+        if found is None:
+            raise Unanswered(Fault.LATE, f"{Fault.LATE.value}: no answer after {self._solver.budget_us:g} us")
         if found.kind == ANSWERED:
             return found.solution
         if found.kind == MALFORMED:  # the claim is kept, as without a process: a malformed answer is no optimum

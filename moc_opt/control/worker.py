@@ -19,6 +19,8 @@ from moc_opt.numerics.arrays import Array
 STARTING = "it has not started in time"
 
 _NS = 1_000_000_000
+_LOOK_NS = 50_000_000
+"""So often a wait looks whether the process is still there."""
 # The caller's main module is not run again, as multiprocessing does: it may be a script without a guard.
 _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
@@ -95,11 +97,16 @@ class Worker:
         """Return the answer to request ``number`` or a later one; how the process ended; None after ``most_s``."""
         until = monotonic_ns() + int(most_s * _NS)
         while True:
+            if self.exchange.answered > self.posted:
+                return "it wrote over the memory that it shares with the loop"
             found = self.exchange.answer(number)
             if found is not None:
                 return found
             left = max(until - monotonic_ns(), 0)
-            if not self._hear(left):
+            if not self._hear(min(left, _LOOK_NS)):
+                return self.exchange.answer(number) or self._ending()
+            # A child that it left behind may hold its end of the bell open.
+            if self.exchange.answered < number and self._process.poll() is not None:
                 return self.exchange.answer(number) or self._ending()
             if left == 0:
                 return self.exchange.answer(number)
@@ -128,7 +135,7 @@ class Worker:
         return f"it was killed by {signal.Signals(-code).name}" if code < 0 else f"it ended with status {code}"
 
     def kill(self) -> None:
-        """Kill the process and its children at once."""
+        """Kill the process and its children at once; not those that have begun a session of their own (setsid)."""
         self._end()
 
 

@@ -6,6 +6,7 @@ import ctypes
 import pickle
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache, partial
 from typing import Any
 
@@ -72,7 +73,7 @@ class NativeController:
             function=np.array([ctypes.cast(found.moc_tick, ctypes.c_void_p).value]),
             pointers=np.array([buffer.ctypes.data for buffer in buffers]), q=self._q, v=self._v,
             tip_ref=self._tip_ref, trocar=self._trocar, tau=self._tau, report=self._kept,
-            torque=self._state["torque"], known=self._known, places=self._in_state,
+            torque=self._state["torque"], open=np.zeros(0, dtype=np.int64), known=self._known, places=self._in_state,
         )  # fmt: skip
         self._buffers = buffers  # the pointers do not keep them alive
         self.reports, self.most = np.empty((0, 0)), sys.maxsize
@@ -174,6 +175,10 @@ class NativeController:
         if self.solver is not None:
             self.reports[row] = self._kept
             self.took(np.array([self._status]), columns, row)
+
+    def calling(self) -> AbstractContextManager[None]:
+        """Return nothing that surrounds the call: see `control.called_tick.CalledTick`."""
+        return nullcontext()
 
     def begin(self, columns: Mapping[str, NDArray[Any]], first: int) -> None:
         """Do nothing: see `control.called_tick.CalledTick`."""

@@ -47,7 +47,7 @@ class WallClock:
 
 def give_back_realtime() -> None:
     """Make this an ordinary process again, since the work after a run is long and not urgent."""
-    if sys.platform.startswith("linux") and os.sched_getscheduler(0) == os.SCHED_FIFO:
+    if sys.platform.startswith("linux") and os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         ctypes.CDLL(None).munlockall()
 
@@ -62,7 +62,8 @@ def ask_for_realtime() -> dict[str, str]:
     if not sys.platform.startswith("linux"):
         return found
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        # Reset in children: the process of a solver that is replaced starts at leisure, not before the loop.
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
         found["scheduling"] = f"SCHED_FIFO {PRIORITY}"
     except OSError as error:
         found["scheduling"] = f"as other processes (SCHED_FIFO: {error.strerror})"

@@ -31,7 +31,7 @@ def parse_address(text: str, option: str) -> tuple[str, int]:
         WireError: it is no such text, or there is no such host.
     """
     host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
+    if not host or not port.isdecimal() or len(port) > 5 or int(port) > 65535:
         raise WireError(f"{option} {text!r}: give HOST:PORT, as 127.0.0.1:30200")
     try:
         found = socket.getaddrinfo(host, None, family=socket.AF_INET, type=socket.SOCK_DGRAM)
@@ -49,7 +49,8 @@ def read_key(file: Path | None) -> bytes | None:
     text = os.environ.get(VARIABLE, "") if file is None else read_text(file, "--key-file", WireError)
     if file is None and not text:
         return None
-    key, where = text.strip().encode(), VARIABLE if file is None else f"--key-file {str(file)!r}"
+    key = text.strip().encode(errors="surrogateescape")
+    where = VARIABLE if file is None else f"--key-file {str(file)!r}"
     if not SHORTEST <= len(key) <= LONGEST or b"\n" in key:
         raise WireError(
             f"{where}: a key of {len(key)} bytes: give one line of {SHORTEST} to {LONGEST}, such as "

@@ -165,9 +165,10 @@ class RemoteController(Filtered):
         self._packet["flags"] = ENDED
         for _ in range(_BYE_TIMES if self.link.session else 0):
             self.link.send(self._packet)
-            found = self.link.receive(monotonic() + _BYE_S)
+            until = monotonic() + _BYE_S
+            found = self.link.receive(until)
             while found is not None and found.kind is not Kind.BYE:
-                found = self.link.receive(monotonic() + _BYE_S)
+                found = self.link.receive(until) if monotonic() < until else None
             if found is not None:
                 self.told = read_words(bytes(found["words"][()]))
                 break
@@ -210,8 +211,12 @@ class RemoteController(Filtered):
         return None
 
     def _is_usable(self, command: Packet) -> bool:
-        fine = (np.abs(command["tau"]) <= self._tau_max).all() and (command["friction"] >= 0.0).all()
-        if not (fine and np.isfinite(command["friction"]).all() and command["limited"] <= self.link.n):
+        flags, friction = int(command["flags"]), command["friction"]
+        fine = (np.abs(command["tau"]) <= self._tau_max).all() and command["limited"] <= self.link.n
+        braking = np.isfinite(friction).all() and (friction >= 0.0).all()
+        # Friction and a reason belong to a stop.
+        told = flags & STOP or self.stop_reason or not (friction.any() or bytes(command["reason"][()]))
+        if not (fine and braking and told and flags & ~(STOP | REPORTED) == 0):
             self.link.quality.count("foreign")
             return False
         return True

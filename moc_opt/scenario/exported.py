@@ -69,7 +69,7 @@ def export_scenario(scenario: Scenario, out: str | os.PathLike[str], *, udp: boo
     safe = record_with_faults(setup, q, v, tip_ref, trocar, wrench)
     extra = {}
     if udp:
-        header = c_header(setup.robot.n, setup.ticks, fingerprint(scenario), scenario.wire)
+        header = c_header(setup.robot.n, setup.ticks, fingerprint(scenario, setup.robot), scenario.wire)
         extra = program.read(*program.UDP) | {"wire_packets.h": header}
     files = export(law, recording, out, scenario.told_guard, safe, extra)
     if udp:

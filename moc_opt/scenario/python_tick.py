@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 import weakref
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from time import perf_counter_ns
 from typing import Any
 
@@ -37,12 +39,13 @@ class PythonTick(ControllerAdapter):
             this = me()
             return BAD_INPUT if this is None else this._called()
 
-        self._call = _CALLBACK(called)  # kept: compiled code has its address alone
+        self._function, self._call = called, _CALLBACK(called)  # kept: compiled code has its address alone
         size = record_size(n)
         self.memory = TickMemory(
             function=np.array([ctypes.cast(self._call, ctypes.c_void_p).value]), pointers=np.zeros(7, dtype=np.int64),
             q=np.zeros(n), v=np.zeros(n), tip_ref=np.zeros((3, 3)), trocar=np.zeros((2, 3)), tau=np.zeros(n),
-            report=np.zeros(0), torque=np.full(n, np.nan), known=np.zeros(size), places=np.arange(size),
+            report=np.zeros(0), torque=np.full(n, np.nan), open=np.zeros(1, dtype=np.int64), known=np.zeros(size),
+            places=np.arange(size),
         )  # fmt: skip
         self.reports, self.most = np.empty((0, 0)), _MOST
         self._columns: Mapping[str, NDArray[Any]] = {}
@@ -56,6 +59,23 @@ class PythonTick(ControllerAdapter):
             error, self._error = self._error, None
             raise error
         return super().tick(q, v, tip_ref, trocar)
+
+    @contextmanager
+    def calling(self) -> Iterator[None]:
+        """Keep the error of a call that has not come to ``_called``, as Ctrl-C: ctypes hands it to a hook alone."""
+        before = sys.unraisablehook
+
+        def keep(found: Any) -> None:
+            if found.object is not self._function:
+                before(found)
+            elif self._error is None:
+                self._error = found.exc_value
+
+        sys.unraisablehook = keep
+        try:
+            yield
+        finally:
+            sys.unraisablehook = before
 
     def begin(self, columns: Mapping[str, NDArray[Any]], first: int) -> None:
         """Prepare for ticks whose columns are those of rows from ``first`` on."""
@@ -83,6 +103,7 @@ class PythonTick(ControllerAdapter):
         except BaseException as error:  # noqa: BLE001 - none goes through compiled code; the single step raises it
             self._error = error
             return BAD_INPUT
+        at.open[0] = 0
         return 0
 
     def _take_torque(self) -> None:

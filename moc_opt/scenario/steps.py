@@ -125,7 +125,10 @@ def steps(
             return
         tick.q[:], tick.v[:], tick.tip_ref[:], tick.trocar[:] = q, v, tip_ref, registered
         p = tick.pointers
+        tick.open[:] = 1
         rows.codes[row] = ask(tick.function[0], (p[0], p[1], p[2], p[3], p[4], p[5], p[6]))
+        if tick.open.sum() > 0:  # an error before the tick's first line, as of Ctrl-C: what was returned says nothing
+            rows.codes[row] = BAD_INPUT
         if rows.codes[row] == BAD_INPUT:  # called once more, it raises the reason
             return
         now.sent[:] = tick.tau
@@ -189,12 +192,13 @@ class CompiledSteps:
             seen=np.empty(2 * n + 6), applied=np.array(applied), sent=np.empty(n), record=np.empty(tick.places.size),
             clock=np.zeros(2, dtype=np.int64),
         )  # fmt: skip
-        _STEPS.code(
-            plant.memory, self._filter.memory, tick, self._rows, now,
-            min(block.ticks, first + most, first + len(ahead.noise), first + len(ahead.wrench_noise)),
-            np.array([*self._filter.parts, ahead.turns]), ahead.tissue, ahead.pushed, ahead.pushes, ahead.noise,
-            ahead.wrench_noise, np.empty(0), self._clock,
-        )  # fmt: skip
+        last = min(block.ticks, first + most, first + len(ahead.noise), first + len(ahead.wrench_noise))
+        with self._controller.calling():
+            _STEPS.code(
+                plant.memory, self._filter.memory, tick, self._rows, now, last,
+                np.array([*self._filter.parts, ahead.turns]), ahead.tissue, ahead.pushed, ahead.pushes, ahead.noise,
+                ahead.wrench_noise, np.empty(0), self._clock,
+            )  # fmt: skip
         row, where, found, stamp, _, limited = now.at.tolist()
         ticked = row - first + (where in (COMPUTED, MOVED))
         self._controller.took(self._rows.codes[first : first + ticked], block.kept, first)

@@ -6,12 +6,13 @@ import hashlib
 import os
 from collections.abc import Callable
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from moc_opt.inputs.files import to_json
+from moc_opt.model.carried import carried
+from moc_opt.model.robot_model import RobotModel
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
 from moc_opt.realtime.key import WireError, checked_key, parse_address
@@ -29,10 +30,14 @@ SLOWEST_S, FASTEST_S = 0.004, 0.001
 """Control periods that are kept against the clock: 250 Hz to 1 kHz."""
 
 
-def fingerprint(scenario: Scenario) -> int:
-    """Return a number of 63 bits that differs where plant and controller would not mean the same run."""
+def fingerprint(scenario: Scenario, robot: RobotModel) -> int:
+    """Return a number of 63 bits that differs where plant and controller would not mean the same run.
+
+    Of the arm (``scenario``'s, as loaded) everything counts but its gains, which are the controller's own.
+    """
     whole = scenario.model_dump(mode="json", include={"robot", "start", "trocar", "task", "seed", "duration_s"})
-    whole["robot"]["name"] = Path(scenario.robot.name).name  # its file may lie in another folder there
+    del whole["robot"]["name"]  # its file may lie in another folder there
+    whole["arm"] = {name: value for name, value in carried(robot).items() if name != "gains"}
     text = to_json([whole, scenario.plant.period_s], sort_keys=True)
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8).digest(), "little") >> 1
 
@@ -69,7 +74,8 @@ class PlantServer(Setup):
         self._link = Link(self.robot.n, checked_key(key, where[0], "--listen"), INCOMING, listen=where)
         self._remote = RemoteController(
             self._link, scenario.wire, make_safety_filter(self.robot, scenario), super().adapter().columns,
-            self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario), clock=self._clock,
+            self.plant.applied_torque, self.robot.tau_max, scenario=fingerprint(scenario, self.robot),
+            clock=self._clock,
         )  # fmt: skip
 
     @cached_property
@@ -148,7 +154,7 @@ def answer(
     try:
         end = Answering(
             link, scenario.wire, lambda: first.pop() if first else make(), tip_refs, registered,
-            scenario=fingerprint(scenario), ready=ready,
+            scenario=fingerprint(scenario, setup.robot), ready=ready,
         )  # fmt: skip
         return end.run()
     finally:

@@ -1,5 +1,6 @@
 """Solvers in processes of their own: the same run where they behave, and a fallback tick where they do not."""
 
+import contextlib
 import os
 import signal
 import time
@@ -75,6 +76,8 @@ def test_a_solver_that_behaves_gives_the_same_trace(solver):
         (bad.keep_the_lock, "no answer for 0.5 s"),
         (bad.stop, "no answer for 0.5 s"),
         (bad.exit_3, "ended with status 3"),
+        (bad.fork_and_exit_3, "ended with status 3"),
+        (bad.scribble_and_hang, "wrote over the memory"),
         (bad.crash, "killed by SIGSEGV"),
         (bad.close_everything, "closed its end"),
     ],
@@ -146,6 +149,22 @@ def test_a_process_that_grows_is_replaced_before_the_machine_is_full(qp):
     assert counts == list(range(1, len(counts) + 1))
     assert "MB of memory, and 800 MB are allowed" in session.restarts[0].reason
     assert session.solve(qp).iterations == 1
+
+
+@pytest.mark.parametrize(
+    ("solver", "settings", "reason"),
+    [
+        (bad.Misbehaving(bad.hang, 1), {"hang_s": 0.5}, "it gave no answer for 0.5 s"),
+        (bad.Leaking(), {"memory_MB": 800.0}, "MB of memory, and 800 MB are allowed"),
+    ],
+)
+def test_a_process_that_is_only_ever_late_is_replaced_where_it_hangs_or_grows(qp, solver, settings, reason):
+    session, end = started(solver, qp, 1000.0, **settings), time.monotonic() + 60.0
+    while not session.restarts:
+        assert time.monotonic() < end
+        with contextlib.suppress(Unanswered):  # now and then one is in time
+            session.solve(qp)
+    assert reason in session.restarts[0].reason
 
 
 def test_a_solver_that_is_always_lost_is_given_up(qp):

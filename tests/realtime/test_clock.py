@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from unittest.mock import Mock
+
 import pytest
 
 from moc_opt.realtime import clock
@@ -59,6 +62,22 @@ def test_a_stall_of_the_plant_moves_all_later_ticks_and_is_counted(wall):
     time.wait_for(2)
     assert wall["s"] == pytest.approx(begin + T)
     assert time.overruns == 1
+
+
+def test_what_this_process_starts_later_has_no_priority(monkeypatch):
+    """As the process of a solver that is replaced in a run: it starts at leisure."""
+    asked, now = [], [0]
+
+    def take(pid, policy, parameter):
+        asked.append(policy)
+        now[0] = policy
+
+    monkeypatch.setattr(clock.os, "sched_setscheduler", take)
+    monkeypatch.setattr(clock.os, "sched_getscheduler", lambda pid: now[0])
+    monkeypatch.setattr(clock.ctypes, "CDLL", lambda *a, **k: Mock())
+    ask_for_realtime()
+    clock.give_back_realtime()
+    assert asked == [os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.SCHED_OTHER]
 
 
 def test_what_is_not_permitted_is_said(monkeypatch):

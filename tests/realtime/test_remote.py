@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -140,8 +141,12 @@ def test_commands_are_followed_and_every_fault_has_its_count(peer):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"tau": 1e300}, {"tau": -500.0}, {"tau": np.inf}, {"limited": 8}, {"limited": 2**32 - 1}, {"friction": -1.0}],
-)
+    [
+        {"tau": 1e300}, {"tau": -500.0}, {"tau": np.inf}, {"tau": np.nan}, {"limited": 8}, {"limited": 2**32 - 1},
+        {"friction": -1.0}, {"friction": 5.0}, {"reason": b"so"}, {"flags": 0xF8},
+        {"flags": STOP, "friction": np.inf}, {"flags": STOP, "friction": -1.0},
+    ],
+)  # fmt: skip
 def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
     peer.start()
     held = peer.plant.tick(peer.seen, np.zeros((3, 3)), np.zeros((2, 3)))
@@ -149,6 +154,7 @@ def test_a_command_that_no_safety_filter_gives_is_not_followed(peer, wrong):
     peer.say(Kind.COMMAND, 1, **({"tau": 1.0} | wrong))
     np.testing.assert_array_equal(peer.tick(), held)
     assert (peer.link.quality.foreign, peer.link.quality.missed) == (1, 2)
+    assert not peer.plant.stop_reason
 
 
 def test_the_largest_torque_itself_is_followed(peer, robot):
@@ -235,6 +241,21 @@ def test_the_last_words_go_into_the_meta_or_nowhere(peer, words, told):
     peer.say(Kind.BYE, words=words)
     peer.plant.close()
     assert peer.plant.told == told
+
+
+def test_a_controller_that_goes_on_and_on_does_not_keep_the_plant_from_its_end(peer, monkeypatch):
+    peer.start()
+    command, received = Packet(Kind.COMMAND, peer.n, peer.session, 9), []
+
+    def another(until):
+        received.append(1)
+        assert len(received) < 20_000, "it waits for ever"
+        time.sleep(1e-3)
+        return command
+
+    monkeypatch.setattr(peer.link, "receive", another)
+    assert peer.plant.close()
+    assert received
 
 
 def test_last_words_are_cut_where_they_are_too_long():

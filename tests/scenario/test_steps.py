@@ -1,5 +1,6 @@
 """Whole periods in one compiled call against the single step, which Python takes part by part: the same to the bit."""
 
+import sys
 import time
 from types import SimpleNamespace
 
@@ -204,3 +205,25 @@ def test_an_error_of_a_tick_in_python_is_raised_once_where_it_was(error, monkeyp
         assert caught.value is error
     assert len(asked) == 10
     assert taken[0][0] == 8, "the first tick was a rehearsal"
+
+
+@pytest.mark.parametrize("error", [RuntimeError("lost"), KeyboardInterrupt()])
+def test_an_error_before_the_first_line_of_a_tick_in_python_is_raised(error, monkeypatch, taken):
+    """Ctrl-C arrives while compiled code runs; Python raises it as it enters the function that ctypes calls."""
+
+    class Ref:
+        def __init__(self, what):
+            self.what, self.calls = what, 0
+
+        def __call__(self):
+            self.calls += 1
+            if self.calls == 10:
+                raise error
+            return self.what
+
+    monkeypatch.setattr("moc_opt.scenario.python_tick.weakref", SimpleNamespace(ref=Ref))
+    hook = sys.unraisablehook
+    with pytest.raises(type(error)):
+        compiled_run(backend="python", duration_s=0.2)
+    assert [done for done, _ in taken] == [9]
+    assert sys.unraisablehook is hook

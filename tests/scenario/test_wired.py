@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -185,13 +187,24 @@ def test_against_the_clock_it_runs_or_stops_cleanly(tmp_path: Path) -> None:
     assert saved.rcm_error_registered_m.max() < 2e-3
 
 
-def test_both_ends_must_mean_the_same_run() -> None:
+def test_both_ends_must_mean_the_same_run(tmp_path: Path) -> None:
     base = Scenario(**SHORT)
-    assert fingerprint(base) == fingerprint(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
-    others = ({"seed": 1}, {"task": {"path": "line"}}, {"trocar": {"depth_m": 0.14}}, {"plant": {"period_s": 0.001}})
-    assert len({fingerprint(base), *(fingerprint(base.change(**other)) for other in others)}) == 5
-    here, there = ({"robot": {"name": f"{folder}/arm.toml"}} for folder in ("/here", "/there"))
-    assert fingerprint(base.change(**here)) == fingerprint(base.change(**there)) != fingerprint(base)
+    def told(scenario: Scenario) -> int:
+        return fingerprint(scenario, scenario.robot.arm())
+
+    assert told(base) == told(base.change(control={"law": "dcac"}, guard={"patience_ticks": 5}))
+    others = (
+        {"seed": 1}, {"task": {"path": "line"}}, {"trocar": {"depth_m": 0.14}}, {"plant": {"period_s": 0.001}},
+        {"robot": {"name": "lwr4", "tool_mass_kg": 0.31}},
+    )  # fmt: skip
+    assert len({told(base), *(told(base.change(**other)) for other in others)}) == 6
+    here, there, changed = (tmp_path / folder / "arm.toml" for folder in ("here", "there", "changed"))
+    for file in (here, there, changed):
+        shutil.copytree(files("moc_opt.robots"), file.parent, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
+        text = (file.parent / "lwr4.toml").read_text(encoding="utf-8")
+        file.write_text(text.replace("mass_kg = 0.3", f"mass_kg = {0.5 if file is changed else 0.3}"), encoding="utf-8")
+    found = [told(base.change(robot={"name": str(file)})) for file in (here, there, changed)]
+    assert found[0] == found[1] != found[2]
     plant = PlantServer(base.change(wire={"wait_s": 20.0}), "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)
