@@ -80,7 +80,9 @@ def _claims(summary: Summary) -> list[str]:
     )
     said = (
         "The paper's claims with the paper's parameters (preset `paper`, Table I as printed): change against DCAC with "
-        "the same gains, 95 % interval, verdict by the interval's end."
+        "the same gains (*matched*), 95 % interval, verdict by the interval's end. *Holds only against softer gains*: "
+        "against DCAC with its own gains of Table I, and not with the same ones. *In the patient*: with the errors of "
+        "the registration."
     )
     decided = " ".join(ablation.headline(summary.get("ablation", [])))
     return [said, shown, *([decided] if decided else [])]

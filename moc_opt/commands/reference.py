@@ -103,7 +103,8 @@ def _drawn(name: str, keys: list[Key]) -> Table:
         Column("name", "key"), Column("kind", "type"), Column("unit", "unit"), Column("default", "default"),
         Column("meaning", "meaning"),
     ]  # fmt: skip
-    return Table(f"[{name}]", columns, [key._asdict() for key in keys])
+    title = "At the top of the file" if name == "scenario" else f"[{name}]"
+    return Table(title, columns, [key._asdict() for key in keys])
 
 
 _WORDS = {int: "integer", float: "number", str: "text", bool: "flag", type(None): "", Any: "value"}

@@ -20,7 +20,8 @@ METHOD = "mu_bound_method"
 
 MATTER: Mapping[str, str] = MappingProxyType({
     "mu_mean": "manipulability [m³]: how far the arm keeps from singular poses",
-    "mu_gain_percent": "mean mu above that of DCAC (no third level) with the same gains [%]",
+    "mu_gain_percent": "mean mu above that of DCAC (no third level) with the same gains and observer [%]; "
+    "between third levels compare mu_mean",
     "mu_fraction_of_best_from_start": "mean mu over that of the best motion of the elbow from this start, 0 to 1",
     "tip_error_model_mean_mm": "tip from its path [mm], by the robot's own kinematics",
     "rcm_error_model_mean_mm": "shaft from the registered trocar [mm], by the robot's own kinematics",
@@ -31,7 +32,7 @@ MATTER: Mapping[str, str] = MappingProxyType({
     "silently_wrong": "ticks at which the solver called a wrong answer solved; 0 is right",
     "solve_p50_us": "time of a solve [us], median, on this machine",
     "solve_p99_us": "time of a solve [us], 99th percentile: one in a hundred takes longer",
-    "deadline_misses": "ticks that took longer than the period, on this machine",
+    "deadline_misses": "ticks that took longer than the period, on this machine; of no meaning in lock-step",
 })  # fmt: skip
 """Metrics to look at first, and their meaning."""
 

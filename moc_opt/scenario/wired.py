@@ -21,6 +21,7 @@ from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.scenario.config import Scenario
 from moc_opt.scenario.parts import make_safety_filter
+from moc_opt.scenario.rows import check_room
 from moc_opt.scenario.setup import Setup
 from moc_opt.sim.loop import RunAway
 from moc_opt.sim.protocols import LoggedController, SafetyFilter
@@ -113,6 +114,7 @@ class PlantServer(Setup):
         Raises:
             MocOptError: as for `Setup.trace`; or no controller came.
         """
+        check_room(self.scenario, self.ticks, to)  # before the run, which a missing folder would cost its trace
         try:
             found, broken = super().trace(self._remote.pace), None
         except RunAway as error:

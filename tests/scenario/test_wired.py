@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from moc_opt.__main__ import main
+from moc_opt.errors import TraceError
 from moc_opt.realtime.answering import Ending
 from moc_opt.realtime.key import WireError
 from moc_opt.realtime.packets import Kind
@@ -288,3 +289,9 @@ def test_the_controller_that_the_page_shows_answers_every_tick() -> None:
     wire = found.meta["wire"]
     assert wire["received"] == len(found) == 50
     assert sum(wire[name] for name in ("late", "truncated", "forged", "foreign")) == 0
+
+
+def test_a_trace_that_cannot_be_saved_is_refused_before_the_run(tmp_path: Path) -> None:
+    plant = PlantServer(Scenario(**SHORT), "127.0.0.1:0", lock_step=True)
+    with pytest.raises(TraceError, match="there is no folder"):
+        plant.trace(to=tmp_path / "none" / "run.parquet")
