@@ -19,9 +19,10 @@ $(READY): pyproject.toml constraints.txt
 solvers: setup
 	$(RUN) -m benchmarks.solvers
 
+# The tests share the cores: threads of the linear algebra library would only wait for each other.
 test: setup
 	$(MAKE) --no-print-directory --jobs=3 lint kernels
-	$(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(RUN) -m ruff check .

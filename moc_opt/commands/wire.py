@@ -15,13 +15,13 @@ from moc_opt.report.tables import Column, Table
 def run_plant(given: argparse.Namespace) -> int:
     """Wait for a controller, run against the clock, print as `run` does."""
     from moc_opt.realtime.clock import ask_for_realtime
-    from moc_opt.realtime.key import read_key
+    from moc_opt.realtime.key import read_key, written
     from moc_opt.scenario import RunAway
     from moc_opt.scenario.wired import PlantServer
 
     scenario, title = read_scenario(given.scenario)
     server = PlantServer(scenario, given.listen, read_key(given.key_file), lock_step=given.lock_step)
-    print("listening on {}:{}".format(*server.address), file=sys.stderr, flush=True)
+    print(f"listening on {written(server.address)}", file=sys.stderr, flush=True)
     server.system = {} if given.lock_step else ask_for_realtime()
     try:
         trace = server.trace(to=given.trace)

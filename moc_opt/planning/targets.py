@@ -64,7 +64,7 @@ def lay_targets(
     if count < 2 or not duration_s > 0.0:
         raise TaskError(f"count = {count}, duration_s = {duration_s:g}: give two times or more and a positive duration")
     t = np.linspace(0.0, duration_s, count)
-    tip = np.array([reference.rows(each)[0] for each in t.tolist()])
+    tip = np.ascontiguousarray(reference.at(t)[0])
     trocars = trocar.at(t)[0]
     depth = np.linalg.norm(trocars - tip, axis=1)
     deepest = min(span_m, tool_m)

@@ -109,13 +109,11 @@ def check_reachable(
 def _places(reference: Reference, trocar: Trocar, spacing_m: float, until_s: float) -> _Places:
     end = max(reference.t_start, min(reference.t_start + reference.duration, until_s))
     times = np.linspace(reference.t_start, end, _TIMES)
-    rows = np.array([reference.rows(t) for t in times.tolist()])
-    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(rows[:, 0], axis=0), axis=1))))
+    tip, velocity = map(np.ascontiguousarray, reference.at(times)[:2])
+    arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))))
     count = max(2, int(min(np.ceil(arc[-1] / spacing_m) + 1, _TIMES)))
     chosen = np.unique(np.searchsorted(arc, np.linspace(0.0, arc[-1], count)).clip(0, _TIMES - 1))
-    points = np.array([trocar.rows(t) for t in times[chosen].tolist()])
-    kept = rows[chosen]
-    return _Places(times[chosen], arc[chosen], kept[:, 0], kept[:, 1], points[:, 0], points[:, 1])
+    return _Places(times[chosen], arc[chosen], tip[chosen], velocity[chosen], *trocar.at(times[chosen]))
 
 
 def _check_depth(robot: RobotModel, places: _Places) -> None:

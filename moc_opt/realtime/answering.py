@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from moc_opt.numerics.arrays import Array
-from moc_opt.realtime.key import WireError
+from moc_opt.realtime.key import WireError, written
 from moc_opt.realtime.link import Link, Quality, Sequence
 from moc_opt.realtime.packets import (
     COUNTERS,
@@ -39,7 +39,8 @@ class Ending:
     """How a run looked from the controller's end.
 
     Attributes:
-        ended: "completed", "stopped: ..." after a request of the safety filter, or "the plant has been silent ...".
+        ended: "completed", "stopped: ..." after a request of the safety filter, "the plant ended the run at tick ..."
+            where it did so early, or "the plant has been silent ...".
         ticks: measurements that were answered.
         quality: counts of the plant's packets.
         plant: the plant's own counts, as its last measurement has them.
@@ -87,8 +88,8 @@ class Answering:
         link.session = session = int(first["session"])
         if int(first["scenario"]) != self._scenario:
             raise WireError(
-                f"the plant at {link.peer} runs another scenario: give both ends the same robot, start, trocar, task, "
-                "seed, period and duration"
+                f"the plant at {written(link.peer)} runs another scenario: give both ends the same robot, start, "
+                "trocar, task, seed, period and duration"
             )
         applied = np.array(first["commanded"])
         self._command = Packet(Kind.COMMAND, link.n, session, self._scenario)
@@ -125,8 +126,8 @@ class Answering:
             if found is not None:
                 return found
         raise WireError(
-            f"no plant answers at {link.peer} within {self._settings.wait_s:g} s ({link.quality}): start `python -m "
-            "moc_opt plant` there, with the same robot and the same key"
+            f"no plant answers at {written(link.peer)} within {self._settings.wait_s:g} s ({link.quality}): start "
+            "`moc-opt plant` there, with the same robot and the same key"
         )
 
     def _answer_all(self, filtered: FilteredController, found: Packet | None, applied: Array) -> str:
@@ -136,7 +137,8 @@ class Answering:
             self._counters = found["counters"].tolist()
             if found["flags"] == ENDED:
                 self._say_bye(filtered)
-                return "completed"
+                done, whole = int(found["sequence"]) + 1, len(self._tip_refs)
+                return "completed" if done >= whole else f"the plant ended the run at tick {done} of {whole}"
             number, last = int(found["sequence"]), sequence.newest
             said = sequence.judge(number) if found["flags"] == RUNNING and number < len(self._tip_refs) else "foreign"
             quality.count("received" if said == "new" else "late" if said == "old" else said)

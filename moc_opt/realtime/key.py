@@ -24,7 +24,16 @@ class WireError(MocOptError, RuntimeError):
     """The wire cannot be set up, or the other end does not answer."""
 
 
-def parse_address(text: str, option: str) -> tuple[str, int]:
+Address = tuple[str, int]
+"""Host and port."""
+
+
+def written(address: Address | None) -> str:
+    """Write an address as `parse_address` reads it."""
+    return "nobody" if address is None else f"{address[0]}:{address[1]}"
+
+
+def parse_address(text: str, option: str) -> Address:
     """Return numeric host and port of "HOST:PORT".
 
     Raises:

@@ -8,10 +8,8 @@ from dataclasses import dataclass, fields
 from time import monotonic, monotonic_ns
 
 from moc_opt.errors import describe
-from moc_opt.realtime.key import WireError
+from moc_opt.realtime.key import Address, WireError, written
 from moc_opt.realtime.packets import COUNTERS, MAGIC, VERSION, Kind, Packet, layout, sealed
-
-Address = tuple[str, int]
 
 BACKLOG = 256
 """Packets that are looked through at once: a flood of them does not stop the clock."""
@@ -110,7 +108,9 @@ class Link:
             self._socket.setblocking(False)
         except OSError as error:
             self._socket.close()
-            raise WireError(f"the address {listen} cannot be taken: {error.strerror}; give another one") from error
+            raise WireError(
+                f"the address {written(listen)} cannot be taken: {error.strerror}; give another one"
+            ) from error
 
     @property
     def address(self) -> Address:
@@ -130,7 +130,7 @@ class Link:
             self._socket.sendto(data, self.peer if to is None else to)  # type: ignore[arg-type]
         except OSError as error:
             if not isinstance(error, BlockingIOError | ConnectionError):
-                raise WireError(f"nothing can be sent to {to or self.peer}: {describe(error)}") from error
+                raise WireError(f"nothing can be sent to {written(to or self.peer)}: {describe(error)}") from error
 
     def receive(self, until: float) -> Packet | None:
         """Return the next sound packet, or None where none has come at the time ``until`` (of ``time.monotonic``) [s].

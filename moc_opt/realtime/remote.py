@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from moc_opt.errors import printable
 from moc_opt.numerics.arrays import Array
 from moc_opt.realtime.clock import WallClock
-from moc_opt.realtime.key import WireError
+from moc_opt.realtime.key import WireError, written
 from moc_opt.realtime.link import BACKLOG, Link, Sequence
 from moc_opt.realtime.packets import ENDED, REPORTED, RUNNING, STOP, WAITING, Kind, Packet
 from moc_opt.realtime.settings import WireSettings
@@ -85,8 +85,9 @@ class RemoteController(Filtered):
             found = link.receive(until)
             if found is None:
                 raise WireError(
-                    f"no controller came to {link.address} within {self._settings.wait_s:g} s ({link.quality}): start "
-                    "`moc-opt control` on the same scenario with the same key, or raise [wire] wait_s"
+                    f"no controller came to {written(link.address)} within {self._settings.wait_s:g} s "
+                    f"({link.quality}): start `moc-opt control` on the same scenario with the same key, or raise "
+                    "[wire] wait_s"
                 )
             if found.kind is Kind.HELLO:
                 link.send(packet, link.sender)

@@ -11,7 +11,7 @@ from moc_opt.model.robot_model import RobotModel
 from moc_opt.redundancy.manipulability_map import manipulability_map
 from moc_opt.report.map_page import add_map
 from moc_opt.report.page import Page
-from moc_opt.report.run_table import asked, below_best, part, refusals, run_table, warnings
+from moc_opt.report.run_table import asked, below_best, in_short, part, refusals, run_table, warnings
 from moc_opt.report.tables import Column, Table
 from moc_opt.trace.trace import Trace
 
@@ -40,8 +40,9 @@ def run_page(
         trace = traces[name]
         told = [f"{name} {trace.meta.get('ended', 'unknown')}{part(trace)}."]
         told += [f"Asked for: {asked(trace)}."] if asked(trace) else []
+        figures = in_short(metrics[name]) if name in metrics and not part(trace) else ""
         below = below_best(trace) if name in metrics else ""
-        told += [f"{below[0].upper()}{below[1:]}."] if below else []
+        told += [f"{said[0].upper()}{said[1:]}." for said in (figures, below) if said]
         page.text(" ".join([*told, *(f"{line}." for line in refusals(trace) + warnings(trace))]))
     page.section("What to look at first")
     short = {name: run_table(name, traces[name], values, first=True) for name, values in metrics.items()}

@@ -99,10 +99,24 @@ def below_best(trace: Trace) -> str:
     if left > NEAR:
         return f"{said}; at its end it is still {100.0 * left:.1f} % below the local maximum uphill of it"
     if end["top_mu"] >= (1.0 - NEAR) * end["best_mu"]:
-        return f"{said}; the local law ends at the best pose: what is missing was lost on the way there"
+        return f"{said}; the local law ends at the best pose: the elbow took time to get there"
     if end["at_limit"]:
         return f"the local law is held by a joint limit: {said}; the way up ends at swivel {top}, the course {there}"
     return f"the local law is trapped: {said}; it ends at the local maximum at swivel {top}, the course {there}"
+
+
+def in_short(metrics: Mapping[str, float]) -> str:
+    """Return the main figures of a whole run in one sentence; those that are not there are left out."""
+    gain, wrong = metrics.get("mu_gain_percent"), metrics.get("silently_wrong")
+    said = [] if gain is None else [f"mean mu is {abs(gain):.1f} % {'below' if gain < 0.0 else 'above'} DCAC's"]
+    for name, words in (
+        ("tip_error_model_mean_mm", "the tip is {:.2f} mm off its path on average"),
+        ("rcm_error_max_mm", "the shaft at most {:.2f} mm off the trocar"),
+    ):
+        said += [words.format(metrics[name])] if name in metrics else []
+    if wrong is not None:
+        said.append(f"{wrong:.0f} answers were silently wrong" if wrong else "no answer was silently wrong")
+    return ", ".join(said)
 
 
 def refusals(trace: Trace) -> list[str]:

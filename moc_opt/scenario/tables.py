@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from moc_opt.control.isolated import ProcessSettings
+from moc_opt.errors import is_number
 from moc_opt.inputs.settings import Name, Settings
 from moc_opt.model.robot_model import RobotModel, load_robot
 from moc_opt.redundancy.freedoms import Freedoms, best_freedoms
@@ -73,10 +74,12 @@ class StartTable(Settings):
         description="refuse a path that the kinematics cannot follow; the search can miss a way that exists",
     )
 
-    @field_validator("swivel")
+    @field_validator("swivel", mode="before")
     @classmethod
-    def _a_fraction(cls, value: float | str) -> float | str:
-        if isinstance(value, float) and not 0.0 <= value <= 1.0:
+    def _a_fraction(cls, value: Any) -> Any:
+        if isinstance(value, str) and value not in ("given", "random"):
+            raise ValueError("give 'given', 'random', or a share from 0 to 1 without quotes")
+        if is_number(value) and not 0.0 <= value <= 1.0:
             raise ValueError("a swivel is a share from 0 to 1 here, no angle")
         return value
 

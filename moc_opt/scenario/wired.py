@@ -15,8 +15,8 @@ from moc_opt.model.carried import carried
 from moc_opt.model.robot_model import RobotModel
 from moc_opt.realtime.answering import Answering, Ending
 from moc_opt.realtime.clock import WallClock, give_back_realtime
-from moc_opt.realtime.key import WireError, checked_key, parse_address
-from moc_opt.realtime.link import Address, Link
+from moc_opt.realtime.key import Address, WireError, checked_key, parse_address
+from moc_opt.realtime.link import Link
 from moc_opt.realtime.packets import Kind
 from moc_opt.realtime.remote import INCOMING, RemoteController
 from moc_opt.scenario.config import Scenario

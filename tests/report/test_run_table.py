@@ -7,7 +7,7 @@ import pytest
 
 from moc_opt.__main__ import main
 from moc_opt.report.console import print_json
-from moc_opt.report.run_table import MATTER, below_best, part, run_json, run_table, warnings
+from moc_opt.report.run_table import MATTER, below_best, in_short, part, run_json, run_table, warnings
 from moc_opt.trace.metrics import METRICS
 from moc_opt.trace.trace import Trace
 
@@ -182,3 +182,15 @@ def test_what_to_look_at_first_is_a_part_of_the_whole_and_says_what_it_is():
     assert set(MATTER) <= set(METRICS)
     cut = run_table("run", trace("stopped: x", 3), figures, first=True)
     assert "mu_mean (part)" in [row["metric"] for row in cut.rows]
+
+
+def test_the_main_figures_in_one_sentence():
+    figures = {"mu_gain_percent": -3.21, "tip_error_model_mean_mm": 0.126, "rcm_error_max_mm": 1.5, "silently_wrong": 2}
+    assert in_short(figures) == (
+        "mean mu is 3.2 % below DCAC's, the tip is 0.13 mm off its path on average, the shaft at most 1.50 mm off the "
+        "trocar, 2 answers were silently wrong"
+    )
+    assert in_short({"silently_wrong": 0.0, "mu_gain_percent": 8.0}) == (
+        "mean mu is 8.0 % above DCAC's, no answer was silently wrong"
+    )
+    assert in_short({"mu_mean": 0.3}) == ""

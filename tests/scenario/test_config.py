@@ -134,7 +134,7 @@ def test_unknown_names_list_the_nearest(tables, message):
         ({"control": {"law": "mok"}}, r"\[control\] law = 'mok': input should be 'dcac' or 'moc'"),
         ({"robot": {"tool_length_m": 0.0}}, r"\[robot\] tool_length_m = 0.0: input should be greater than 0"),
         ({"start": {"swivel": 1.5}}, r"\[start\] swivel.* = 1.5: a swivel is a share from 0 to 1"),
-        ({"start": {"swivel": "best"}}, r"\[start\] swivel.* = 'best': .*'given' or 'random'"),
+        ({"start": {"swivel": "best"}}, r"\[start\] swivel.* = 'best': .*'given', 'random'"),
         ({"trocar": {"depth_m": -0.1}}, r"\[trocar\] depth_m = -0.1: input should be greater than 0"),
         ({"trocar": {"breathing_direction": [1, 0]}}, r"\[trocar\] breathing_direction"),
         ({"task": {"v_max_m_per_s": 0}}, r"\[task\] v_max_m_per_s = 0: input should be greater than 0"),

@@ -114,7 +114,8 @@ BLIND = {"resend_s": 0.5, "resends": 0, "hold_ticks": 3, "damp_ticks": 5}
 def test_commands_that_never_come_are_bridged_and_then_the_brakes_close() -> None:
     gaps = [range(50, 52), range(100, 106), range(220, 10_000)]
     scenario = Scenario(**SHORT, wire=BLIND)
-    found, _, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
+    found, ending, _ = wired(scenario, {"lost": lambda kind, k: kind is Kind.COMMAND and any(k in gap for gap in gaps)})
+    assert ending.ended == "the plant ended the run at tick 229 of 300"
     missed, tau = found.columns["missed"], found.tau_Nm
     assert np.flatnonzero(missed).tolist() == [*gaps[0], *gaps[1], *range(220, 229)]
     assert (tau[50:52] == tau[49]).all()  # held

@@ -207,7 +207,7 @@ int main(int argc, char **argv)
         if (m.head.flags == WIRE_ENDED) {
             static wire_bye bye;
             wire_send(&plant, &bye.head, sizeof bye, WIRE_KIND_BYE, 0);
-            ended = "completed";
+            ended = m.head.sequence + 1 >= WIRE_TICKS ? "completed" : "the plant ended the run early";
             break;
         }
         int fresh = wire_is_new(&plant, &m);

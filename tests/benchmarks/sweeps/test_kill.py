@@ -15,9 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-RUNS = 32
+RUNS = 24
 SWEEP = """
-seeds = 4
+seeds = 3
 solvers = ["dcac", "exact"]
 [grid]
 control.regularization = [1e-6, 1e-4]
