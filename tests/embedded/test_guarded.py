@@ -83,7 +83,9 @@ class Twin:
             self.faults[self.c.fault] += 1
         self.limited_ticks += self.c.limited > 0
         if not self.python.stop_reason:
-            np.testing.assert_allclose(self.c.remembered, self.remembered, rtol=1e-7, atol=1e-8)
+            there, here = self.c.remembered, self.remembered
+            if not (np.abs(there - here) <= 1e-8 + 1e-7 * np.abs(here)).all():  # in a tenth of the time
+                np.testing.assert_allclose(there, here, rtol=1e-7, atol=1e-8)
         return tau
 
     @property

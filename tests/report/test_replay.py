@@ -203,7 +203,9 @@ class Visit:
     def __init__(self, chromium: Any, file: Path) -> None:
         self.trouble: list[str] = []
         self.requests: list[str] = []
-        self.page = chromium.new_page(viewport={"width": 900, "height": 800}, color_scheme="light")
+        self.page = chromium.new_page(  # a quarter of the pixels: without a graphics card each costs time
+            viewport={"width": 900, "height": 800}, color_scheme="light", device_scale_factor=0.5
+        )
         self.page.on("console", self._heard)
         self.page.on("pageerror", lambda error: self.trouble.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
