@@ -35,7 +35,7 @@ SHORT = {"duration_s": 0.004, "bound_samples": 0, "judge": False}
 @pytest.mark.parametrize(
     ("kind", "cases"),
     [("scenario", 80), ("scenario_file", 60), ("robot_file", 60), ("subproblem", 100), ("result_file", 100),
-     ("record_file", 40), ("exported", 60), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
+     ("record_file", 40), ("exported", 40), ("name", 80), ("option", 80), ("urdf_number", 120), ("hostile_file", 120),
      ("extreme_number", 80), ("sweep_folder", 40), ("study_folder", 40), ("trace_folder", 40),
      ("faulty_run", 25), ("hostile_solver", 30), ("foreign_trace", 80), ("wire_packet", 60),
      ("parquet_footer", 300)],
