@@ -60,11 +60,12 @@ class Restart(NamedTuple):
 class Isolated:
     """A solver whose sessions run each in its own process.
 
+    Start a session in a thread that lives as long as it does: the process ends with that thread.
+
     Args:
         inner: any solver that pickle can copy.
         settings: when a process is replaced.
         budget_us: how long a tick waits for its answer [us]; None: until the process counts as hung.
-            Start a session in a thread that lives as long as it does: the process ends with that thread.
         waits: whether a tick waits for a process that is being replaced, as in simulated time; False: it uses the
             fallback, and a second process is kept ready.
 

@@ -115,7 +115,8 @@ def in_short(metrics: Mapping[str, float]) -> str:
     ):
         said += [words.format(metrics[name])] if name in metrics else []
     if wrong is not None:
-        said.append(f"{wrong:.0f} answers were silently wrong" if wrong else "no answer was silently wrong")
+        count = "no answer was" if wrong == 0 else "1 answer was" if wrong == 1 else f"{wrong:.0f} answers were"
+        said.append(f"{count} silently wrong")
     return ", ".join(said)
 
 

@@ -49,25 +49,6 @@ class Scenario(Settings):
     """
 
     KIND: ClassVar[str] = "scenario:"
-
-    def __init__(self, **values: Any) -> None:
-        try:
-            super().__init__(**values)
-        except UnknownNameError as error:
-            if error.kind.endswith(" key") and (places := self._places(error.name)):
-                error.args = (f"{error}; a key of that name belongs {' or '.join(places)}",)
-            raise
-
-    @classmethod
-    def _places(cls, name: str) -> list[str]:
-        """Return the places that have a key of this name: in TOML a key goes to the table above it."""
-        found = ["at the top of the file, above all tables"] if name in cls.model_fields else []
-        for table, field in cls.model_fields.items():
-            kind = field.annotation
-            if isinstance(kind, type) and issubclass(kind, Settings) and name in kind.model_fields:
-                found.append(f"in [{table}]")
-        return found
-
     name: Name = Field(default="circle", description="title of the run")
     seed: int = Field(
         default=0, ge=0, le=LARGEST_INTEGER,
@@ -103,6 +84,24 @@ class Scenario(Settings):
         default=False,
         description="plan the best courses of the path after the run and compare mu with them; takes a second or more",
     )
+
+    def __init__(self, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except UnknownNameError as error:
+            if error.kind.endswith(" key") and (places := self._places(error.name)):
+                error.args = (f"{error}; a key of that name belongs {' or '.join(places)}",)
+            raise
+
+    @classmethod
+    def _places(cls, name: str) -> list[str]:
+        """Return the places that have a key of this name: in TOML a key goes to the table above it."""
+        found = ["at the top of the file, above all tables"] if name in cls.model_fields else []
+        for table, field in cls.model_fields.items():
+            kind = field.annotation
+            if isinstance(kind, type) and issubclass(kind, Settings) and name in kind.model_fields:
+                found.append(f"in [{table}]")
+        return found
 
     @field_validator("control", mode="before")
     @classmethod

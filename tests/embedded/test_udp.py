@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from moc_opt.embedded import program
 from moc_opt.embedded.compiler import FLAGS, compile_library
+from moc_opt.realtime.packets import Kind
 from moc_opt.scenario import Scenario, run
 from moc_opt.scenario.exported import export_scenario
 from moc_opt.scenario.wired import PlantServer
@@ -57,10 +58,10 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return scenario, out
 
 
-def served(scenario: Scenario, folder: Path, share: float = 0.0) -> tuple[Trace, dict[str, Any], int, Relay]:
+def served(scenario: Scenario, folder: Path, **relayed: Any) -> tuple[Trace, dict[str, Any], int, Relay]:
     """A run in lock-step through a relay: trace, what the program printed, its status."""
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
-    with ThreadPoolExecutor(1) as pool, Relay(plant.address, share, seed=2) as relay:
+    with ThreadPoolExecutor(1) as pool, Relay(plant.address, seed=2, **relayed) as relay:
         trace = pool.submit(plant.trace)
         done = subprocess.run(
             [str(folder / "moc_udp"), *relay.address.split(":"), str(folder / "reference.bin")],
@@ -103,6 +104,15 @@ def test_faults_of_the_wire_are_counted_and_change_nothing(built: tuple[Scenario
     assert counts["doubled"] > 2
     assert counts["missed"] == 0
     assert said["ticks"] == len(expected)
+
+
+def test_a_run_that_the_plant_ends_early_is_not_called_complete(built: tuple[Scenario, Path]) -> None:
+    """No command from tick 100 on: the plant's watchdog brakes, which the program has not asked for."""
+    scenario, folder = built
+    blind = scenario.change(wire={"resend_s": 0.5, "resends": 0, "hold_ticks": 0, "damp_ticks": 0})
+    found, said, status, _ = served(blind, folder, lost=lambda kind, number: kind is Kind.COMMAND and number >= 100)
+    assert found.meta["ended"].startswith("stopped: no command from the controller")
+    assert (said["ended"], status, said["ticks"]) == ("the plant ended the run early", 3, 101)
 
 
 def test_it_takes_no_memory_from_the_heap(built: tuple[Scenario, Path]) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from moc_opt.realtime.key import written
 from moc_opt.realtime.packets import Kind
 
 Rule = Callable[[Kind, int], bool]
@@ -44,7 +45,7 @@ class Relay:
     @property
     def address(self) -> str:
         """Where the controller is to connect to."""
-        return "{}:{}".format(*self._ends[0].getsockname())
+        return written(self._ends[0].getsockname())
 
     def __enter__(self) -> Relay:
         self._thread.start()

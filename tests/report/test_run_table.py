@@ -193,4 +193,5 @@ def test_the_main_figures_in_one_sentence():
     assert in_short({"silently_wrong": 0.0, "mu_gain_percent": 8.0}) == (
         "mean mu is 8.0 % above DCAC's, no answer was silently wrong"
     )
+    assert in_short({"silently_wrong": 1.0}) == "1 answer was silently wrong"
     assert in_short({"mu_mean": 0.3}) == ""

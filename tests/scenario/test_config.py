@@ -106,6 +106,22 @@ def test_unknown_keys_list_the_nearest(tables, message):
 
 
 @pytest.mark.parametrize(
+    ("tables", "places"),
+    [
+        ({"swivel": 0.3}, "; a key of that name belongs in [start]"),
+        ({"task": {"duration_s": 3.0}}, "; a key of that name belongs at the top of the file, above all tables"),
+        ({"settings": {}}, "; a key of that name belongs in [solver]"),
+        ({"start": {"path": "line"}}, "; a key of that name belongs in [task]"),
+        ({"start": {"nowhere": 1}}, ""),
+    ],
+)
+def test_a_key_in_the_wrong_table_is_told_its_place(tables, places):
+    with pytest.raises(UnknownNameError) as found:
+        Scenario(**tables)
+    assert str(found.value).rpartition("valid names: ")[2].partition(";")[2] == places.removeprefix(";")
+
+
+@pytest.mark.parametrize(
     ("tables", "message"),
     [
         ({"robot": {"name": "lwr5"}}, r"robot 'lwr5': did you mean 'lwr4'"),
@@ -134,7 +150,8 @@ def test_unknown_names_list_the_nearest(tables, message):
         ({"control": {"law": "mok"}}, r"\[control\] law = 'mok': input should be 'dcac' or 'moc'"),
         ({"robot": {"tool_length_m": 0.0}}, r"\[robot\] tool_length_m = 0.0: input should be greater than 0"),
         ({"start": {"swivel": 1.5}}, r"\[start\] swivel.* = 1.5: a swivel is a share from 0 to 1"),
-        ({"start": {"swivel": "best"}}, r"\[start\] swivel.* = 'best': .*'given', 'random'"),
+        ({"start": {"swivel": "best"}}, r"\[start\] swivel = 'best': give 'given', 'random', or a share from 0 to 1"),
+        ({"start": {"swivel": "0.3"}}, r"\[start\] swivel = '0.3': .* without quotes"),
         ({"trocar": {"depth_m": -0.1}}, r"\[trocar\] depth_m = -0.1: input should be greater than 0"),
         ({"trocar": {"breathing_direction": [1, 0]}}, r"\[trocar\] breathing_direction"),
         ({"task": {"v_max_m_per_s": 0}}, r"\[task\] v_max_m_per_s = 0: input should be greater than 0"),

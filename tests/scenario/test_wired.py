@@ -18,7 +18,7 @@ import pytest
 from moc_opt.__main__ import main
 from moc_opt.errors import TraceError
 from moc_opt.realtime.answering import Ending
-from moc_opt.realtime.key import WireError
+from moc_opt.realtime.key import WireError, written
 from moc_opt.realtime.packets import Kind
 from moc_opt.scenario import Scenario, objects, run
 from moc_opt.scenario import wired as wired_module
@@ -36,7 +36,7 @@ def wired(scenario: Scenario, relayed: dict[str, Any] | None = None) -> tuple[Tr
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
         if relayed is None:
-            controller = pool.submit(answer, scenario, "{}:{}".format(*plant.address))
+            controller = pool.submit(answer, scenario, written(plant.address))
             return plant.trace(), controller.result(), None
         with Relay(plant.address, **relayed) as relay:
             controller = pool.submit(answer, scenario, relay.address)
@@ -153,7 +153,7 @@ def test_the_controller_is_told_before_the_run_is_judged(monkeypatch: pytest.Mon
     scenario, told = Scenario(**SHORT, wire={"silence_s": 20.0}), []
     plant = PlantServer(scenario, "127.0.0.1:0", lock_step=True)
     with ThreadPoolExecutor(1) as pool:
-        controller = pool.submit(answer, scenario, "{}:{}".format(*plant.address))
+        controller = pool.submit(answer, scenario, written(plant.address))
         monkeypatch.setattr(plant, "_row_by_row", lambda *given: told.append(controller.result(10.0)) or {})
         plant.trace()
     assert told[0].ended == "completed"
@@ -211,8 +211,8 @@ def test_both_ends_must_mean_the_same_run(tmp_path: Path) -> None:
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="another scenario"):
-            answer(base.change(seed=1), "{}:{}".format(*plant.address))
-        answer(base, "{}:{}".format(*plant.address))  # the plant goes on waiting for one that fits
+            answer(base.change(seed=1), written(plant.address))
+        answer(base, written(plant.address))  # the plant goes on waiting for one that fits
         assert run_there.result().meta["ended"] == "completed"
 
 
@@ -223,7 +223,7 @@ def test_another_key_is_not_heard() -> None:
     with ThreadPoolExecutor(1) as pool:
         run_there = pool.submit(plant.trace)
         with pytest.raises(WireError, match="no plant answers"):
-            answer(base, "{}:{}".format(*plant.address), b"l" * 32)
+            answer(base, written(plant.address), b"l" * 32)
         with pytest.raises(WireError, match=r"no controller came .*forged [1-9]"):
             run_there.result()
 
